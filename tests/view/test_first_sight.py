@@ -246,6 +246,9 @@ def test_the_page_says_what_it_shows(show: Callable[..., Shown], browser: Browse
     assert "0 to 12 m/s" in legend
     assert "grid of 10 m" in legend
     assert "x their size" in legend
+    assert "stopped" not in legend
+    shown.page.draw(replace(shown.frame, reasons={3: NORTH}), everything=True)
+    eventually(lambda: "stopped" in browser.evaluate("document.querySelector('.qrsim-legend').innerText"))
     shown.page.scene.resize(shown.page.scene.stage.cast.true_span)
     eventually(lambda: "true size" in browser.evaluate("document.querySelector('.qrsim-legend').innerText"))
     # Two places as far apart as the bar says, across the view at what the camera looks at.

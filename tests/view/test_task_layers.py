@@ -28,9 +28,13 @@ class Looking:
 
     def __init__(self) -> None:
         self.places: Any = None
+        self.notes: list[str] = []
 
     def begin(self, simulation: Any, title: str, places: Any = None) -> None:
         self.places = places
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
 
     def offer(self, history: Any) -> None:
         pass
@@ -47,6 +51,12 @@ def recorded(folder: Path, name: str, seconds: float) -> tuple[Any, Places]:
     scenario = load_scenario(name, [f"duration={seconds}"])
     fly(scenario, folder / "run", seed=3, precision="float32", view=page)
     return qrsim.open_run(folder / "run"), page.places
+
+
+def test_a_page_says_that_programs_are_compiled_until_the_first_tick(tmp_path: Path) -> None:
+    page = Looking()
+    fly(load_scenario("hover_ideal", ["duration=0.1"]), tmp_path / "run", seed=3, precision="float32", view=page)
+    assert page.notes == ["The vehicles stand still until their programs are compiled.", ""]
 
 
 def marks(run: Any) -> dict[str, np.ndarray]:

@@ -12,6 +12,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
+from qrsim.engine.forked import refuse
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import WORLDS, quick_to_compile
@@ -111,6 +112,7 @@ class XlaProgram:
 
     def start(self) -> Buffers:
         """Return the first state."""
+        refuse()
         shared = self._shared
         found = _first(self._function, self._few)(shared.layout, shared.device_buffers, self._own)
         # Packed on the host, because a program for it would cost more to compile than it ever saves.
@@ -133,6 +135,7 @@ class XlaProgram:
         return aligned_copy(self.layout.pack(tree))
 
     def _call(self, program: Any, state: Buffers, tick: int, count: int) -> Any:
+        refuse()
         layouts = self._shared.layout, self.layout
         return program(layouts, self._shared.device_buffers, self._own, state, np.int32(tick), np.int32(count))
 
@@ -222,11 +225,13 @@ class XlaWorldsProgram:
 
     def start(self) -> Arrays:
         """Return the first states of as many worlds as something was given."""
+        refuse()
         program = _first_of_many(self._function, self._extent.few, self._extent.mesh)
         return Arrays(program(self._shared.device_tree, self._own))
 
     def run(self, state: Any, tick: int, count: int) -> Arrays:
         """Return states ``count`` ticks later; those before are used up."""
+        refuse()
         # Where machine code made the start, the states lie in its own order.
         before = state.get(lambda tree: tree)
         program = _advance_many(self._function, self._extent.few, self._extent.mesh)

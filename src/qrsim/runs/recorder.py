@@ -61,6 +61,9 @@ class Watcher(Protocol):
     def begin(self, simulation: Simulation, title: str, places: Places | None = None) -> None:
         """Receive a simulation at its start, and the places that its task is about."""
 
+    def note(self, text: str) -> None:
+        """Receive one line about the run as a whole, "" for none."""
+
     def offer(self, history: History) -> None:
         """Receive the states flown since the last call."""
 
@@ -136,7 +139,11 @@ def fly(
     elif not (policy is None and estimator is None):
         pilot = _pilot(simulation, policy, estimator, policy_ticks)
     # The first tick alone, so that compiling does not count as flying.
+    if view is not None:
+        view.note("The vehicles stand still until their programs are compiled.")
     first = _record(simulation, 1, pilot)
+    if view is not None:
+        view.note("")
     start_up, first_tick = time.perf_counter() - begun, time.time()
     compiler, refused = simulation.compiled_by
     info = replace(info, compiler=compiler, compiler_refused=refused)

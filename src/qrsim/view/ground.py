@@ -14,7 +14,8 @@ from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.prisms import Prisms
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
-from qrsim.view.layers import Layer, Stage, down_at
+from qrsim.view.frame import Cast
+from qrsim.view.layers import MOST_LABELS, Layer, Stage, down_at
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
@@ -25,7 +26,7 @@ MOST_ALONG = 200
 
 
 class Ground(Layer):
-    """Ground with a grid, at z = 0 or as a surface; an arrow points north from the origin.
+    """Ground with a grid, at z = 0 or as a surface; an arrow points north from the origin, or next to many vehicles.
 
     Attributes:
         north: (3,) tip of the arrow [m].
@@ -47,6 +48,7 @@ class Ground(Layer):
         cell = grid_cell(max(extent, 0.8 * edge))
         size = 10.0 * cell * max(4, math.ceil(2.0 * reach / (10.0 * cell)))
         scene = self.stage.scene
+        north, east, length = arrow_of(self.stage.cast, self.stage.span, 5.0 * cell)
         down = 0.0
         if self._ground.at_zero:
             scene.add_grid(
@@ -55,17 +57,27 @@ class Ground(Layer):
                 plane_opacity=1.0, fade_distance=20.0 * size, shadow_opacity=0.0, position=(0.0, 0.0, 0.0),
             )  # fmt: skip
         else:
-            down = float(down_at(self._ground, np.zeros(1), np.zeros(1))[0])
+            down = float(down_at(self._ground, np.array([north]), np.array([east]))[0])
             scene.add_mesh_simple(
                 f"{self.path}/surface", *surface(self._ground, found, reach), color=GROUND_COLOUR, flat_shading=True,
                 side="double", cast_shadow=False,
             )  # fmt: skip
-        length = 5.0 * cell
-        self.north, self.cell = (1.15 * length, 0.0, down), cell
+        self.north, self.cell = (north + 1.15 * length, east, down), cell
         scene.add_mesh_simple(
             f"{self.path}/north", *shapes.arrow(), color=NORTH_COLOUR, flat_shading=True, side="double",
-            scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False, position=(0.0, 0.0, down),
+            scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False, position=(north, east, down),
         )  # fmt: skip
+
+
+def arrow_of(cast: Cast, span: float, length: float) -> tuple[float, float, float]:
+    """Return where the arrow begins, north and east [m], and its length [m], at most ``length``."""
+    if cast.size <= MOST_LABELS:
+        return 0.0, 0.0, length
+    places = cast.start_ned[:, :2]
+    # West of all vehicles, which it would cover, and no longer than half of their row.
+    length = min(length, max(span, 0.5 * float(np.ptp(places, axis=0).max())))
+    south, west = places.min(axis=0).tolist()
+    return south, west - span - 0.3 * length, length
 
 
 class Area(Layer):

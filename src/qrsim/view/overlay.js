@@ -288,7 +288,11 @@
   const layLegend = (tree, box) => {
     legend.style.display = legendOpen ? "" : "none";
     legend.style.bottom = scale.style.bottom = box.height - free(box).bottom + 10 + "px";
-    for (const row of rows) row.line.style.display = !row.layer || shown(tree, row.layer) ? "" : "none";
+    const some = Object.keys(reasons).length > 0;
+    for (const row of rows) {
+      const wanted = (!row.layer || shown(tree, row.layer)) && (some || !row.ifStopped);
+      row.line.style.display = wanted ? "" : "none";
+    }
     const times = place.span / data.trueSpan;
     const size = rows.find((row) => row.kind === "size");
     if (size) size.words.textContent = times > 1.05 ? `vehicles are drawn ${sized(times)} x their size` : "vehicles in true size";

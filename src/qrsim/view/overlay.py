@@ -32,9 +32,11 @@ SKIES = {
     "light": "linear-gradient(#cfdfec, #f4f7f8 55%)",
     "dark": "linear-gradient(#0f1418, #22292e 55%)",
 }
+# The row of the legend that is only there once a vehicle has stopped.
+STOPPED = "stopped"
 # Of each layer: how its row of the legend is marked, the colours, the words.
 ROWS: dict[str, list[tuple[str, Any, str]]] = {
-    "vehicles": [("body", [colours.STOPPED], "stopped")],
+    "vehicles": [("body", [colours.STOPPED], STOPPED)],
     "true paths": [("line", [colours.VEHICLES[0]], "true path, last minute")],
     "estimated paths": [("thin", [colours.GREY], "estimated path")],
     "GNSS positions": [("ghost", [colours.GREY], "GNSS position")],
@@ -160,7 +162,7 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[st
         # Of many vehicles all paths have one colour.
         if title == "true paths" and not stage.few:
             found = [("line", [stage.colours[0]], found[0][2])]
-        rows += [_row(*row, layer.path) for row in found]
+        rows += [_row(*row, layer.path) | {"ifStopped": row[2] == STOPPED} for row in found]
     rows.append(_row("size", [colours.GREY], "", layers["vehicles"].path))
     rows.append(_row("thin", [colours.GREY], f"grid of {cell:g} m", layers["ground and north"].path))
     return rows

@@ -57,7 +57,7 @@ def test_hover_of_more_than_half_a_hundredth_beside_is_refused(throttle: float) 
 
 def test_rotors_of_fifteen_milliseconds_allow_ten_radians_a_second_and_two_hundredths() -> None:
     """0.45/(3 x 0.015 s) = 10 rad/s."""
-    given = {**QUAD, "spin_up": 0.015}
+    given = {**QUAD, "known": {"spin_up": 0.015}}
     assert own_parameters(**{**given, "attitude_bandwidth": 10.15})["stabiliser"].rate_gain == pytest.approx(30.45)
     with pytest.raises(UsageError, match=r"time constant of 0\.015 s allow 10 rad/s at most"):
         own_parameters(**{**given, "attitude_bandwidth": 10.25})

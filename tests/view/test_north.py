@@ -1,0 +1,32 @@
+"""The arrow that points north covers no vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from qrsim.view.frame import Cast
+from qrsim.view.ground import arrow_of
+
+
+def rows(count: int) -> Cast:
+    """Vehicles in rows of twenty, 2 m apart, around the origin."""
+    number = np.arange(count)
+    places = np.stack([2.0 * (number // 20) - 9.0, 2.0 * (number % 20) - 19.0, np.full(count, -15.0)], axis=1)
+    return Cast(tuple(f"v_{i}" for i in number), np.zeros(count, int), places)
+
+
+def test_of_a_few_vehicles_it_begins_at_the_origin():
+    assert arrow_of(rows(20), 0.65, 25.0) == (0.0, 0.0, 25.0)
+
+
+def test_of_many_it_lies_west_of_them():
+    """200 vehicles, from -9 to 9 m north and -19 to 19 m east."""
+    north, east, length = arrow_of(rows(200), 0.65, 25.0)
+    assert (north, length) == (-9.0, 19.0)
+    # Its head is as wide as 0.28 of its length.
+    assert east + 0.14 * length < -19.0 - 0.65 / 2
+    assert east > -40.0
+
+
+def test_it_is_never_longer_than_asked():
+    assert arrow_of(rows(200), 0.65, 5.0)[2] == 5.0
