@@ -29,10 +29,17 @@ def blocks(language: str) -> list[tuple[str, str]]:
     return found
 
 
+# Pages whose Python blocks belong together, in their order.
+TOGETHER = ("field_day.md",)
+
+
 def examples(language: str) -> list[Any]:
     """Return a case for every example; those beyond the README take long."""
-    cases = []
-    for name, text in blocks(language):
+    cases, each = [], blocks(language)
+    for page in TOGETHER if language == "python" else ():
+        whole = "\n".join(text for name, text in each if name.startswith(f"{page}-"))
+        each = [(name, text) for name, text in each if not name.startswith(f"{page}-")] + [(page, whole)]
+    for name, text in each:
         marks = () if name.startswith("README") else (pytest.mark.long,)
         cases.append(pytest.param(name, text, id=name, marks=marks))
     return cases
