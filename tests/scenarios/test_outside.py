@@ -413,7 +413,9 @@ class Level:
         fleets = {"pelicans": {"controller": {"type": f"{file}:Level"}}}
         assert load_scenario({"extends": "hover_ideal", "name": "own", "fleets": fleets})
         bare = {"pelicans": {"controller": {"type": f"{file}:Level"}, "sensors": None}}
-        with pytest.raises(ScenarioError, match="fed with measurements, but no sensor gives position"):
+        with pytest.raises(
+            ScenarioError, match="fed with measurements, but the fleet has no sensors; set sensors to noisy"
+        ):
             load_scenario({"extends": "hover_ideal", "name": "own", "fleets": bare})
 
     def test_on_the_command_line(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from typing import Any
 
 import distributed
 import pytest
+from distributed.comm import connect
 from evidence.sweep import dask, kill_process, kill_worker, opened, same
 from evidence.sweep import scheduler as running
 from tests.sweep.conftest import flown, write
@@ -125,12 +127,10 @@ def test_a_stranger_is_refused_by_the_workers_of_this_machine(capsys: Any) -> No
         address = client.scheduler.address
         assert address.startswith("tls://")
         assert client.submit(sum, [1, 2]).result(timeout=30) == 3
-        for stranger in (address, address.replace("tls://", "tcp://")):
+        own = distributed.Security.temporary().get_connection_args("client")
+        for stranger, words in ((address, {}), (address.replace("tls://", "tcp://"), {}), (address, own)):
             with pytest.raises((OSError, ValueError, TypeError, RuntimeError)):
-                distributed.Client(stranger, timeout=3, set_as_default=False)
-        own = distributed.Security.temporary()
-        with pytest.raises((OSError, ValueError, RuntimeError)):
-            distributed.Client(address, timeout=3, set_as_default=False, security=own)
+                asyncio.run(connect(stranger, timeout=3, **words))
         # Pages by HTTP ask nobody who they are, so there are none.
         port = client.scheduler_info()["services"].get("dashboard")
         for page in ("status", "api/v1/get_workers", "info/main/workers.html"):
