@@ -40,8 +40,9 @@ def ulog() -> bytes:
         return struct.pack("<H", len(payload)) + kind + payload
 
     content = b"ULog\x01\x12\x35" + struct.pack("<BQ", 1, 0)
-    for number, (name, fields, _) in enumerate(ULOG_TOPICS):
+    for name, fields, _ in ULOG_TOPICS:
         content += message(b"F", f"{name}:uint64_t timestamp;{fields};".encode())
+    for number, (name, _, _) in enumerate(ULOG_TOPICS):
         content += message(b"A", struct.pack("<BH", 0, number) + name.encode())
     for i in range(ROWS):
         for number, (name, _, count) in enumerate(ULOG_TOPICS):

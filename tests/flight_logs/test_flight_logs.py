@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence._logs import ulog
+from evidence._mutating import mutated
 from tests.flight_logs.log_writing import DT, Floats, flown, write_csv, write_dataflash, write_ulog
 
 from qrsim.errors import LogError, UsageError
@@ -218,5 +220,57 @@ class TestMessagesOfAULog:
         assert notes == ["the file is damaged; what can be read between the damaged parts is used"]
 
     def test_a_whole_log_is_left_as_it_is(self) -> None:
-        content = self.HEADER + ulog_message(b"B", bytes(40)) + ulog_message(b"D", b"\x01\x00data")
+        content = self.HEADER + ulog_message(b"B", bytes(40)) + ulog_message(b"F", b"t:uint64_t timestamp;")
+        content += ulog_message(b"A", b"\x00\x01\x00t") + ulog_message(b"D", b"\x01\x00timestam")
         assert whole_messages(content) == (content, [])
+
+    def test_a_synchronisation_with_a_damaged_header_is_passed(self) -> None:
+        good = ulog_message(b"I", b"abc")
+        kept, notes = whole_messages(self.HEADER + good + b"\x08\x00s" + self.SYNC[3:] + good)
+        assert kept == self.HEADER + good + self.SYNC + good
+        assert notes == ["the file is damaged; what can be read between the damaged parts is used"]
+
+    def test_messages_in_the_wrong_section_are_left_out(self) -> None:
+        """pyulog reads these byte by byte, and the first part sends it back to the second for ever."""
+        info = bytearray(ulog_message(b"I", b"\x09char[3] x" + bytes(9000)))
+        info[-7445:-7442] = struct.pack("<HB", 7442, ord("Z"))
+        early = bytes(info) + ulog_message(b"D", bytes(10001))
+        assert whole_messages(self.HEADER + early) == (self.HEADER + bytes(info), [])
+        begun = ulog_message(b"A", b"\x00\x01\x00t")
+        late = ulog_message(b"F", b"") + ulog_message(b"B", bytes(40)) + ulog_message(b"R", b"")
+        assert whole_messages(self.HEADER + begun + late) == (self.HEADER + begun, [])
+
+    def test_appended_data_follows_the_cut(self) -> None:
+        good, cut = ulog_message(b"L", b"6" + bytes(8) + b"text"), b"\xff\x00Dtext"
+        place = 16 + 43 + len(good) + len(cut)
+        flags = ulog_message(b"B", bytes(8) + b"\x01" + bytes(7) + struct.pack("<3Q", place, 0, 2**63))
+        kept, notes = whole_messages(self.HEADER + flags + good + cut + good)
+        assert kept == self.HEADER + flags[:19] + bytes(24) + good + good
+        assert notes == []
+
+    @pytest.mark.parametrize(
+        ("messages", "told"),
+        [
+            ([b"Ft:u[65535] x;", b"Fu:v[65535] x;", b"Fv:float x;", b"A\0\0\0t"], "more than 200000 fields in all"),
+            ([b"Ft:" + b"float[60000] x;" * 4, b"A\0\0\0t"], "more than 200000 fields in all"),
+            ([b"Ft:float[60000] x;", *[b"A\0\0\0t"] * 4], "more than 200000 fields in all"),
+            ([b"Ft:t x;t y;", b"A\0\0\0t"], "nested more than 20 deep"),
+            ([b"Fsensor_combined:float[3] gyro_rad;float[3] accelerometer_m_s2;", b"A\0\0\0sensor_combined",
+              b"D\0\0" + bytes(24)], "no topic sensor_combined with timestamp|no data of the topics"),
+        ],
+    )  # fmt: skip
+    def test_formats_that_no_memory_holds_are_refused(self, messages: list[bytes], told: str, tmp_path: Path) -> None:
+        path = tmp_path / "log.ulg"
+        path.write_bytes(self.HEADER + b"".join(ulog_message(each[:1], each[1:]) for each in messages))
+        for read in (read_log, read_inertial):
+            with pytest.raises(LogError, match=told):
+                read(path)
+
+    @pytest.mark.parametrize("seed", range(100))
+    def test_what_is_left_of_a_mutated_log_is_whole(self, seed: int) -> None:
+        """By construction pyulog gets messages that follow each other to the last byte, whatever came in."""
+        content, _ = whole_messages(mutated(np.random.default_rng(seed), ulog(), binary=True))
+        place = 16
+        while place < len(content):
+            place += 3 + int.from_bytes(content[place : place + 2], "little")
+        assert place == len(content) or len(content) < 16

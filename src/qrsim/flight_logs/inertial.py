@@ -69,8 +69,8 @@ def _of_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
     found = next((each.data for each in log.data_list if each.name == "sensor_combined"), None)
     fields = {"gyroscope": "gyro_rad", "accelerometer": "accelerometer_m_s2"}
     names = {f"{kind}_{axis}": f"{field}[{i}]" for kind, field in fields.items() for i, axis in enumerate("xyz")}
-    if found is None or not set(names.values()) <= set(found):
-        raise LogError(f"{path}: no topic sensor_combined with gyro_rad and accelerometer_m_s2")
+    if found is None or not {"timestamp", *names.values()} <= set(found):
+        raise LogError(f"{path}: no topic sensor_combined with timestamp, gyro_rad and accelerometer_m_s2")
     columns = {name: np.asarray(found[field], np.float64) for name, field in names.items()}
     return np.asarray(found["timestamp"], np.float64) * 1e-6, columns
 
