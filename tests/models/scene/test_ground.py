@@ -248,6 +248,7 @@ class TestRefused:
                 "30000 rows of 30000, 9e+08 heights; allowed: 8e+06",
             ),
             (f"{HEADER}1 2 3\n4 5 6\n", "its header has no 'cellsize'"),
+            (f"{HEADER}cellsize 10\nNCOLS 3\n1 2 3\n4 5 6\n", "its header has 'ncols' twice"),
             ("ncols 3\nnrows 2.5\n", "'nrows' of its header is 2.5; expected a whole number"),
             (f"{HEADER}cellsize 10\n1 2 x 4 5 6\n", "a height is no number"),
             ("", "its header has no 'ncols'"),

@@ -265,6 +265,8 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
     header: dict[str, float] = {}
     while 2 * len(header) + 1 < len(words) and words[2 * len(header)][:1].isalpha():
         name, text = words[2 * len(header)].lower(), words[2 * len(header) + 1]
+        if name in header:
+            raise UsageError(f"{file}: its header has '{name[:40]}' twice")
         header[name] = _number(file, name, text)
     cells = header.get("cellsize")
     needed: dict[str, Any] = {
