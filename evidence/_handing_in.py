@@ -14,7 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from evidence._logs import csv_log, rig_log, sp3, ulog
+from evidence._logs import csv_log, dataflash, inertial_ulog, rig_log, sp3, ulog
+from evidence._maps import GEOJSON, HEIGHTS, KML, PLAN
 from evidence._mutated_states import attempt, mutants, saved_state, simulation_of
 from evidence._mutating import Rng, mutated, number, scaled
 from qrsim.errors import QrsimError
@@ -94,9 +95,12 @@ class Workshop:
     @cached_property
     def run_folder(self) -> Path:
         """A short run of two vehicles."""
-        folder = self.folder / "run"
-        content = {"name": "short", "duration": 0.2, "fleets": {"a": FLEET}}
-        path = self.write("short.yaml", json.dumps(content).encode())
+        return self._flown("run", 0.2)
+
+    def _flown(self, name: str, duration: float) -> Path:
+        folder = self.folder / name
+        content = {"name": name, "duration": duration, "fleets": {"a": FLEET}}
+        path = self.write(f"{name}.yaml", json.dumps(content).encode())
         assert command("run", str(path), "--out", str(folder), "--no-figure") == 0
         return folder
 
@@ -108,7 +112,17 @@ class Workshop:
     @cached_property
     def logs(self) -> list[tuple[str, bytes, bool]]:
         """Logs in the formats that are read: name, content, whether it is binary."""
-        return [("log.csv", csv_log(), False), ("rig.csv", rig_log(), False), ("log.ulg", ulog(), True)]
+        return [
+            ("log.csv", csv_log(), False), ("rig.csv", rig_log(), False), ("log.ulg", ulog(), True),
+            ("rest.ulg", inertial_ulog(), True), ("log.bin", dataflash(), True),
+        ]  # fmt: skip
+
+    @cached_property
+    def bag(self) -> Path:
+        """A run of five seconds as a bag of ROS 2: a description and a file in MCAP."""
+        folder, run = self.folder / "bag", self._flown("five", 5.0)
+        assert command("export", str(run), "--format", "rosbag2", "--every", "10", "--out", str(folder)) == 0
+        return folder
 
 
 FLEET: dict[str, Any] = {
@@ -119,31 +133,6 @@ FLEET: dict[str, Any] = {
         {"position_ned": [9.0, 0.0, -20.0], "waypoints_ned": [[9.0, 9.0, -20.0]]},
     ],
 }
-PLAN: dict[str, Any] = {
-    "fileType": "Plan", "version": 1, "groundStation": "QGroundControl",
-    "mission": {
-        "version": 2, "plannedHomePosition": [51.7119, -0.21052, 0.0],
-        "items": [
-            {"type": "SimpleItem", "command": 22, "frame": 3, "autoContinue": True,
-             "params": [15, 0, 0, None, 51.7119, -0.21052, 20]},
-            {"type": "SimpleItem", "command": 16, "frame": 3, "autoContinue": True,
-             "params": [0, 0, 0, None, 51.7123, -0.2105, 25]},
-            {"type": "ComplexItem", "complexItemType": "survey", "TransectStyleComplexItem": {"version": 2, "Items": [
-                {"type": "SimpleItem", "command": 16, "frame": 0, "params": [0, 0, 0, None, 51.7121, -0.2102, 25]}]}},
-            {"type": "SimpleItem", "command": 20, "frame": 2, "params": [0, 0, 0, 0, 0, 0, 0], "autoContinue": True},
-        ],
-    },
-    "geoFence": {"version": 2, "circles": [], "polygons": [
-        {"version": 1, "inclusion": True,
-         "polygon": [[51.710, -0.213], [51.714, -0.213], [51.714, -0.207], [51.710, -0.207]]}]},
-    "rallyPoints": {"version": 2, "points": []},
-}  # fmt: skip
-KML = """<?xml version="1.0" encoding="UTF-8"?>
-<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark><name>field</name><Polygon><outerBoundaryIs><LinearRing>
-<coordinates>-0.213,51.710,0 -0.207,51.710,0 -0.207,51.714,0 -0.213,51.714,0 -0.213,51.710,0</coordinates>
-</LinearRing></outerBoundaryIs></Polygon></Placemark><Placemark><name>gate</name><Point><coordinates>-0.21,51.71,0
-</coordinates></Point></Placemark></Document></kml>
-"""
 OVERRIDES = (
     "world.wind.speed_20ft=7", "world.turbulence=still", "fleets.pelicans.controller.type=waypoint", "duration=10",
     "fleets.pelicans.vehicle.mass=2", "fleets.pelicans.vehicles.0.position_ned=[1, 2, -3]", "time_step=0.01",
@@ -272,9 +261,42 @@ def _read_run(folder: Path, skip_damaged: bool) -> None:
 
 def _flight_log(shop: Workshop, rng: Rng) -> None:
     from qrsim.flight_logs import read_log
+    from qrsim.flight_logs.inertial import read_inertial
 
     name, data, binary = shop.logs[int(rng.integers(len(shop.logs)))]
-    read_log(shop.write(f"log{Path(name).suffix}", mutated(rng, data, binary)))
+    path = shop.write(f"log{Path(name).suffix}", mutated(rng, data, binary))
+    (read_inertial if name == "rest.ulg" else read_log)(path)
+
+
+def _bag(shop: Workshop, rng: Rng) -> None:
+    from qrsim.flight_logs import read_log
+
+    copy = shop.folder / "damaged"
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(shop.bag, copy)
+    files = sorted(copy.iterdir())
+    chosen = files[int(rng.integers(len(files)))]
+    chosen.write_bytes(mutated(rng, chosen.read_bytes(), binary=chosen.suffix == ".mcap"))
+    # A file is also read alone, without its description.
+    mcap = next(path for path in files if path.suffix == ".mcap")
+    read_log(mcap if rng.random() < 0.5 else copy, "a_0")
+
+
+def _buildings(shop: Workshop, rng: Rng) -> None:
+    from qrsim.scenarios.scenario import load_scenario
+
+    path = shop.write("block.geojson", mutated(rng, json.dumps(GEOJSON, indent=1).encode()))
+    site = {"latitude_deg": 51.7119, "longitude_deg": -0.21052}
+    world = {"buildings": {"file": str(path)}}
+    load_scenario({"name": "x", "site": site, "world": world, "fleets": {"a": FLEET}}).world("float32")
+
+
+def _heights(shop: Workshop, rng: Rng) -> None:
+    from qrsim.scenarios.scenario import load_scenario
+
+    path = shop.write("hills.asc", mutated(rng, HEIGHTS.encode()))
+    world = {"ground": {"type": "dem", "file": str(path)}}
+    load_scenario({"name": "x", "world": world, "fleets": {"a": FLEET}}).world("float32")
 
 
 def _commands(shop: Workshop, rng: Rng) -> None:
@@ -303,11 +325,11 @@ def _sp3(shop: Workshop, rng: Rng) -> None:
 
 # How many of a hundred cases are of a kind.
 KINDS: dict[str, tuple[int, Callable[[Workshop, Rng], None]]] = {
-    "scenario": (33, _scenario),
+    "scenario": (24, _scenario),
     "flight": (3, _flight),
-    "override": (8, _override),
+    "override": (6, _override),
     "vehicle": (4, _vehicle),
-    "plan": (8, _plan),
+    "plan": (6, _plan),
     "kml": (6, _kml),
     "study": (6, _study),
     "state": (6, _state),
@@ -316,6 +338,9 @@ KINDS: dict[str, tuple[int, Callable[[Workshop, Rng], None]]] = {
     "commands": (2, _commands),
     "wind": (4, _wind),
     "sp3": (5, _sp3),
+    "buildings": (6, _buildings),
+    "heights": (3, _heights),
+    "bag": (4, _bag),
 }
 
 

@@ -55,6 +55,48 @@ def ulog() -> bytes:
 
 
 @cache
+def inertial_ulog() -> bytes:
+    """Return a PX4 log at rest of gyroscope and accelerometer, with messages of most types."""
+
+    def message(kind: bytes, payload: bytes) -> bytes:
+        return struct.pack("<H", len(payload)) + kind + payload
+
+    content = b"ULog\x01\x12\x35" + struct.pack("<BQ", 1, 0) + message(b"B", bytes(40))
+    content += message(b"F", b"sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;")
+    content += message(b"I", b"\x09char[3] x" + b"abc") + message(b"P", b"\x07float a" + bytes(4))
+    content += message(b"M", b"\x00\x09char[3] y" + b"abc") + message(b"Q", b"\x01\x07float a" + bytes(4))
+    content += message(b"A", struct.pack("<BH", 0, 0) + b"sensor_combined")
+    for i in range(ROWS):
+        content += message(b"D", struct.pack("<HQ6f", 0, int(1e6 * DT * i), *np.sin(i + np.arange(6.0))))
+        if i % 50 == 0:
+            content += message(b"S", bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12)))
+            content += message(b"L", b"6" + struct.pack("<Q", i) + b"text") + message(b"O", b"\x01\x00")
+    return content
+
+
+@cache
+def dataflash() -> bytes:
+    """Return an ArduPilot log of eight seconds."""
+
+    def packet(number: int, payload: bytes) -> bytes:
+        return b"\xa3\x95" + bytes([number]) + payload
+
+    def described(number: int, name: str, layout: str, columns: str) -> bytes:
+        length = 3 + (89 - 3 if number == 128 else struct.calcsize("<" + layout))
+        texts = (text.encode().ljust(size, b"\0") for text, size in ((name, 4), (layout, 16), (columns, 64)))
+        return packet(128, struct.pack("<BB", number, length) + b"".join(texts))
+
+    content = described(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    content += described(1, "ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    content += described(3, "CTUN", "Qf", "TimeUS,ThO") + described(4, "BAT", "QBf", "TimeUS,Inst,Volt")
+    for i in range(ROWS):
+        stamp, angle = int(1e6 * (7.0 + DT * i)), 5.0 * np.sin(i / 20)
+        content += packet(1, struct.pack("<Qffffff", stamp, angle, angle, -angle, angle, 0.0, 90.0))
+        content += packet(3, struct.pack("<Qf", stamp, 0.59)) + packet(4, struct.pack("<QBf", stamp, 0, 12.0))
+    return content
+
+
+@cache
 def sp3() -> bytes:
     """Return an SP3-c file of 24 satellites on circular orbits, 20 epochs of 900 s."""
     names = [f"G{number:02}" for number in range(1, 25)]

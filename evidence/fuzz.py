@@ -29,7 +29,7 @@ from evidence._handing_in import KINDS, Workshop, silence
 from evidence._mutating import SPENT_S
 from qrsim.errors import QrsimError
 
-DOC = "10 000 mutations of scenarios, plans, fences, studies, states, run folders, logs and ephemerides"
+DOC = "10 000 mutations of scenarios, plans, fences, studies, states, runs, logs, bags, maps and ephemerides"
 SEED = 20261121
 ROOT = Path(__file__).resolve().parents[1]
 FULL, SMALL = 10_000, 300
@@ -118,7 +118,7 @@ def prepared(folder: Path) -> Workshop:
     """Return a workshop that has made what all cases share: runs, states, imports."""
     shop = Workshop(folder)
     with silence():
-        _ = shop.scenarios, shop.studies, shop.run_folder, shop.saved, shop.logs, shop.pipe
+        _ = shop.scenarios, shop.studies, shop.run_folder, shop.saved, shop.logs, shop.bag, shop.pipe
         for kind in KINDS:
             with contextlib.suppress(QrsimError):
                 KINDS[kind][1](shop, np.random.default_rng([SEED, 2**40]))
