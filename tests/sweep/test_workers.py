@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import socket
+import ssl
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -151,3 +153,24 @@ def test_certificates_come_together_and_are_there(tmp_path: Path, capsys: Any) -
     ):
         assert main(["sweep", study, *words, "--out", str(tmp_path / "s.zarr")]) == 2
         assert told in capsys.readouterr().err
+
+
+def test_tls_without_the_certificate_gets_no_byte() -> None:
+    """Dask's client refuses before it connects where it has no certificate; a stranger need not use Dask's client."""
+
+    def received(context: ssl.SSLContext, port: int) -> bytes:
+        with socket.create_connection(("127.0.0.1", port), timeout=5) as plain, context.wrap_socket(plain) as secret:
+            return secret.recv(1)
+
+    bare = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    bare.check_hostname, bare.verify_mode = False, ssl.CERT_NONE
+    with workers_of(None, 1) as client:
+        own = client.security.get_connection_args("client")["ssl_context"]
+        workers = client.scheduler_info()["workers"]
+        addresses = [client.scheduler.address, *workers, *(each["nanny"] for each in workers.values())]
+        assert len(addresses) == 3
+        for address in addresses:
+            port = int(address.rpartition(":")[2])
+            assert len(received(own, port)) == 1
+            with pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
+                received(bare, port)
