@@ -140,3 +140,10 @@ def test_summary_of_a_vehicle_that_never_flew(tmp_path):
     assert (summary.distance_m, summary.stopped) == (0.0, "out_of_area at 0.00 s")
     assert math.isnan(summary.tracking_error_rms_m)
     assert math.isnan(summary.gnss_vertical_rms_m)
+
+
+def test_summary_of_a_run_that_was_killed_before_its_first_tick(tmp_path):
+    summary = summarise(open_run(write_flight(tmp_path / "run", ticks=0)))[0]
+    assert math.isnan(summary.gnss_horizontal_rms_m)
+    assert math.isnan(summary.tracking_error_rms_m)
+    assert summary.distance_m == 0.0

@@ -200,7 +200,8 @@ def _truth_at(run: Run, time: Floats, latency: Floats) -> Floats:
     """Return the true positions (E, n, 3) [m] a latency (n,) [s] before times (E,) [s], at the earliest the first."""
     truth, known = vectors(run["truth"], "position_ned"), run["truth"].time
     found = np.empty((len(time), *truth.shape[1:]))
-    for vehicle, axis in np.ndindex(*truth.shape[1:]):
+    # A run that was killed at once has no ticks, and one with a damaged part may have no truth.
+    for vehicle, axis in np.ndindex(*truth.shape[1:]) if len(time) else ():
         found[:, vehicle, axis] = np.interp(time - latency[vehicle], known, truth[:, vehicle, axis])
     return found
 
