@@ -1,7 +1,7 @@
-"""Which shipped vehicle completes which flight in which wind, by all controllers that suit it and on both sensor sets.
+"""Shipped vehicles under every suitable controller and sensor set, in wind: flights completed and tracking error.
 
-A flight is completed if the vehicle does not stop and is at the end of its route. A flight is possible where the check
-of the scenario, when it is loaded, does not warn of the wind.
+A flight is completed if the vehicle does not stop and reaches the end of its route. A flight counts as possible if
+loading the scenario gives no warning about the wind.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import qrsim
+from qrsim.scenarios.sensor_sets import ESTIMATOR, SETS
 from qrsim.world.state import State
 
 DOC = "vehicles x controllers x winds x sensors x routes: share of flights completed, and tracking error"
@@ -35,16 +36,7 @@ CONTROLLERS = {"pelican": ("cascade", "waypoint"), "rover": ("rover",), "fixed_w
 HEIGHT = 20.0
 # Duration of a route [s].
 ROUTES = {"hover": 30.0, "short_legs": 60.0, "long_legs": 120.0, "take_off_and_land": 90.0}
-SENSORS: dict[str, Any] = {
-    "ideal": {
-        "gnss": "ideal_gnss", "barometer": "ideal_barometer", "attitude": "ideal_attitude",
-        "gyroscope": "ideal_gyroscope", "accelerometer": "ideal_accelerometer", "airspeed": "ideal_airspeed",
-    },
-    "noisy": {
-        "gnss": {"type": "gnss", "preset": "f9p_single"}, "imu": {"type": "imu", "preset": "icm42688p"},
-        "magnetometer": "magnetometer", "barometer": "barometer", "airspeed": "airspeed",
-    },
-}  # fmt: skip
+AIRSPEED = {"ideal": "ideal_airspeed", "noisy": "airspeed"}
 
 
 def square(side: float, down: float) -> list[list[float]]:
@@ -73,13 +65,15 @@ def scenario(kind: str, controller: str, sensors: str, route: str, wind: float) 
     if controller == "cascade":
         fleet["guidance"] = {"type": "mission"}
     elif controller == "waypoint":
-        fleet["guidance"], fleet["controller"] = {"type": "route", "repeat": False}, {"type": controller}
-    chosen = {name: part for name, part in SENSORS[sensors].items() if kind == "fixed_wing" or name != "airspeed"}
+        fleet["guidance"] = {"type": "route", "repeat": False}
+    chosen: dict[str, Any] = dict(SETS[sensors])
+    if kind == "fixed_wing":
+        chosen["airspeed"] = AIRSPEED[sensors]
     if controller in ("waypoint", "rover", "fixed_wing"):
         # They are fed with measured attitudes.
         chosen["attitude"] = "ideal_attitude" if sensors == "ideal" else "attitude_estimator"
     elif sensors == "noisy":
-        fleet["estimator"] = {"type": "ekf", "accelerometer_bias_std": 0.25}
+        fleet["estimator"] = ESTIMATOR
     blows: dict[str, Any] = {}
     if wind or kind != "rover":
         blows = {
@@ -145,7 +139,7 @@ def run(full: bool) -> dict[str, Any]:
         row
         for kind in kinds
         for controller in CONTROLLERS.get(kind, ("cascade",))[: None if full else 1]
-        for sensors in (SENSORS if full else ("noisy",))
+        for sensors in (SETS if full else ("noisy",))
         for route in routes
         for row in flights(kind, controller, sensors, route, winds, seeds)
     ]

@@ -86,7 +86,7 @@ def shortened(text: str, most: int = LONGEST_PROBLEM) -> str:
 
 
 def visible(text: str) -> str:
-    """Return a text whose control characters, but for line ends and tabs, are written out: they may be anybody's."""
+    """Return a text with its control characters escaped, except line ends and tabs: a terminal would obey them."""
     return "".join(
         character if character.isprintable() or character in "\n\t" else ascii(character)[1:-1] for character in text
     )

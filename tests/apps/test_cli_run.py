@@ -26,6 +26,7 @@ import yaml
 from tests.interrupting import INTERRUPTIBLE
 
 from qrsim import cli
+from qrsim.apps import seconds_of
 from qrsim.apps.run import command
 from qrsim.engine import programs
 from qrsim.engine.llvm import program
@@ -33,7 +34,6 @@ from qrsim.files import atomic
 from qrsim.runs import open_run, recorder
 from qrsim.runs.summary import summarise
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.seconds import seconds_of
 
 STREAMS = ("truth", "measurements", "commands", "wind")
 TICKS, VEHICLES = 500, 5

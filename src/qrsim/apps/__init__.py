@@ -1,1 +1,47 @@
-"""Programs on top of the library; they are independent of each other."""
+"""Commands on top of the library, independent of each other. Times are given in seconds or with a unit."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import tyro
+
+_TIME = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z]*)", re.IGNORECASE)
+_UNITS = {"": 1.0, "ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def seconds_of(text: str) -> float:
+    """Return a time [s] from a text such as ``20``, ``20s``, ``2min`` or ``1.5h``.
+
+    Raises:
+        ValueError: the text is not a time.
+    """
+    try:
+        # NaN passes here: each option reports its own range.
+        return float(text)
+    except ValueError:
+        pass
+    found = _TIME.fullmatch(text.strip())
+    if found is None or found[2].lower() not in _UNITS:
+        raise ValueError(f"'{text[:60]}' is no time; expected seconds, or a number with a unit as 20s, 2min or 1.5h")
+    return float(found[1]) * _UNITS[found[2].lower()]
+
+
+def _optional(words: list[str]) -> float | None:
+    return None if words == ["None"] else seconds_of(words[0])
+
+
+def _spec(parse: Any) -> Any:
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="SECONDS",
+        instance_from_str=parse,
+        is_instance=lambda value: value is None or isinstance(value, int | float),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+# Annotations of options: a required time, and an optional one.
+SECONDS = _spec(lambda words: seconds_of(words[0]))
+OPTIONAL_SECONDS = _spec(_optional)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.seconds import OPTIONAL_SECONDS, SECONDS
 
 if TYPE_CHECKING:
     from qrsim.links.autopilot.flight import Flight

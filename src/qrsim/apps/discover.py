@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from qrsim.apps import OPTIONAL_SECONDS
 from qrsim.errors import LogError, RunError, UsageError
-from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.discover.discovery import Discovery

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS
 from qrsim.errors import LogError, UsageError, did_you_mean
-from qrsim.seconds import OPTIONAL_SECONDS, SECONDS
 
 if TYPE_CHECKING:
     from qrsim.identify.fit import Question

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
-from qrsim.seconds import OPTIONAL_SECONDS, SECONDS
 
 if TYPE_CHECKING:
     from qrsim.links.ros2.node import Node

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from qrsim.apps import SECONDS
 from qrsim.errors import RunError, UsageError, did_you_mean, nearest
 from qrsim.extras import require
-from qrsim.seconds import SECONDS
 
 if TYPE_CHECKING:
     from qrsim.links.reference.roles import Options

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from qrsim.apps import SECONDS
 from qrsim.errors import RunError, UsageError
-from qrsim.seconds import SECONDS
 
 if TYPE_CHECKING:
     from qrsim.slam.estimate import Slam

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from qrsim.apps import OPTIONAL_SECONDS
 from qrsim.errors import RunError, UsageError
 from qrsim.interruptions import calling
-from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.view.recording import Recording

@@ -1,6 +1,6 @@
-"""Processes that were forked after JAX had compiled: its threads are not there, and it would wait for them for ever.
+"""Processes forked after JAX has compiled: they lack XLA's threads, and XLA would wait for them for ever.
 
-qrsim's own machine code runs in such a process. What XLA compiles or runs, as a policy under ``jax.jit``, is refused.
+qrsim's own machine code runs in such a process. Everything that needs XLA is refused, a policy under ``jax.jit`` too.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import jax
 
 from qrsim.errors import RunError
 
-# Told when JAX begins to lower a function for XLA, and after XLA has compiled it.
+# JAX's events: it begins to lower a function for XLA; XLA has compiled it.
 _LOWERING = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _known = {"compiled": False, "forked": False}
 
 
 def refuse() -> None:
-    """Raise RunError in a process in which XLA can neither compile nor run."""
+    """Raise RunError if this process was forked and XLA can neither compile nor run in it."""
     if _known["forked"]:
         raise RunError(
             "this process was forked after JAX had compiled in its parent, so XLA would wait here for ever; start "
@@ -29,7 +29,7 @@ def refuse() -> None:
 
 
 def _begins(event: str, value: float, **_: Any) -> None:
-    # Not after it, because lowering a function of several parts waits for threads already.
+    # At the start: lowering a function of several parts waits for threads already.
     if event == _LOWERING:
         refuse()
 
@@ -44,7 +44,7 @@ def _after_fork() -> None:
 
 
 def watch() -> None:
-    """Refuse, from now on, to compile by XLA in a process that is forked after it has compiled in this one."""
+    """From now on, refuse XLA in processes that are forked after XLA has compiled in this one."""
     if sys.platform != "win32":
         jax.monitoring.register_scalar_listener(_begins)
         jax.monitoring.register_event_duration_secs_listener(_ended)

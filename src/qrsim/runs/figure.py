@@ -38,7 +38,7 @@ from qrsim.runs.summary import (
     waypoints_of,
 )
 from qrsim.runs.surroundings import Surroundings, surroundings_of
-from qrsim.runs.terrain import Terrain
+from qrsim.runs.terrain import Terrain, terrain_of
 
 # Of what interferes with receivers, so many are named.
 MOST_SAID = 6
@@ -155,7 +155,7 @@ def _read(run: Run) -> _Data:
     measured, sensor = run["measurements"], gnss_sensor(run)
     height = next((name for name in measured.columns() if name.endswith(".height")), None)
     gnss_time, error = gnss_error(run)
-    terrain, setpoint = Terrain(run), waypoints_of(run, rows["commands"])
+    terrain, setpoint = terrain_of(run), waypoints_of(run, rows["commands"])
     return _Data(
         names=run.vehicles,
         time={stream: run[stream].time[rows[stream]] for stream in STREAMS},

@@ -13,7 +13,7 @@ import numpy as np
 
 from qrsim.runs.layout import OVERFULL, Event
 from qrsim.runs.reader import Run, Stream
-from qrsim.runs.terrain import Terrain
+from qrsim.runs.terrain import terrain_of
 
 Floats = np.ndarray[Any, Any]
 Rows = np.ndarray[Any, Any]
@@ -141,7 +141,7 @@ def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
     if "setpoint.position_ned.x" in commands:
         found = vectors(commands, "setpoint.position_ned", rows)
         # A landing ends on the ground, but the point that it follows goes on, through it.
-        below = found[..., 2] > Terrain(run).down(found[..., 0], found[..., 1]) + BELOW_M
+        below = found[..., 2] > terrain_of(run).down(found[..., 0], found[..., 1]) + BELOW_M
         return np.where(below[..., None], np.nan, found)
     return np.full((len(commands.time[rows]), len(run.vehicles), 3), np.nan)
 

@@ -1,7 +1,8 @@
-"""The ground of a run, as its scenario has it."""
+"""The ground of a run, built from the scenario that the run keeps."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ Floats = np.ndarray[Any, Any]
 
 
 class Terrain:
-    """Heights of the ground below places; level at a height where the ground of the run is not known any more.
+    """Heights of the ground; a level plane if the ground of the run can no longer be built.
 
     Attributes:
         level: whether it is a level plane.
@@ -43,6 +44,12 @@ class Terrain:
         flat: list[Any] = [np.nan_to_num(np.ravel(axis)).astype(np.float32) for axis in (north, east, 0.0 * east)]
         found = np.asarray(down_at(self._ground, Vec3(*flat)), np.float64)
         return np.where(np.isfinite(north), found.reshape(np.shape(north)), np.nan)
+
+
+@lru_cache(maxsize=2)
+def terrain_of(run: Run) -> Terrain:
+    """Return the ground of a run; built once, because a table and a figure of a run both need it."""
+    return Terrain(run)
 
 
 def _built(content: Any) -> Any:

@@ -23,6 +23,7 @@ from qrsim.scenarios.build import component
 from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.sky_of_receivers import RECEIVERS
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.
@@ -32,7 +33,6 @@ EARTH = (9.7, 9.9)
 LEAST_DAMPING = 0.1
 # What the published thrust law was identified for [V].
 IDENTIFIED_V = COMMAND_LIMITS["battery"]
-RECEIVERS = ("gnss", "gnss_receiver")
 # Range errors of this std [m] and more are those of selective availability, which ended in 2000.
 ROUGH_STD_M = 5.0
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
@@ -60,7 +60,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _sky(scenario: ScenarioSpec) -> Iterator[str]:
-    """Range errors of several metres put every fix metres away."""
+    """Warn of range errors of several metres, which put every fix metres away."""
     std = vars(scenario.world.sky.errors).get("std", 0.0)
     read = any(sensor.type in RECEIVERS for fleet in scenario.fleets.values() for sensor in fleet.sensors.values())
     if read and not is_outside("sky", scenario.world.sky.errors.type) and std >= ROUGH_STD_M:
@@ -71,7 +71,7 @@ def _sky(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _wind(scenario: ScenarioSpec) -> Iterator[str]:
-    """A wind that is known in a part of the area has elsewhere the value of its edge."""
+    """Warn where the area reaches beyond the wind's data, whose edge then extends outwards."""
     try:
         wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
         found = wind.beyond(bounds_of(scenario.world.area), top_of(scenario.world.area))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-# What receivers are made for; those of type gnss see four systems.
+# Sensor types that measure ranges under the sky of the world.
+RECEIVERS = ("gnss", "gnss_receiver")
+# The sky that receivers are made for; those of type gnss see four systems.
 ORBITS, ERRORS = {"type": "nominal_constellations"}, {"type": "error_budget"}
 
 
@@ -19,6 +21,6 @@ def with_sky(data: Any) -> Any:
     types = [sensor.get("type") for each in sensors if isinstance(each, dict) for sensor in each.values()
              if isinstance(sensor, dict)]  # fmt: skip
     made_for: dict[str, Any] = {"orbits": ORBITS} if "gnss" in types else {}
-    if "gnss" in types or "gnss_receiver" in types:
+    if any(kind in RECEIVERS for kind in types):
         made_for["errors"] = ERRORS
     return {**data, "world": {**(world or {}), "sky": {**made_for, **sky}}} if made_for else data

@@ -9,7 +9,15 @@ from qrsim.core.presets import filled
 from qrsim.core.tree import field_info
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.models.vehicles.multirotor.geometry import Rotor
-from qrsim.models.vehicles.multirotor.own import GEOMETRIES, OF_TABLE, SIX, TABLE, own_multirotor, rotors_of
+from qrsim.models.vehicles.multirotor.own import (
+    GEOMETRIES,
+    OF_TABLE,
+    SIX,
+    TABLE,
+    known_numbers,
+    own_multirotor,
+    rotors_of,
+)
 from qrsim.models.vehicles.multirotor.sets import SETS
 
 
@@ -109,19 +117,9 @@ def _own(own: Any, geometry: Any, beside: dict[str, Any]) -> Any:
     if TABLE in own and (both := [key for key in OF_TABLE if key in own]):
         raise UsageError(f"own.{both[0]}: is in the {TABLE} too; give one")
     try:
-        return own_multirotor(**{"geometry": geometry, **own}, **_derives(beside))
+        return own_multirotor(**{"geometry": geometry, **own, **known_numbers(beside)})
     except UsageError as error:
         raise UsageError(f"own.{error}") from None
-
-
-def _derives(beside: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers beside ``own`` from which others are derived."""
-    names = ("spin_up", "rotor_radius", "thrust_coefficient", "speed_max")
-    return {
-        name: beside[name]
-        for name in names
-        if isinstance(beside.get(name), int | float) and not isinstance(beside[name], bool)
-    }
 
 
 def _arranged(vehicle: dict[str, Any]) -> tuple[Rotor, ...]:

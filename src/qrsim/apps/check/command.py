@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from qrsim.apps import OPTIONAL_SECONDS
 from qrsim.errors import RunError, UsageError
-from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.apps.check.outcomes import Outcome

@@ -25,8 +25,8 @@ KINDS = {
 LOST = "loses GNSS"
 UNFINISHED = "is still on its mission at the end"
 ANY = "any of these"
-# What is told even where nothing went wrong: (metric, whether its smallest value is the worst, unit). A metric without
-# a moment of its own is told of the end of the flight.
+# Reported even if nothing went wrong: (metric, whether its smallest value is the worst, unit). A metric without a time
+# and position is reported for the end of the flight.
 MARGINS = {
     "nearest to the edge of the area": ("fence_distance_min", True, "m"),
     "nearest to another vehicle": ("separation_min", True, "m"),

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from qrsim.apps import SECONDS
 from qrsim.errors import RunError, UsageError, did_you_mean
-from qrsim.seconds import SECONDS
 
 if TYPE_CHECKING:
     import numpy as np

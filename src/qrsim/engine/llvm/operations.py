@@ -41,7 +41,7 @@ class Operations:
         self._tiny_state = False
 
     def expect(self, results: Iterable[Node]) -> None:
-        """Note whether the state of a tick, made of ``results``, may have numbers below the normal ones."""
+        """Note whether the state of a tick, computed as ``results``, may contain subnormal numbers."""
         self._tiny_state = any(self._may_be_tiny(node) for node in results if node.dtype.kind == "f")
         self._flushed.clear()
 
@@ -76,20 +76,17 @@ class Operations:
         return result
 
     def _to_flush(self, node: Node, argument: Node) -> bool:
-        """Return whether an argument of an operation must be flushed before.
+        """Return whether an argument must be flushed to zero before an operation.
 
-        Processors choose with or without flushing, as the compiler likes, and the compiler computes with constants as
-        they are written.
+        Min, max and select flush or not, depending on the instruction that LLVM picks, and LLVM folds constants
+        without flushing.
         """
         return (argument.op == "constant" and _has_tiny(argument)) or (
             node.op in _CHOICES and self._may_be_tiny(argument)
         )
 
     def _may_be_tiny(self, node: Node) -> bool:
-        """Return whether a number may be below the normal ones, as bits of a whole number that nothing has flushed.
-
-        What a loop hands from turn to turn may be.
-        """
+        """Return whether a number may be subnormal: reinterpreted integer bits, or a value carried by a loop."""
         seen: set[int] = set()
         stack = [node]
         while stack:

@@ -54,12 +54,12 @@ class Wind(Protocol):
             top: greatest height [m] over the origin that the area allows, None where it allows any.
 
         Raises:
-            UsageError: it is known nowhere in the area.
+            UsageError: the data lie entirely outside the area.
         """
         return self
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
-        """Return where an area reaches beyond what is known of the wind, in sentences; arguments as of ``within``."""
+        """Return a sentence for each side where the area extends beyond the wind data; arguments as in ``within``."""
         return []
 
     @abstractmethod

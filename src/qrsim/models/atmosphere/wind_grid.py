@@ -85,7 +85,7 @@ class WindGrid(Wind):
         """Return the part of the grid that an area needs.
 
         Raises:
-            UsageError: it lies beside the area, or is too large there.
+            UsageError: the grid lies entirely outside the area, or is too large there.
         """
         limits = (None, None) if bounds is None else (bounds[:2], bounds[2:])
         rows, columns = (self._needed(axis, each) for axis, each in enumerate(limits))
@@ -100,7 +100,7 @@ class WindGrid(Wind):
         return replace(self, air_ned=air, corner=begins).averaged()
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
-        """Return where an area reaches beyond the grid, one sentence each: there the air has the edge's velocity."""
+        """Return a sentence for each side where the area extends beyond the grid; the edge's velocity applies there."""
         levels, found = np.asarray(self.levels), []
         if top is not None and top > levels[-1] + 1e-6 * (levels[-1] - levels[0]):
             found.append(f"{self.file}: reaches up to {levels[-1]:.6g} m; world.area reaches up to {top:.6g} m")
@@ -127,7 +127,8 @@ class WindGrid(Wind):
         if limits is None:
             return slice(0, count)
         first, last, _ = self._rows(axis, limits)
-        if last < -1e-5 or first > count - 1 + 1e-5:  # not on its edge either
+        # An area that only touches the edge of the grid is allowed.
+        if last < -1e-5 or first > count - 1 + 1e-5:
             low, step, name = float(self.corner[axis]), float(self.spacing[axis]), ("north", "east")[axis]
             raise UsageError(
                 f"{self.file}: covers {low:.6g} to {low + (count - 1) * step:.6g} m {name}, none of world.area, which "

@@ -134,7 +134,7 @@ class BoxArea(Area):
 
 @record
 class StateLimits:
-    """Limits of validity of a model; each vehicle has defaults of its own where these do not suit its airframe."""
+    """Limits of validity of a vehicle model. A vehicle class can replace these defaults (``default_limits``)."""
 
     pitch: Array = parameter(
         default=math.radians(89.0), unit="rad", doc="largest |pitch|", above=0.0, maximum=math.pi / 2

@@ -175,7 +175,7 @@ class Vehicle(Protocol):
         """Return the state of vehicles (n,) placed at a pose: [m], [rad], [m/s], [rad/s]."""
 
     def with_wrapped_yaw(self, state: Any) -> VehicleState:
-        """Return a state whose yaw is within -pi and pi, which a state of quaternions always is."""
+        """Return the state with its yaw wrapped to -pi to pi; states with quaternions need no change."""
         found: VehicleState = state
         return found
 
@@ -289,7 +289,7 @@ class Vehicle(Protocol):
         return None
 
     def standing_height(self) -> Array | float:
-        """Return how high [m] above level ground its origin is while it stands on its own contact, () or (n,)."""
+        """Return the height [m] of the origin above level ground while the vehicle rests on its feet, () or (n,)."""
         return 0.0
 
     def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:

@@ -1,4 +1,4 @@
-"""A motor with its propeller by the table of its data sheet: throttle, thrust, speed and electrical power."""
+"""A motor and propeller from the table of a data sheet: throttle, thrust, rotor speed and electrical power."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from qrsim.errors import UsageError, did_you_mean
 
 Floats = np.ndarray[Any, Any]
 STANDARD_GRAVITY = 9.80665
-# Name of a column -> quantity, and what it is multiplied by: throttle in parts of 1, N, rad/s, W.
+# Column -> quantity, and the factor to its unit: throttle 0 to 1, N, rad/s, W.
 COLUMNS = {
     "throttle": ("throttle", 1.0),
     "throttle_percent": ("throttle", 0.01),
@@ -22,7 +22,7 @@ COLUMNS = {
     "rpm": ("speed", math.pi / 30.0),
     "power_W": ("power", 1.0),
 }
-# Best share of electrical power that comes to the shaft.
+# Largest efficiency of a motor, shaft power over electrical power.
 MOST_EFFICIENT = 0.9
 
 
@@ -44,7 +44,7 @@ class MotorTable:
 
     @staticmethod
     def of(columns: Any) -> MotorTable:
-        """Return a table of columns by name, see COLUMNS.
+        """Build a table from columns by name, see COLUMNS.
 
         Raises:
             UsageError: a column is missing, unknown or no numbers, or thrust does not rise with throttle.
@@ -85,7 +85,7 @@ class MotorTable:
         return self
 
     def numbers(self, weight: float, rotors: int) -> dict[str, float]:
-        """Return what the table says of a vehicle of a weight [N]: parameters of ``Multirotor``, and its hover.
+        """Compute parameters of ``Multirotor`` and the operating point in hover, for a vehicle of a weight [N].
 
         Returns:
             ``thrust_coefficient`` (least squares of thrust over speed squared), ``thrust_to_weight``, ``speed_max``,

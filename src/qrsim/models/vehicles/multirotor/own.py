@@ -46,6 +46,8 @@ RANGES: dict[str, tuple[str, float, float]] = {
     "thrust_to_weight": ("", 1.2, 20.0),
     "attitude_bandwidth": ("rad/s", 1.0, 40.0),
 }
+# Parameters from which others are derived.
+SOURCES = ("spin_up", "rotor_radius", "thrust_coefficient", "speed_max")
 # In place of two of the six.
 TABLE, OF_TABLE = "motor_table", ("hover_throttle", "thrust_to_weight")
 SIX = ("mass", "arm", "rotors", "hover_throttle", "thrust_to_weight", "attitude_bandwidth")
@@ -138,7 +140,7 @@ def own_parameters(
     }  # fmt: skip
     _check(given)
     kind = _geometry(rotors, geometry)
-    known = _known(known or {})
+    known = known_numbers(known or {})
     weight, radius = mass * GRAVITY, known.get("rotor_radius", _radius(arm, kind.arms))
     pairs = COAXIAL if kind.coaxial else 1.0
     most = thrust_to_weight * weight / rotors
@@ -219,7 +221,7 @@ def own_multirotor(
         hover_throttle, thrust_to_weight = table["hover_throttle"], table["thrust_to_weight"]
     if hover_throttle is None or thrust_to_weight is None:
         raise UsageError(f"own_multirotor: give hover_throttle and thrust_to_weight, or {TABLE}")
-    of_table = {name: table[name] for name in ("thrust_coefficient", "speed_max", "throttle_curve") if table}
+    of_table = {name: table[name] for name in ("thrust_coefficient", "speed_max") if table}
     derived = own_parameters(
         mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry, of_table | parameters,
         curve=table.get("throttle_curve"),
@@ -243,10 +245,9 @@ def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str
     }
 
 
-def _known(parameters: Mapping[str, Any]) -> dict[str, float]:
-    """Return the known numbers from which others are derived; lists, one for each vehicle, are none of them."""
-    names = ("spin_up", "rotor_radius", "thrust_coefficient", "speed_max")
-    found = {name: parameters[name] for name in names if name in parameters}
+def known_numbers(parameters: Mapping[str, Any]) -> dict[str, float]:
+    """Return the given parameters from which others are derived, without lists (one number for each vehicle)."""
+    found = {name: parameters[name] for name in SOURCES if name in parameters}
     return {
         name: float(value)
         for name, value in found.items()
