@@ -66,6 +66,9 @@ def scenario(kind: str, controller: str, sensors: str, route: str, wind: float) 
         fleet["guidance"] = {"type": "mission"}
     elif controller == "waypoint":
         fleet["guidance"] = {"type": "route", "repeat": False}
+    elif kind == "fixed_wing":
+        # The tightest circle that 9 m/s allows has a radius of 183 m.
+        fleet["guidance"] = {"type": "fixed_wing", "radius": 200.0}
     chosen: dict[str, Any] = dict(SETS[sensors])
     if kind == "fixed_wing":
         chosen["airspeed"] = AIRSPEED[sensors]
@@ -74,19 +77,13 @@ def scenario(kind: str, controller: str, sensors: str, route: str, wind: float) 
         chosen["attitude"] = "ideal_attitude" if sensors == "ideal" else "attitude_estimator"
     elif sensors == "noisy":
         fleet["estimator"] = ESTIMATOR
-    blows: dict[str, Any] = {}
-    if wind or kind != "rover":
-        blows = {
-            "wind": {"type": "log_shear", "speed_20ft": wind, "wind_from_deg": 225.0},
-            "turbulence": "dryden_field",
-        }
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         made = qrsim.make_scenario(
             [vehicle_of(kind, controller, route)],
             name=f"{kind}_{route}", duration=ROUTES[route], sensors=chosen,
             area={"type": "box", "x_min": -2000.0, "x_max": 2000.0, "y_min": -2000.0, "y_max": 2000.0},
-            **fleet, **blows,
+            wind={"type": "log_shear", "speed_20ft": wind, "wind_from_deg": 225.0}, turbulence="dryden_field", **fleet,
         )  # fmt: skip
     return made, not any("carried away" in str(each.message) for each in told)
 
