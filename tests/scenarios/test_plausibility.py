@@ -145,6 +145,15 @@ def test_a_cascade_leaves_room_for_gusts(speed: float, words: str) -> None:
     assert bool(found) == bool(words)
 
 
+def test_loops_without_an_integral_stand_short_of_their_waypoints() -> None:
+    # 0.09 rad s/m x 0.9 1/s x 3 m of error lean it by 0.745 as much (eq. 6): 0.181 rad, 9.81 tan(0.181) / 0.497391.
+    loops = "fleets.pelicans.controller=waypoint", "fleets.pelicans.guidance={type: route, repeat: false}"
+    (found,) = warned(*loops, "world.wind.speed_20ft=3")
+    assert "world.wind: 4.4 m/s at 60 m, where fleets.pelicans.vehicles.4 is to fly; above 3.61 m/s" in found
+    assert warned(*loops, "world.wind.speed_20ft=3", "fleets.pelicans.guidance.acceptance_radius=4") == []
+    assert warned(*loops, "world.wind.speed_20ft=2.4") == []
+
+
 def test_recorded_wind(tmp_path: Path) -> None:
     path = tmp_path / "wind.csv"
     path.write_text("time,north,east,down\n" + "".join(f"{i},{30 if i == 50 else 0},0,0\n" for i in range(130)))

@@ -112,6 +112,38 @@ def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterat
                 f"to fly; {words(limits, held, i)}, it holds an airspeed of {fast} and is carried away beyond"
             )
             return
+    yield from _short_of_waypoints(path, fleet, scenario)
+
+
+def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield a warning where the wind holds vehicles off the waypoints of a route that is to end.
+
+    The published waypoint loops lean by a constant times the distance to the waypoint and have no integral: in a steady
+    wind they stand where that lean holds against it.
+    """
+    if (fleet.controller.type, fleet.guidance.type) != ("waypoint", "route") or fleet.guidance.repeat:
+        return
+    vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
+    handling = handling_of(vehicle)
+    if handling is None:
+        return
+    size, loops = len(fleet.vehicles), vars(fleet.controller)
+    radius = np.broadcast_to(np.asarray(fleet.guidance.acceptance_radius, np.float64), (size,))
+    asked = np.minimum(np.asarray(loops["position_gain"]) * radius, np.asarray(loops["speed_limit"]))
+    held = envelope(vehicle, np.asarray(handling.tilt_gain * loops["velocity_gain"] * asked))
+    if held is None:
+        return
+    heights = np.array([max((-place[2] for place in each.places_ned.values()), default=0.0) for each in fleet.vehicles])
+    wind = mean_wind(scenario, heights)
+    routes = np.array([len(each.waypoints_ned) > 0 for each in fleet.vehicles])
+    over = np.where(routes, wind - held.airspeed, -np.inf)
+    i = int(np.argmax(over))
+    if over[i] > 0.0:
+        yield (
+            f"world.wind: {wind[i]:.3g} m/s at {heights[i]:g} m, where {path}.vehicles.{i} is to fly; above "
+            f"{held.airspeed[i]:.3g} m/s the controller 'waypoint' stands farther than guidance.acceptance_radius, "
+            f"{radius[i]:g} m, from a waypoint and may never reach it; use 'cascade' or a larger radius"
+        )
 
 
 def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
