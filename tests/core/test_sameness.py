@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
+import weakref
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qrsim.core.sameness import sameness
+from qrsim.core.sameness import Itself, is_gone, sameness
 
 
 class Loop:
@@ -70,3 +71,21 @@ def test_what_a_program_that_was_made_left_behind_changes_nothing():
         jax.make_jaxpr(lambda x: setattr(own, "last", x))(1.0)
         keys.append(sameness(own))
     assert keys[0] == keys[1]
+
+
+def test_a_key_keeps_no_object_and_equals_nothing_once_that_is_gone():
+    own = Loop(gain=1.0)
+    seen, key, again = weakref.ref(own), sameness(own), sameness(own)
+    assert key == again
+    assert not is_gone(("policy", key))
+    del own
+    assert seen() is None
+    assert is_gone(("policy", key))
+    assert key != again
+    assert key == key
+
+
+def test_an_object_without_weak_references_is_kept():
+    key = Itself(2**70)
+    assert not is_gone(key)
+    assert key != Itself(int("1180591620717411303424"))

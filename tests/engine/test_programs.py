@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from qrsim.core.sameness import sameness
 from qrsim.engine import programs
 from qrsim.engine.llvm import UnsupportedError
 from qrsim.errors import CompilerWarning
@@ -71,3 +72,16 @@ def test_no_garbage_is_searched_for_while_one_is_made(made: list[int], before: b
         assert (seen, gc.isenabled()) == ([False], before)
     finally:
         (gc.enable if was else gc.disable)()
+
+
+def test_those_of_objects_that_are_gone_are_discarded(made: list[int]):
+    class Policy:
+        pass
+
+    kept, dropped = Policy(), Policy()
+    for number, policy in enumerate((kept, dropped)):
+        key = "test", number, ((sameness(policy), None), True)
+        programs.compiled(key, lambda number=number: made.append(number) or number)
+    del policy, dropped
+    program(made, 2)
+    assert [key[1] for key in programs._MADE] == [0, 2]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import json
 import os
 import subprocess
 import sys
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -399,3 +401,19 @@ def test_what_is_asked_for_by_another_name_is_a_sentence(seven: Rollout) -> None
         seven[0]  # type: ignore[index]
     with pytest.raises(UsageError, match=r"world: 7 is none of this rollout; allowed: an integer from 0 to 6"):
         seven.reasons(7)
+
+
+def test_a_policy_that_was_compiled_is_not_kept(bare) -> None:
+    class Policy:
+        def init(self, reading: Any) -> Any:
+            return ()
+
+        def step(self, reading: Any, memory: Any) -> Any:
+            return None, memory
+
+    policy = Policy()
+    seen = weakref.ref(policy)
+    rollout(bare, policy, ticks=2)
+    del policy
+    gc.collect()
+    assert seen() is None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import types
-from collections.abc import Hashable
+import weakref
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import jax
@@ -22,20 +23,32 @@ _CODE = (
 
 
 class Itself:
-    """An object as a key: equal to itself only, and kept alive, so that its id is not reused.
+    """An object as a key: equal to itself only, and to nothing once the object is gone.
 
     Args:
-        kept: the object.
+        given: the object. It is kept alive only if it cannot be referred to weakly.
     """
 
-    def __init__(self, kept: Any):
-        self.kept = kept
+    def __init__(self, given: Any):
+        self._id = id(given)
+        try:
+            self._given: Callable[[], Any] = weakref.ref(given)
+        except TypeError:
+            self._given = lambda: given
+
+    @property
+    def gone(self) -> bool:
+        """Whether the object no longer exists."""
+        return self._given() is None
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Itself) and self.kept is other.kept
+        if self is other:
+            return True
+        # Another object may have the same id by now.
+        return isinstance(other, Itself) and not self.gone and self._given() is other._given()
 
     def __hash__(self) -> int:
-        return id(self.kept)
+        return self._id
 
 
 def sameness(given: Any, depth: int = DEPTH) -> Hashable:
@@ -66,6 +79,13 @@ def sameness(given: Any, depth: int = DEPTH) -> Hashable:
         parts = tuple((sameness(name, 1), sameness(part, depth - 1)) for name, part in list(named.items()))
         return type(given) if isinstance(given, dict) else Itself(given), parts
     return Itself(given)
+
+
+def is_gone(key: Hashable) -> bool:
+    """Return whether a key of ``sameness``, or a tuple of keys, names an object that no longer exists."""
+    if isinstance(key, Itself):
+        return key.gone
+    return isinstance(key, tuple | frozenset) and any(map(is_gone, key))
 
 
 def _has_numbers(array: Any) -> bool:

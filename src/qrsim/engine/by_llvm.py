@@ -28,7 +28,7 @@ from qrsim.engine.llvm import (
     trace_tick,
 )
 from qrsim.engine.llvm.refusal import refusing
-from qrsim.engine.programs import compiled, uncollected
+from qrsim.engine.programs import compiled, discard_unused, uncollected
 from qrsim.engine.settings import threads, tier
 
 # What was traced last, because how large a state is, is asked before its start is compiled.
@@ -163,7 +163,8 @@ def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
         function: that makes a first state.
         shared, own: layouts of what it reads.
     """
-    if function not in _BYTES:
+    known = function.name, function.of
+    if known not in _BYTES:
         key = function, identity(shared), identity(own)
 
         def count() -> int:
@@ -173,8 +174,9 @@ def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
             return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(_TRACED[key][1]))
 
         text = None if function.text is None else ("bytes per world", *function.text, *key[1:])
-        _BYTES[function] = count() if text is None else kept(text, count)
-    return _BYTES[function]
+        discard_unused(_BYTES)
+        _BYTES[known] = count() if text is None else kept(text, count)
+    return _BYTES[known]
 
 
 class LlvmProgram:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from qrsim.core.sameness import is_gone
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.errors import CompilerWarning
 
@@ -42,15 +43,25 @@ def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
         except UnsupportedError as why:
             _tell(key[0], why)
             found = why
+        discard_unused(_MADE)
     with _KEEPING:
         _MADE.pop(key, None)
         _MADE[key] = found
-        # A program holds its machine code in memory.
-        while len(_MADE) > MOST_MADE:
-            del _MADE[next(iter(_MADE))]
     if isinstance(found, UnsupportedError):
         raise found
     return found
+
+
+def discard_unused(made: dict[Any, Any]) -> None:
+    """Make room for an entry: discard those of objects that no longer exist, and the oldest of too many.
+
+    A program holds its machine code and what was traced of a policy, a megabyte or more.
+    """
+    with _KEEPING:
+        for key in [key for key in made if is_gone(key)]:
+            del made[key]
+        while len(made) >= MOST_MADE:
+            del made[next(iter(made))]
 
 
 @contextmanager

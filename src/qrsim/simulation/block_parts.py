@@ -74,6 +74,14 @@ class Setup:
         )
 
     @property
+    def key(self) -> Hashable:
+        """What programs depend on, by which none of the user's objects are kept alive."""
+        asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
+        return (
+            *asked, self.measured, self.policy_ticks, self.structure, self.types, self.varied, self.mesh, self.kinds,
+        )  # fmt: skip
+
+    @property
     def plain(self) -> bool:
         """Whether it is made of this package's code alone, so that its structure identifies it in any process."""
         own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}

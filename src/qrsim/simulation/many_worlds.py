@@ -49,4 +49,4 @@ def _tick(setup: Setup, fixed: list[Any], own: tuple[list[Any], Any], carry: Car
 def _function(name: str, call: Any, setup: Setup) -> Function:
     # Only what is made of this package alone can be told by its structure in another process.
     text = (setup.types, setup.varied) if setup.plain else None
-    return Function(name, partial(call, setup), setup, text)
+    return Function(name, partial(call, setup), setup.key, text)
