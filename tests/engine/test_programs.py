@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import gc
+import weakref
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -72,6 +75,33 @@ def test_no_garbage_is_searched_for_while_one_is_made(made: list[int], before: b
         assert (seen, gc.isenabled()) == ([False], before)
     finally:
         (gc.enable if was else gc.disable)()
+
+
+@pytest.mark.filterwarnings("ignore::qrsim.errors.CompilerWarning")
+def test_the_reason_keeps_nothing_that_was_in_use_when_it_was_found(made: list[int]):
+    class Policy:
+        pass
+
+    def fails(policy: Policy) -> int:
+        raise UnsupportedError("a test of a policy", "a line")
+
+    policy = Policy()
+    seen = weakref.ref(policy)
+    for _ in range(2):
+        with pytest.raises(UnsupportedError, match="a test of a policy at a line") as found:
+            programs.compiled(("test", sameness(policy)), functools.partial(fails, policy))
+        assert found.value.__context__ is None
+        del found
+    del policy
+    gc.collect()
+    assert seen() is None
+
+
+def test_the_oldest_are_discarded_where_their_code_is_too_large(made: list[int], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(programs, "MOST_BYTES", 100)
+    for number in (1, 2, 3):
+        programs.compiled(("test", number), lambda: SimpleNamespace(code_bytes=60))
+    assert [key[1] for key in programs._MADE] == [2, 3]
 
 
 def test_those_of_objects_that_are_gone_are_discarded(made: list[int]):

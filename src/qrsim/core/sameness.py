@@ -45,7 +45,8 @@ class Itself:
         if self is other:
             return True
         # Another object may have the same id by now.
-        return isinstance(other, Itself) and not self.gone and self._given() is other._given()
+        mine = self._given()
+        return mine is not None and isinstance(other, Itself) and mine is other._given()
 
     def __hash__(self) -> int:
         return self._id

@@ -61,10 +61,10 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
     """
     mode = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype)
     layouts = [shared.layout, own] if state is None else [shared.layout, own, state]
-    layout, program = compiled(
+    program = compiled(
         (function.name, function.of, *layouts, mode), lambda: _loaded(function, shared.layout, own, state, mode)
     )
-    return LlvmProgram(program, shared, own, layout, extent)
+    return LlvmProgram(program, shared, own, extent)
 
 
 def form_of(function: Function, shared: Packer, own: Packer, state: Packer | None, extent: Extent, form: str) -> str:
@@ -84,10 +84,8 @@ def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
         return _traced_with_state(start, shared, own, None)[1]
 
 
-def _loaded(
-    function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode
-) -> tuple[Packer, Program]:
-    """Return the layout of the state and a program, from the user's cache or made."""
+def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode) -> Program:
+    """Return a program, from the user's cache or made."""
     before = [shared, own] if state is None else [shared, own, state]
     what = None if function.text is None else (function.name, *function.text, *map(identity, before), mode)
     # A start runs once, so quick code is enough.
@@ -107,7 +105,7 @@ def _loaded(
 
     with refusing():
         # Code from the cache may not load on this machine after all, and then XLA has it too.
-        return layout, Program(binary, _inputs(shared, own, layout), mode, keep_better)
+        return Program(binary, _inputs(shared, own, layout), mode, keep_better)
 
 
 def _made(
@@ -164,19 +162,20 @@ def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
         shared, own: layouts of what it reads.
     """
     known = function.name, function.of
-    if known not in _BYTES:
+    found = _BYTES.get(known)
+    if found is None:
         key = function, identity(shared), identity(own)
 
         def count() -> int:
             _TRACED.clear()
             with uncollected():
-                _TRACED[key] = _traced(function, shared, own)
-            return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(_TRACED[key][1]))
+                traced = _TRACED[key] = _traced(function, shared, own)
+            return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(traced[1]))
 
         text = None if function.text is None else ("bytes per world", *function.text, *key[1:])
         discard_unused(_BYTES)
-        _BYTES[known] = count() if text is None else kept(text, count)
-    return _BYTES[known]
+        found = _BYTES[known] = count() if text is None else kept(text, count)
+    return found
 
 
 class LlvmProgram:
@@ -185,15 +184,15 @@ class LlvmProgram:
     Args:
         program: the machine code.
         shared: what all worlds have in common.
-        own, layout: of what each has for itself, and of its state.
+        own: layout of what each has for itself.
         extent: how many.
     """
 
     compiler, refused = "llvm", ""
     part = None
 
-    def __init__(self, program: Program, shared: Shared, own: Packer, layout: Packer, extent: Extent):
-        self.layout, self._own_layout, self._extent = layout, own, extent
+    def __init__(self, program: Program, shared: Shared, own: Packer, extent: Extent):
+        self.layout, self._own_layout, self._extent = program.inputs[-1].layout, own, extent
         self._make = partial(LaneProgram, program, shared.buffers, workers=threads())
         self._mode = program.mode
         self._program: LaneProgram | None = None

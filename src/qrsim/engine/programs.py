@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import logging
-import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,10 +16,9 @@ from qrsim.errors import CompilerWarning
 log = logging.getLogger(__name__)
 # By all that they depend on, the last used at the end; in the place of what cannot be made, the reason.
 _MADE: dict[Any, Any] = {}
-# So many are kept here; a policy whose attributes change is another program each time.
-MOST_MADE = 256
-# Sessions of a server make theirs in threads.
-_KEEPING = threading.Lock()
+# Limits of what is kept; a policy whose attributes change is another program each time. In memory, code takes about
+# twice its bytes.
+MOST_MADE, MOST_BYTES = 256, 2**27
 # The reasons that a user has heard.
 _TOLD: set[str] = set()
 
@@ -42,26 +40,33 @@ def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
                 found = make()
         except UnsupportedError as why:
             _tell(key[0], why)
-            found = why
+            found = why.again()
         discard_unused(_MADE)
-    with _KEEPING:
-        _MADE.pop(key, None)
-        _MADE[key] = found
+    _MADE.pop(key, None)
+    _MADE[key] = found
     if isinstance(found, UnsupportedError):
-        raise found
+        raise found.again()
     return found
 
 
 def discard_unused(made: dict[Any, Any]) -> None:
-    """Make room for an entry: discard those of objects that no longer exist, and the oldest of too many.
+    """Make room for an entry: discard those of objects that no longer exist, and the oldest of too many or too large.
 
-    A program holds its machine code and what was traced of a policy, a megabyte or more.
+    Sessions of a server call this in threads, so it works on copies, and an entry may have been discarded already.
     """
-    with _KEEPING:
-        for key in [key for key in made if is_gone(key)]:
-            del made[key]
-        while len(made) >= MOST_MADE:
-            del made[next(iter(made))]
+    for key in list(made):
+        if is_gone(key):
+            made.pop(key, None)
+    left, size = len(made), sum(map(_bytes, list(made.values())))
+    for key, program in list(made.items()):
+        if left < MOST_MADE and size <= MOST_BYTES:
+            break
+        made.pop(key, None)
+        left, size = left - 1, size - _bytes(program)
+
+
+def _bytes(program: Any) -> int:
+    return getattr(program, "code_bytes", 0)
 
 
 @contextmanager

@@ -43,11 +43,13 @@ class Program:
         # Every one that was loaded, because an address is valid as long as its code is in memory, and a thread may be
         # in the code that is replaced.
         self._loaded: list[Loaded] = []
+        self._size = 0
         self._use(binary.code)
 
     def _use(self, code: bytes) -> None:
         loaded = Loaded(code)
         self._loaded.append(loaded)
+        self._size += len(code)
         # Called without the lock of Python, so threads run their worlds at the same time.
         pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
         prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
@@ -73,6 +75,11 @@ class Program:
                 text, self._text = self._text, b""
             if text:
                 compile_later(text, self._better)
+
+    @property
+    def code_bytes(self) -> int:
+        """Size of all code that is loaded, and of the text of better code."""
+        return self._size + len(self._text)
 
     def scratch(self) -> Any:
         """Return working memory for one thread."""

@@ -22,6 +22,10 @@ class UnsupportedError(Exception):
         """Return the same with a line of the program, unless it has one."""
         return self if self.place else UnsupportedError(self.reason, place)
 
+    def again(self) -> UnsupportedError:
+        """Return the same without a traceback, whose frames would keep a user's policy alive."""
+        return UnsupportedError(self.reason, self.place)
+
 
 @contextmanager
 def refusing() -> Iterator[None]:
