@@ -50,7 +50,7 @@ ALLOWED = {
     "core/presets.py": 1, "core/sameness.py": 1, "core/structure.py": 1, "engine/cache.py": 3, "engine/folders.py": 1,
     "engine/llvm/background.py": 1, "engine/llvm/lanes.py": 1, "engine/llvm/operations.py": 1,
     "engine/llvm/rules.py": 1, "engine/llvm/tracing.py": 2,
-    "engine/settings.py": 1, "envs/functional.py": 1, "files/code.py": 2, "files/recordings.py": 1,
+    "engine/programs.py": 1, "engine/settings.py": 1, "envs/functional.py": 1, "files/code.py": 2, "files/recordings.py": 1,
     "files/user_files.py": 3,
     "files/yaml_text.py": 1, "interface/policies.py": 6, "interruptions.py": 3, "links/reference/connection.py": 2,
     "models/vehicles/moving.py": 1, "runs/parts.py": 1, "runs/reader.py": 1, "runs/writer.py": 1,
