@@ -62,7 +62,7 @@ def resident_bytes() -> int:
 
 
 # Rooms whose tests compile many programs that run for a moment.
-QUICKLY_COMPILED = {"control", "models"}
+QUICKLY_COMPILED = {"control", "core", "laws", "models", "slam"}
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -89,6 +89,7 @@ def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
     np.testing.assert_array_equal(matrix(after)[..., 1], matrix(given)[..., 1])
 
 
+@pytest.mark.long
 def test_what_is_forgotten_is_independent(covariance: np.ndarray):
     given = in_blocks(covariance, 2)
     found = forgotten(given, {0: jnp.full(2, 4.0), 3: jnp.full(2, 9.0)}, jnp.array([True, False]))

@@ -235,7 +235,7 @@ def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> No
             np.testing.assert_allclose(got[..., i], want[..., i], rtol=0.0, atol=1e-6 * scale, err_msg=path)
 
 
-@every_option
+@by_defaults
 def test_what_is_drawn_is_what_is_declared(group: str, name: str, settings: dict[str, Any]) -> None:
     """Too few would fail in a simulation, too many would be drawn for nothing, and no pair is drawn twice."""
     component = example(group, name, **settings)

@@ -200,7 +200,7 @@ def test_cost_and_gradient_are_those_of_the_factors_one_by_one(share: float) -> 
         assert found[i] == pytest.approx(expected, rel=1e-4, abs=1e-3)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("share", [0.5, *(pytest.param(share, marks=pytest.mark.long) for share in (0.0, 1.0))])
 def test_the_information_is_that_of_a_dense_matrix(share: float) -> None:
     """Where all residuals are zero J'J is the Hessian of the cost, by central differences of the gradient."""
     joint, x, landmarks = short(share)

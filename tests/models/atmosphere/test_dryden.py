@@ -196,7 +196,9 @@ def test_closed_forms_are_the_matrix_exponential(precision: str, tolerance: floa
     np.testing.assert_allclose(found / sizes, covariances / sizes, rtol=0.0, atol=tolerance)
 
 
-@pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 3e-6)])
+@pytest.mark.parametrize(
+    ("precision", "tolerance"), [pytest.param("float64", 1e-9, marks=pytest.mark.long), ("float32", 3e-6)]
+)
 def test_third_noise_keeps_its_digits(precision: str, tolerance: float) -> None:
     """l33 is (r x)^2.5 small: the root of a quotient of Gram determinants, to 100 digits, relative to itself."""
     usual = (X_GRID > 1e-4) & (X_GRID < 0.9) & (X_GRID * RATIO_GRID < 20.0) & (RATIO_GRID >= 4.0)
@@ -228,7 +230,9 @@ def third_noise(x: float, ratio: float) -> float:
         return float((2 * r * ((1 + r) / (1 - r)) ** 4 * whole / small).sqrt())
 
 
-@pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-12), ("float32", 2e-6)])
+@pytest.mark.parametrize(
+    ("precision", "tolerance"), [pytest.param("float64", 1e-12, marks=pytest.mark.long), ("float32", 2e-6)]
+)
 def test_cholesky_factor_keeps_its_digits_at_any_step(precision: str, tolerance: float) -> None:
     """l22 is x^1.5 small; 60 digits leave enough after the cancellation that the closed form avoids."""
     _, factors = filter_matrices(X, np.full_like(X, 4.0), precision)

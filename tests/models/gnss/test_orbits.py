@@ -283,7 +283,9 @@ def test_a_fix_without_the_rotation_lies_to_the_east() -> None:
     np.testing.assert_allclose(fix(received[up]), np.zeros(3), atol=1e-6)
 
 
-@pytest.mark.parametrize("year", [1993, 2001, 2010, 2024, 2040])
+@pytest.mark.parametrize(
+    "year", [2010, *(pytest.param(year, marks=pytest.mark.long) for year in (1993, 2001, 2024, 2040))]
+)
 def test_single_precision_directions_for_two_days(year: int) -> None:
     site = Site()
     start = gps_seconds_from_utc(datetime(year, 3, 20, 6, 30, 17, tzinfo=UTC))

@@ -100,6 +100,7 @@ def test_puffs_come_in_time_to_the_plume_of_a_steady_release() -> None:
     np.testing.assert_allclose(mean, np.asarray(expected) / RATE * (2.5 / 5.0), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_puff_is_dropped_when_its_tail_has_left_the_box() -> None:
     """140 m from the source to the wall along the wind: the tail is sqrt(-2 ln(0.01) a (u t)^b) behind the middle."""
     plume = PuffPlume(puffs=2)

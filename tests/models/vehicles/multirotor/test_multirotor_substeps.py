@@ -85,6 +85,7 @@ def motors(fraction: Any) -> Any:
     return MotorCommand.of(np.broadcast_to(np.asarray(fraction, float)[..., None], (COUNT, 2)))  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_a_body_that_spins_about_three_axes() -> None:
     """(V22) J = (0.02, 0.03, 0.04) at (1, 2, 3) rad/s: w x J w = (0.06, -0.06, 0.02) N m, so w' = (-3, 2, -0.5).
 
@@ -154,6 +155,7 @@ def test_a_heading_that_is_held_and_turned() -> None:
     np.testing.assert_allclose(after.rotor_speed[1], slower + (500.0 - slower) * DOWN, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_one_step_near_the_ground_and_far_from_it() -> None:
     """Of a farthest point at 0.2915 m contact is looked for below 0.3915 m, and at 5 m/s below 0.5915 m.
 

@@ -85,6 +85,7 @@ def test_what_a_steered_rover_declares() -> None:
     assert dict(Rover.default_limits) == dict(DifferentialRover.default_limits) == limits
 
 
+@pytest.mark.long
 def test_two_sides() -> None:
     """(D5): 2 and 1 m/s are 1.5 m/s and 0.7/0.4 = 1.75 rad/s; 5 m/s to the side are more than 0.7 g at 3 m/s."""
     model: Any = cast(DifferentialRover(), np.float64)
