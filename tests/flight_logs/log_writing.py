@@ -148,8 +148,13 @@ _BIN_MESSAGES = {
 }
 
 
-def write_dataflash(path: Path, signals: dict[str, Floats], without: tuple[str, ...] = ()) -> Path:
-    """Write an ArduPilot log; a second battery and a second estimator say something else."""
+def write_dataflash(
+    path: Path, signals: dict[str, Floats], without: tuple[str, ...] = (), instances: tuple[int, ...] = (0, 1)
+) -> Path:
+    """Write an ArduPilot log; a second battery and a second estimator say something else.
+
+    The first of ``instances`` is right, whichever number it has.
+    """
     s = signals
     formats = {"Q": "Q", "f": "f", "B": "B"}
 
@@ -175,9 +180,10 @@ def write_dataflash(path: Path, signals: dict[str, Floats], without: tuple[str, 
             "ATT": [(stamp, d["roll_command"], d["roll"], d["pitch_command"], d["pitch"], 0.0, float(yaw[i]))],
             "RATE": [(stamp, 0.0, d["roll_rate"], 0.0, d["pitch_rate"], d["yaw_rate_command"], d["yaw_rate"])],
             "CTUN": [(stamp, float(s["throttle"][i]))],
-            "BAT": [(stamp, 0, float(s["battery"][i])), (stamp, 1, 3.0)] if i % 5 == 0 else [],
-            "XKF1": [(stamp, core, *(float(s[f"velocity_{axis}"][i]) + core for axis in ("north", "east", "down")))
-                     for core in (0, 1)],
+            "BAT": [(stamp, number, 3.0 if j else float(s["battery"][i])) for j, number in enumerate(instances)]
+                   if i % 5 == 0 else [],
+            "XKF1": [(stamp, core, *(float(s[f"velocity_{axis}"][i]) + j for axis in ("north", "east", "down")))
+                     for j, core in enumerate(instances)],
         }  # fmt: skip
         for name, messages in rows.items():
             number, layout, _ = _BIN_MESSAGES[name]

@@ -192,6 +192,40 @@ def test_a_damaged_dataflash_log_says_so_in_few_lines(tmp_path: Path, capfd: Any
     assert capfd.readouterr() == ("", "")
 
 
+def test_of_two_boots_in_a_dataflash_log_the_longer_is_read(signals: dict[str, Floats], tmp_path: Path) -> None:
+    short, whole = write_dataflash(tmp_path / "a.bin", flown(6.0, seed=2)), write_dataflash(tmp_path / "b.bin", signals)
+    both = tmp_path / "log.bin"
+    for first, second, number in ((short, whole, 2), (whole, short, 1)):
+        both.write_bytes(first.read_bytes() + second.read_bytes())
+        log = read_log(both)
+        assert said(log, f"2 boots in one file; boot {number} is read, the longest: 7.00 to 18.98 s")
+        assert not said(log, "time goes back")
+        for name in ("roll", "velocity_down", "throttle"):
+            assert np.isclose(log.signals[name], signals[name][: len(log.time)], atol=2e-3).mean() > 0.97, name
+
+
+@pytest.mark.parametrize("instances", [(1,), (2, 3)])
+def test_any_core_and_any_battery_of_a_dataflash_log_is_read(
+    instances: tuple[int, ...], signals: dict[str, Floats], tmp_path: Path
+) -> None:
+    log = read_log(write_dataflash(tmp_path / "log.bin", signals, instances=instances))
+    for kind in ("XKF1", "BAT"):
+        assert said(log, f"{kind}: instance {instances[0]} is read")
+    for name in ("battery", "velocity_north"):
+        assert np.isclose(log.signals[name], signals[name][: len(log.time)], atol=2e-3).mean() > 0.97, name
+
+
+def test_a_wrong_time_in_a_dataflash_log_is_no_boot(signals: dict[str, Floats], tmp_path: Path) -> None:
+    path = write_dataflash(tmp_path / "log.bin", signals)
+    data = bytearray(path.read_bytes())
+    (at, *_) = [i for i in range(20_000, len(data) - 11) if data[i : i + 3] == b"\xa3\x95\x01"]
+    data[at + 3 : at + 11] = struct.pack("<Q", 500_000)
+    path.write_bytes(bytes(data))
+    log = read_log(path)
+    assert not said(log, "boots")
+    assert said(log, "time goes back 1 times")
+
+
 def ulog_message(kind: bytes, payload: bytes) -> bytes:
     return struct.pack("<HB", len(payload), kind[0]) + payload
 
