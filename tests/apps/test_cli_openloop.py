@@ -284,7 +284,8 @@ BAD_HEADERS = {
         HEADER + ",pitch",
         "the column 'pitch' is there more than once: 'pitch' (column 1) and 'pitch' (column 6)",
     ),
-    "semicolons": (HEADER.replace(",", ";"), "the fields must be separated by commas"),
+    "bars": (HEADER.replace(",", "|"), "the fields must be separated by commas, semicolons or tabs"),
+    "semicolons": (HEADER.replace(",", ";"), "line 2: 1 field, the header has 5"),
     "yaw_rate in raw": ("pitch,roll,throttle,yaw_rate,battery", "no column 'yaw'; 'yaw_rate' is SI"),
     "nothing near": ("a,b", "no column 'pitch'; known: a, b"),
     "stray quote": ('"pitch"x,roll', "line 1: not CSV"),
@@ -295,6 +296,18 @@ BAD_HEADERS = {
 def test_bad_header(case, tmp_path, capsys):
     header, message = BAD_HEADERS[case]
     refused(capsys, openloop(write(tmp_path, HOVER_RAW, header=header)), message)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_fields_between_semicolons_or_tabs_may_have_decimal_commas(delimiter, tmp_path, capsys):
+    rows = ["0,5,2417.4,0,11", "0,-1.5,2417.4,0,11"]
+    openloop(write(tmp_path, *rows))
+    expected = read_states(tmp_path / "states.csv")
+    for name, mark in (("points.csv", "."), ("commas.csv", ",")):
+        changed = [row.replace(",", delimiter).replace(".", mark) for row in rows]
+        path = write(tmp_path, *changed, header=HEADER.replace(",", delimiter), name=name)
+        assert openloop(path, "--overwrite") == 0
+        np.testing.assert_array_equal(read_states(tmp_path / "states.csv"), expected)
 
 
 def test_yaw_twice_in_si(tmp_path, capsys):

@@ -64,6 +64,27 @@ def test_units_of_a_table(signals: dict[str, Floats], tmp_path: Path) -> None:
         assert np.allclose(log.signals[name], signals[name][: len(log.time)], atol=1e-6), name
 
 
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_a_table_of_a_country_with_decimal_commas(delimiter: str, signals: dict[str, Floats], tmp_path: Path) -> None:
+    plain = write_csv(tmp_path / "plain.csv", signals)
+    path = tmp_path / "log.csv"
+    text = plain.read_text().replace(",", delimiter).replace(".", ",")
+    path.write_text(text, encoding="utf-8-sig", newline="\r\n")
+    log, expected = read_log(path), read_log(plain)
+    for name, values in expected.signals.items():
+        np.testing.assert_array_equal(log.signals[name], values)
+
+
+def test_readings_of_an_imu_with_decimal_commas(tmp_path: Path) -> None:
+    rows = [f"{i / 100:.2f};0.25;-1.5;2e-1" for i in range(100)]
+    path = tmp_path / "imu.csv"
+    path.write_text("time [s];gyroscope_x [rad/s];gyroscope_y [rad/s];gyroscope_z [rad/s]\n"
+                    + "\n".join(rows).replace(".", ","))  # fmt: skip
+    found = read_inertial(path)
+    assert found.period == pytest.approx(0.01)
+    assert found.values["gyroscope"].tolist() == [[0.25, -1.5, 0.2]] * 100
+
+
 @pytest.mark.parametrize(
     ("header", "parts"),
     [

@@ -71,6 +71,14 @@ def test_polygons_are_found_at_any_depth_among_other_things(write: Write) -> Non
     assert read_fence(path, "good").name == "good"
 
 
+def test_of_several_polygons_of_a_placemark_one_is_chosen(write: Write) -> None:
+    path = write(kml(placemark("field", f"<MultiGeometry>{polygon(SQUARE)}{polygon(TRIANGLE)}</MultiGeometry>")))
+    assert read_fence(path, "field #1").vertices[0] == (47.0, 8.0)
+    assert read_fence(path, "field #2").vertices[0] == (46.0, 9.0)
+    path = write(kml(placemark(None, f"<MultiGeometry>{polygon(SQUARE)}{polygon(TRIANGLE)}</MultiGeometry>")))
+    assert read_fence(path, "#2").vertices[0] == (46.0, 9.0)
+
+
 ENTITY = '<!DOCTYPE kml [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
 BAD: dict[str, tuple[str, str | None, str]] = {
     # The text, the name asked for, and words of the message.
@@ -96,12 +104,12 @@ BAD: dict[str, tuple[str, str | None, str]] = {
             placemark(None, polygon(SQUARE)),
         ),
         None,
-        "has 4 polygons; choose one by its name: 'north', 'south' (2 times), (without a name)",
+        "has 4 polygons; choose one by its name: 'north', 'south #1', 'south #2', (without a name)",
     ),
     "several of a name": (
         kml(placemark("field", f"<MultiGeometry>{polygon(SQUARE)}{polygon(TRIANGLE)}</MultiGeometry>")),
         "field",
-        "2 polygons are called 'field'; a fence is one polygon",
+        "2 polygons are called 'field'; choose one by its name: 'field #1', 'field #2'",
     ),
     "no such name": (
         kml(placemark("north", polygon(SQUARE)), placemark("south", polygon(TRIANGLE))),

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.files.csv_rows import CsvRows
 from qrsim.files.user_files import LARGEST_TABLE, open_text
 
 TIME = "time"
@@ -39,11 +40,12 @@ def read_series(
             increase, a gap; names the line and the column.
     """
     rows, before = array.array("d"), None
+    reader: CsvRows | None = None
     names: list[str] = []
     try:
         with open_text(path, LARGEST_TABLE) as file:
-            reader = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(reader, [])]
+            reader = CsvRows(file)
+            header = reader.header
             names = [TIME, *columns, *(name for name in optional if name in header)]
             places = _places(path, header, names)
             for fields in reader:
@@ -56,7 +58,7 @@ def read_series(
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from error
     except csv.Error as error:
-        _fail(path, reader.line_num, f"not CSV: {error}")
+        _fail(path, reader.line_num if reader else 1, f"not CSV: {error}")
     table = np.array(rows).reshape(-1, len(names))
     if len(table) < 2:
         raise UsageError(f"{path}: {len(table)} rows under the header; at least 2 are needed to interpolate")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from qrsim.errors import LogError, UsageError, did_you_mean, did_you_mean_file
+from qrsim.files.csv_rows import CsvRows
 from qrsim.files.user_files import open_text
 from qrsim.flight_logs.signals import Floats
 from qrsim.flight_logs.ulog_messages import open_ulog
@@ -78,9 +79,8 @@ def _of_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
 def _of_table(path: Path) -> tuple[Floats, dict[str, Floats]]:
     with open_text(path, errors="replace") as stream:
         try:
-            rows = csv.reader(stream)
-            header = next(rows, [])
-            wanted = _wanted(path, header)
+            rows = CsvRows(stream, strict=False)
+            wanted = _wanted(path, rows.header)
             values = [_row(path, rows.line_num, row, wanted) for row in rows if row]
         except csv.Error as error:
             raise LogError(f"{path}: not CSV: {error}") from None
@@ -94,13 +94,13 @@ def _wanted(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
     found: dict[str, tuple[int, float]] = {}
     for place, text in enumerate(header):
         match = _COLUMN.match(text)
-        name = match[1] if match else text.strip()
+        name = match[1] if match else text
         if name not in COLUMNS:
             continue
         units = UNITS[name.partition("_")[0]]
         if match is None or match[2] not in units:
             first = f"'{name} [{next(iter(units))}]'"
-            raise LogError(f"{path}: line 1: '{text.strip()}': expected a unit, {first} or one of {', '.join(units)}")
+            raise LogError(f"{path}: line 1: '{text}': expected a unit, {first} or one of {', '.join(units)}")
         found[name] = place, units[match[2]]
     kinds = [kind for kind in KINDS if any(name.startswith(kind) for name in found)]
     expected = ["time", *(f"{kind}_{axis}" for kind in kinds or KINDS for axis in "xyz")]

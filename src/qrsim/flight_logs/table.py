@@ -7,11 +7,11 @@ import csv
 import math
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from qrsim.errors import LogError, did_you_mean
+from qrsim.files.csv_rows import CsvRows
 from qrsim.files.user_files import open_text
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import SIGNALS, FlightLog, Floats, Track
@@ -45,13 +45,13 @@ def read_table(path: Path) -> FlightLog:
         LogError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.
     """
     with open_text(path, errors="replace") as stream:
-        reader = csv.reader(stream)
+        reader: CsvRows | None = None
         try:
-            header = next(reader, [])
-            wanted, ignored = _columns(path, header)
-            values = _numbers(path, header, reader, wanted)
+            reader = CsvRows(stream, strict=False)
+            wanted, ignored = _columns(path, reader.header)
+            values = _numbers(path, reader, wanted)
         except csv.Error as error:
-            raise LogError(f"{path}: line {reader.line_num}: not CSV: {error}") from None
+            raise LogError(f"{path}: line {reader.line_num if reader else 1}: not CSV: {error}") from None
     time = values.pop("time")
     notes = [f"columns left out: {', '.join(ignored)}"] if ignored else []
     return prepare(path, "CSV", {name: Track(time, column) for name, column in values.items()}, notes)
@@ -64,9 +64,9 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
     known = ["time", *SIGNALS]
     for place, text in enumerate(header):
         match = _COLUMN.match(text)
-        name = match[1] if match else text.strip()
+        name = match[1] if match else text
         if name not in known:
-            ignored.append(text.strip())
+            ignored.append(text)
             continue
         unit = "s" if name == "time" else SIGNALS[name].unit
         factors = UNITS[unit] | ({"raw": RAW[name]} if name in RAW else {})
@@ -75,12 +75,12 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
                 f"{path}: line 1: '{name}' has no unit; write '{name} [{unit}]', or one of {', '.join(factors)}"
             )
         if match[2] not in factors:
-            raise LogError(f"{path}: line 1: '{text.strip()}': unknown unit{did_you_mean(match[2], factors)}")
+            raise LogError(f"{path}: line 1: '{text}': unknown unit{did_you_mean(match[2], factors)}")
         if name in wanted:
             raise LogError(f"{path}: line 1: '{name}' is there twice, columns {wanted[name][0] + 1} and {place + 1}")
         wanted[name] = (place, factors[match[2]])
     if "time" not in wanted:
-        raise LogError(f"{path}: line 1: no column 'time [s]'; there: {', '.join(text.strip() for text in header)}")
+        raise LogError(f"{path}: line 1: no column 'time [s]'; there: {', '.join(header)}")
     if len(wanted) == 1:
         raise LogError(
             f"{path}: line 1: no column of a vehicle; there: {', '.join(ignored)}; known: {', '.join(SIGNALS)}"
@@ -88,8 +88,9 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
     return wanted, ignored
 
 
-def _numbers(path: Path, header: list[str], reader: Any, wanted: dict[str, tuple[int, float]]) -> dict[str, Floats]:
+def _numbers(path: Path, reader: CsvRows, wanted: dict[str, tuple[int, float]]) -> dict[str, Floats]:
     """Return the columns in SI; an empty field and 'nan' are NaN."""
+    header = reader.header
     table = {name: array.array("d") for name in wanted}
     for fields in reader:
         if not fields:
@@ -103,6 +104,6 @@ def _numbers(path: Path, header: list[str], reader: Any, wanted: dict[str, tuple
                 table[name].append(factor * float(text) if text else math.nan)
             except ValueError:
                 raise LogError(
-                    f"{path}: line {line}: column '{header[place].strip()}': '{text[:40]}' is not a number"
+                    f"{path}: line {line}: column '{header[place]}': '{text[:40]}' is not a number"
                 ) from None
     return {name: np.array(column) for name, column in table.items()}

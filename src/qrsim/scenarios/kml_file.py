@@ -47,7 +47,8 @@ class _DocumentTypeError(Exception):
 def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
     """Read the polygon of a KML file, or the named one.
 
-    Points, lines and other features are passed over.
+    Points, lines and other features are passed over. Polygons whose placemarks have the same name, or that share one
+    by a MultiGeometry, are 'NAME #1', 'NAME #2' and so on in the order of the file.
 
     Args:
         path: the file.
@@ -57,16 +58,16 @@ def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
         UsageError: the file is no KML, has no such polygon or several, or one that has a hole or is not simple.
     """
     found = _polygon_elements(str(path))
-    names = list(dict.fromkeys(each for each, _ in found))
-    if name is not None and name not in names:
-        raise UsageError(f"{path}: no polygon is called '{name}'{did_you_mean(name, [each for each in names if each])}")
-    chosen = [each for each in found if name is None or each[0] == name]
+    names = _own_names([each for each, _ in found])
+    chosen = [i for i, (each, _) in enumerate(found) if name in (None, each, names[i])]
+    if not chosen:
+        raise UsageError(
+            f"{path}: no polygon is called '{name}'{did_you_mean(str(name), [each for each in names if each])}"
+        )
     if len(chosen) > 1:
-        if name is not None:
-            raise UsageError(f"{path}: {len(chosen)} polygons are called '{name}'; a fence is one polygon")
-        counts = ", ".join(_called(each) + (f" ({n} times)" if n > 1 else "") for each, n in _count(found).items())
-        raise UsageError(f"{path}: has {len(found)} polygons; choose one by its name: {counts}")
-    return _polygon(str(path), *chosen[0])
+        many = f"has {len(found)} polygons" if name is None else f"{len(chosen)} polygons are called '{name}'"
+        raise UsageError(f"{path}: {many}; choose one by its name: {', '.join(_called(names[i]) for i in chosen)}")
+    return _polygon(str(path), *found[chosen[0]])
 
 
 def read_polygons(path: str | Path) -> list[KmlPolygon]:
@@ -78,8 +79,13 @@ def read_polygons(path: str | Path) -> list[KmlPolygon]:
     return [_polygon(str(path), name, element) for name, element in _polygon_elements(str(path))]
 
 
-def _count(found: list[tuple[str, Element]]) -> Counter[str]:
-    return Counter(name for name, _ in found)
+def _own_names(names: list[str]) -> list[str]:
+    """Return a name for each polygon: its own, with a number where others have the same."""
+    counts, so_far, found = Counter(names), Counter[str](), []
+    for name in names:
+        so_far[name] += 1
+        found.append(f"{name} #{so_far[name]}".strip() if counts[name] > 1 else name)
+    return found
 
 
 def _called(name: str) -> str:

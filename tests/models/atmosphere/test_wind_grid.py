@@ -104,6 +104,19 @@ def test_rows_from_the_north_levels_from_above_and_the_classic_format(tmp_path, 
     np.testing.assert_array_equal(found, blown(WindGridFile(whole).at(100.0), places, 12.5))
 
 
+@pytest.mark.parametrize(
+    ("unit", "seconds"),
+    [("hours since 2026-01-01 00:00", 3600.0), ("Hours Since 2026-01-01", 3600.0), ("minutes since 2026-01-01", 60.0),
+     ("days since 1970-01-01", 86_400.0), ("milliseconds", 1e-3)],
+)  # fmt: skip
+def test_times_in_other_units(tmp_path, whole, unit, seconds):
+    """The last is 100 s after the first, so it covers a run of 100 s."""
+    other = dataset()
+    other["time"] = ("time", 20_000.0 + T / seconds, {"units": unit})
+    found = blown(WindGridFile(written(tmp_path, other)).at(100.0), somewhere(), 90.0)
+    np.testing.assert_allclose(found, blown(WindGridFile(whole).at(100.0), somewhere(), 90.0), rtol=0.0, atol=1e-5)
+
+
 def test_its_origin_its_start_and_heights_over_the_origin(whole):
     moved = WindGridFile(whole, origin_north=50.0, origin_east=-70.0, start=30.0, heights="origin").at(70.0)
     places = np.array([[10.0, 20.0, 15.0], [-90.0, 5.0, 33.0]])
@@ -175,7 +188,10 @@ BAD = {
     "kilometres": (units("x", "km"), "'x' has the units 'km'; expected 'm'"),
     "no length": (units("z", None), "'z' has no units; expected the attribute units: 'm'"),
     "degrees": (units("x", "degrees_east"), "'x' is in degrees_east; expected metres"),
-    "hours": (units("time", "hours since 2026-01-01"), "'time' has the units 'hours since 2026-01-01'; expected 's'"),
+    "months": (
+        units("time", "months since 2026-01-01"),
+        "'time' has the units 'months since 2026-01-01'; expected 's' or 'seconds since ...', or the same with",
+    ),
     "a hole": (holed, "1 of 630 points have no velocity; missing: calm takes the air there for still"),
     "a fill value": (filled, "'v' reaches 1e+20 m/s; allowed: 150"),
     "uneven": (uneven, "'x' is not evenly spaced: from 100 to 200 m"),

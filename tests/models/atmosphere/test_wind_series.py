@@ -27,6 +27,16 @@ def write(folder: Path, times: Array, air: Array) -> WindFile:
     return WindFile(str(path), max_gap=1e6)
 
 
+def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    path = tmp_path / "wind.csv"
+    path.write_text("time;north;east;down;station\n0,0;1,5;-2;,25;Köln\n10;2,5;1e1;0,0;A,1\n", encoding="utf-8-sig")
+    found = look_up(WindFile(str(path), max_gap=60.0).at(10.0), np.array([0.0, 5.0]), "float64")
+    assert found.tolist() == [[1.5, -2.0, 0.25], [2.0, 4.0, 0.125]]
+    path.write_text('time,north,east,down\n0,1,2,3\n10,"1,5",2,3\n')
+    with pytest.raises(UsageError, match="line 3: column 'north': '1,5' is not a finite number"):
+        WindFile(str(path), max_gap=60.0).at(10.0)
+
+
 @jax.jit
 def evaluate(series: WindSeries, seconds: Any, fraction: Any) -> Any:
     """Velocities (k, 3), a time (k,) after the other, as a tick asks for them."""

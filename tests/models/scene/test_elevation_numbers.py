@@ -55,6 +55,19 @@ def test_a_grid_of_more_heights_than_words_in_its_header(tmp_path: Path) -> None
     assert np.argwhere(np.isnan(found.height)).tolist() == [[5, 5]]
 
 
+@pytest.mark.parametrize("word", ["nan", "NaN", "-nan"])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"], ids=["plain", "marked"])
+def test_no_height_may_be_nan_and_the_file_may_begin_with_a_mark(tmp_path: Path, word: str, mark: bytes) -> None:
+    path = tmp_path / "a.asc"
+    header = f"ncols 3\r\nnrows 2\r\nxllcenter 0\r\nyllcenter 0\r\ncellsize 10\r\nNODATA_value {word}\r\n"
+    path.write_bytes(mark + f"{header}{word} 1 2\r\n3 {word} 5\r\n".encode())
+    found = read_elevations(str(path), "auto").height
+    np.testing.assert_array_equal(found, [[3.0, np.nan, 5.0], [np.nan, 1.0, 2.0]])
+    path.write_text(header.replace(word, "none") + "1 1 2\n3 4 5\n")
+    with pytest.raises(UsageError, match="'nodata_value' of its header is 'none'; expected a number"):
+        read_elevations(str(path), "auto")
+
+
 def test_what_is_no_grid(tmp_path: Path) -> None:
     wrong: Any = (
         ([0.0], [0.0, 1.0], ("north", "east"), "no two or more"),

@@ -18,6 +18,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.csv_rows import CsvRows
 from qrsim.files.user_files import read_bytes
 
 Units = Literal["raw", "si"]
@@ -52,6 +53,7 @@ class CommandTable:
 class _Header:
     names: list[str]
     wanted: list[int]
+    delimiter: str
 
 
 def read_commands(path: Path, units: Units) -> CommandTable:
@@ -94,7 +96,8 @@ def _nearest_file(path: Path) -> str:
 def _read_header(path: Path, content: bytes, units: Units) -> _Header:
     first_line = _decode(path, content.partition(b"\n")[0].rstrip(b"\r"))
     try:
-        names = [name.strip() for name in next(csv.reader([first_line], strict=True))]
+        rows = CsvRows([first_line])
+        names = rows.header
     except csv.Error as error:
         raise UsageError(f"{path}: line 1: not CSV: {error}") from error
     if any(_NUMBER.fullmatch(name) for name in names):
@@ -110,12 +113,12 @@ def _read_header(path: Path, content: bytes, units: Units) -> _Header:
             given = " and ".join(f"'{names[i]}' (column {i + 1})" for i in places)
             _fail(path, 1, f"the column '{column}' is there more than once: {given}")
         wanted.append(places[0])
-    return _Header(names, wanted)
+    return _Header(names, wanted, rows.delimiter)
 
 
 def _missing_column_hint(column: str, names: list[str], units: Units) -> str:
-    if len(names) == 1 and re.search(r"[;\t ]", names[0]):
-        return f"; the fields must be separated by commas, found {_shown(names[0])}"
+    if len(names) == 1 and re.search(r"[| ]", names[0]):
+        return f"; the fields must be separated by commas, semicolons or tabs, found {_shown(names[0])}"
     if units == "raw" and column in ALIASES["si"].values() and set(names) & set(ALIASES["si"]):
         return "; 'yaw_rate' is SI: '--units si' reads it"
     return did_you_mean(column, [name for name in names if name and name not in COLUMNS])
@@ -132,7 +135,9 @@ def _read_fast(content: bytes, header: _Header) -> np.ndarray[Any, Any] | None:
         table = arrow_csv.read_csv(
             pa.BufferReader(content),
             read_options=arrow_csv.ReadOptions(column_names=places, skip_rows=1),
-            parse_options=arrow_csv.ParseOptions(quote_char=False, ignore_empty_lines=False),
+            parse_options=arrow_csv.ParseOptions(
+                delimiter=header.delimiter, quote_char=False, ignore_empty_lines=False
+            ),
             convert_options=arrow_csv.ConvertOptions(
                 include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64()), null_values=[]
             ),
@@ -145,12 +150,11 @@ def _read_fast(content: bytes, header: _Header) -> np.ndarray[Any, Any] | None:
 
 def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return the (T, 5) values and the (T,) lines, or name the first fault."""
-    reader = csv.reader(io.StringIO(_decode(path, content), newline=""), strict=True)
+    reader = CsvRows(io.StringIO(_decode(path, content), newline=""))
     # Flat arrays: a million small lists would keep the garbage collector busy.
     numbers, lines = array("d"), array("q")
     line = 1
     try:
-        next(reader)
         line = reader.line_num + 1
         for fields in reader:
             numbers.extend(_numbers(path, line, fields, header))

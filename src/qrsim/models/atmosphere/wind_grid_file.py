@@ -17,7 +17,18 @@ from qrsim.files.user_files import LARGEST_DATA, open_file
 Floats = np.ndarray[Any, Any]
 SPEED_UNITS = ("m s-1", "m/s", "m s^-1", "m s**-1", "m.s-1", "meter second-1", "metre second-1", "meters/second")
 LENGTH_UNITS = ("m", "meter", "meters", "metre", "metres")
-TIME_UNITS = ("s", "second", "seconds", "sec")
+# Seconds of each unit of time that UDUNITS knows and whose length is always the same.
+TIME_UNITS = {
+    name: seconds
+    for seconds, names in (
+        (1e-3, ("ms", "msec", "millisecond", "milliseconds")),
+        (1.0, ("s", "sec", "secs", "second", "seconds")),
+        (60.0, ("min", "mins", "minute", "minutes")),
+        (3600.0, ("h", "hr", "hrs", "hour", "hours")),
+        (86_400.0, ("d", "day", "days")),
+    )
+    for name in names
+}
 # What the CF conventions call each of them; x and y of a grid that is not turned are east and north.
 STANDARD_NAMES = (
     ("eastward_wind", "x_wind", "grid_eastward_wind"),
@@ -198,13 +209,16 @@ def _times(file: str, content: Any, name: str) -> Floats:
     """Return times [s] since the first."""
     values = _numbers(file, content, name, least=1)
     units = content[name].attrs.get("units")
+    expected = "'s' or 'seconds since ...', or the same with minutes, hours or days"
     if units is None:
-        raise UsageError(f"{file}: '{name}' has no units; expected the attribute units: 's' or 'seconds since ...'")
-    if str(units).split(" since ")[0].strip() not in TIME_UNITS:
-        raise UsageError(f"{file}: '{name}' has the units '{units!s:.40}'; expected 's' or 'seconds since ...'")
+        raise UsageError(f"{file}: '{name}' has no units; expected the attribute units: {expected}")
+    second = TIME_UNITS.get(str(units).lower().partition(" since ")[0].strip())
+    if second is None:
+        raise UsageError(f"{file}: '{name}' has the units '{units!s:.40}'; expected {expected}")
     if not (np.diff(values) > 0.0).all():
         raise UsageError(f"{file}: '{name}' does not increase")
-    return values - values[0]
+    # To the millisecond, so that a third of an hour is 1200 s and covers a run as long.
+    return np.round((values - values[0]) * second, 3) if second > 1.0 else (values - values[0]) * second
 
 
 def _numbers(file: str, content: Any, name: str, least: int = 2) -> Floats:

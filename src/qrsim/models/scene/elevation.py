@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 from dataclasses import dataclass
@@ -260,10 +261,11 @@ def _from_archive(file: str, data: bytes) -> Elevations:
 
 def _from_text(file: str, data: bytes, frame: str) -> Elevations:
     """Read an ESRI ASCII grid: its header, then rows from north to south."""
+    data = data.removeprefix(codecs.BOM_UTF8)
     # No header is longer; of the rest no more is taken apart than it says.
     words = data[:LONGEST_HEADER].decode("latin-1").split()
     header: dict[str, float] = {}
-    while 2 * len(header) + 1 < len(words) and words[2 * len(header)][:1].isalpha():
+    while 2 * len(header) + 1 < len(words) and _is_name(words[2 * len(header)]):
         name, text = words[2 * len(header)].lower(), words[2 * len(header) + 1]
         if name in header:
             raise UsageError(f"{file}: its header has '{name[:40]}' twice")
@@ -304,12 +306,18 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
     return Elevations(kind, south + dy * np.arange(height), west + dx * np.arange(width), heights[::-1])
 
 
+def _is_name(word: str) -> bool:
+    """Return whether a word is the name of a header, and not a height that is no number."""
+    return word[:1].isalpha() and word.lower() != "nan"
+
+
 def _number(file: str, name: str, text: str) -> float:
     try:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not math.isfinite(number):
+    # GDAL writes nan, Windows 1.#QNAN; no height is any of these, so the word does not matter.
+    if not math.isfinite(number) and (name != "nodata_value" or "nan" not in text.lower()):
         raise UsageError(f"{file}: '{name}' of its header is {text[:40]!r}; expected a number")
     if name in ("ncols", "nrows") and not (number == int(number) and number >= 2):
         raise UsageError(f"{file}: '{name}' of its header is {text[:40]}; expected a whole number, at least 2")

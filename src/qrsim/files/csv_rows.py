@@ -1,0 +1,58 @@
+"""Rows of CSV files, as programs of every country write them: the reader of all CSV files with a header."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator
+from itertools import chain
+
+# Tabs and semicolons are what spreadsheets separate fields by where the decimal mark is a comma.
+OTHER_DELIMITERS = (";", "\t")
+_QUOTED = re.compile(r'"[^"]*"')
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*", re.ASCII)
+
+
+def delimiter_of(header: str) -> str:
+    """Return what separates the names of a header: a comma, or the semicolon or tab that occurs more often."""
+    bare = _QUOTED.sub("", header)
+    return max((",", *OTHER_DELIMITERS), key=bare.count)
+
+
+class CsvRows:
+    """The rows under the header of a CSV file, as text.
+
+    Fields are separated by commas, semicolons or tabs. Between semicolons or tabs a decimal comma becomes a point.
+
+    Attributes:
+        header: names of the columns, without spaces around them.
+        delimiter: what separates the fields.
+    """
+
+    def __init__(self, lines: Iterable[str], strict: bool = True):
+        """Read the header.
+
+        Args:
+            lines: of the file, with their ends.
+            strict: whether a stray quote is an error.
+
+        Raises:
+            csv.Error: the header is no CSV.
+        """
+        found = iter(lines)
+        first = next(found, "")
+        self.delimiter = delimiter_of(first)
+        self._reader = csv.reader(chain([first], found), delimiter=self.delimiter, strict=strict)
+        self.header = [name.strip() for name in next(self._reader, [])]
+
+    @property
+    def line_num(self) -> int:
+        """Number of the line that was read last, from 1."""
+        return self._reader.line_num
+
+    def __iter__(self) -> Iterator[list[str]]:
+        """Yield the fields of each row; raises ``csv.Error``."""
+        if self.delimiter == ",":
+            yield from self._reader
+        for fields in self._reader:
+            yield [each.replace(",", ".") if _DECIMAL_COMMA.fullmatch(each) else each for each in fields]
