@@ -96,7 +96,7 @@ def planned(tmp_path: Path) -> str:
         plan_item(206, [0, 0, 1, 0, 0, 0, 0], 2),
         plan_item(20, [0, 0, 0, 0, 0, 0, 0], 2),
     ]
-    mission = {"version": 2, "plannedHomePosition": [*HOME, 500.0], "items": items}
+    mission = {"version": 2, "plannedHomePosition": [*HOME, 0.0], "items": items}
     path = tmp_path / "field.plan"
     path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}))
     return str(path)

@@ -61,10 +61,10 @@ SURVEY = (
 
 @pytest.fixture
 def write_plan(tmp_path: Path) -> Callable[..., str]:
-    """Write a plan whose home is 30 m north of it at 500 m above the sea, and return its path."""
+    """Write a plan whose home is 56 m north of the site and as high as it, and return its path."""
 
     def write(*items: Item, name: str = "survey.plan", version: int = 1, **geofence: Any) -> str:
-        mission = {"version": 2, "plannedHomePosition": [*HOME, 500.0], "items": list(items)}
+        mission = {"version": 2, "plannedHomePosition": [*HOME, 450.0], "items": list(items)}
         fence = {"version": 2, "polygons": [], "circles": [], **geofence}
         content = {"fileType": "Plan", "version": version, "mission": mission, "geoFence": fence}
         path = tmp_path / name

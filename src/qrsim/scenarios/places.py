@@ -17,11 +17,13 @@ from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
 from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
+from qrsim.scenarios.plan_site import far_from_home, home_of
 from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,
     FleetSpec,
     ScenarioSpec,
+    SiteSpec,
     VehicleSpec,
     polygon_model,
 )
@@ -39,14 +41,18 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
         in messages.
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
-    if scenario.world.area.type != "fence" and not any(map(_is_elsewhere, vehicles)):
+    if scenario.world.area.type != "fence" and not scenario.site.plan and not any(map(_is_elsewhere, vehicles)):
         return scenario, [], {}
     places = _Places(scenario)
+    # Without its site all other places would be wrong.
+    if places.problems:
+        return scenario, places.problems, {}
     fleets = {name: places.fleet(f"fleets.{name}", fleet) for name, fleet in scenario.fleets.items()}
     world = scenario.world.model_copy(update={"area": places.area(scenario.world.area)})
     if not places.problems:
         places.warn()
-    return scenario.model_copy(update={"fleets": fleets, "world": world}), places.problems, places.written
+    changes = {"fleets": fleets, "world": world, "site": places.place}
+    return scenario.model_copy(update=changes), places.problems, places.written
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
@@ -62,10 +68,10 @@ class _Places:
     """Converts the places of one scenario; keeps what was found wrong, and the plans for what they ask for."""
 
     def __init__(self, scenario: ScenarioSpec):
-        site = scenario.site
-        self.site = Site.from_degrees(site.latitude_deg, site.longitude_deg, site.height)
         self.area_type: str = scenario.world.area.type
         self.problems: list[str] = []
+        self.place = self._place(scenario.site)
+        self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
         self.written: dict[str, str] = {}
         self.flown: dict[str, Plan] = {}
         self.fences: dict[str, Plan] = {}
@@ -81,6 +87,12 @@ class _Places:
         except UsageError as error:
             self.problems.append(f"{path}: {error}")
         return []
+
+    def _place(self, site: SiteSpec) -> SiteSpec:
+        """Return a site in numbers: those of the home of its plan, where it has one."""
+        for home in self._attempt("site.plan", lambda: [home_of(site)] if site.plan else []):
+            return SiteSpec(latitude_deg=home[0], longitude_deg=home[1], height=home[2], plan=None)
+        return site
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:
         """Return a fleet in NED; one with a plan flies its routes once unless it says otherwise.
@@ -206,6 +218,8 @@ class _Places:
                 first, *others = [note for note in notes if note.name == name]
                 more = f" (and {len(others)} more of its kind)" if others else ""
                 warn_user(f"{file}: {first.route_text if by_route else first.text}{more}")
+        if words := far_from_home({**self.fences, **self.flown}, self.site):
+            warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:
         """Return the parts of the plan that are not flown as planned."""

@@ -147,10 +147,10 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
 def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
     """Merge two mappings recursively; the child's values take precedence.
 
-    A child of another ``type`` replaces the parent wholly, a list replaces a list, an angle in one unit that in the
-    other, and null takes out what the parent has.
+    A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
+    in one unit that in the other, and null takes out what the parent has.
     """
-    if "type" in child and child["type"] != parent.get("type"):
+    if ("type" in child and child["type"] != parent.get("type")) or "plan" in child:
         return copy.deepcopy(child)
     result = dict(parent)
     for key, value in child.items():

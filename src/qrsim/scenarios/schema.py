@@ -96,7 +96,7 @@ def _areas() -> dict[str, Maker]:
 
 
 class PlanSpec(Strict):
-    """A QGroundControl plan as the route of a vehicle."""
+    """A QGroundControl plan: the route of a vehicle, or the home of which is the site."""
 
     file: str = Field(description="a QGroundControl .plan file", min_length=1)
 
@@ -369,6 +369,7 @@ class SiteSpec(Strict):
     latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
     longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=-500, le=9000)
+    plan: PlanSpec | None = Field(None, description="the home of a plan, instead of the three numbers", exclude=True)
 
 
 class RangeSpec(Strict):

@@ -1,0 +1,87 @@
+"""The site of a scenario and the home of its plans: the one from the other, or how far they are apart."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.scenarios.test_places import SITE, item, polygon, problems_of, scenario
+
+from qrsim.scenarios.scenario import load_scenario
+
+Write = Callable[..., str]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Write a plan with one waypoint 12 m above its home, and its fences."""
+
+    def write_it(home: tuple[float, float, float], name: str = "survey.plan", *polygons: dict[str, Any]) -> str:
+        mission = {"version": 2, "plannedHomePosition": home, "items": [item(16, *home[:2], 12.0)]}
+        fence = {"version": 2, "polygons": polygons, "circles": []}
+        path = tmp_path / name
+        path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission, "geoFence": fence}), "utf-8")
+        return str(path)
+
+    return write_it
+
+
+def warnings_of(content: dict[str, Any]) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_scenario(content)
+    return [str(each.message) for each in caught]
+
+
+def test_a_plan_far_from_the_site_is_told_once(write: Write) -> None:
+    """21 km are 0.1889 degrees of latitude at 47 degrees; the limits are 1 km and 20 m."""
+
+    def told(*homes: tuple[float, ...], **more: Any) -> list[str]:
+        plans = [write(home, f"{i}.plan") for i, home in enumerate(homes)]
+        vehicles = [{"plan": {"file": plan}, "position_ned": [0, 9 * i, -5]} for i, plan in enumerate(plans)]
+        area = {"type": "box", "x_min": -30e3, "x_max": 30e3}
+        return warnings_of({**scenario(*vehicles, area=area), **more})
+
+    assert told((47.0089, 8.0, 469.9)) == []
+    (words,) = told((47.0091, 8.0, 450.0))
+    assert (
+        "0.plan: its home is 1.01 km from the site and 0 m below site.height, 450 m; site: {plan: {file: ...}}" in words
+    )
+    (words,) = told((47.0, 8.0, 550.0), site={**SITE, "height": 450.0})
+    assert "0.plan: its home is 0 m from the site and 100 m above site.height, 450 m; site:" in words
+    (words,) = told((47.0, 8.0, 429.9), (47.1889, 8.0, 450.0))
+    assert "1.plan: its home is 21 km from the site and 0 m below site.height, 450 m (and 1 more plans); site:" in words
+    fence = write((47.0, 8.0, 550.0), "fence.plan", polygon())
+    (words,) = warnings_of(scenario({"position_ned": [0, 0, -5]}, area={"type": "fence", "file": fence}))
+    assert "100 m above site.height" in words
+
+
+def test_the_site_may_be_the_home_of_a_plan(write: Write) -> None:
+    file = write((-33.0, 151.0, 135.0))
+    content = {**scenario({"plan": {"file": file}}), "site": {"plan": {"file": file}}}
+    assert warnings_of(content) == []
+    spec = load_scenario(content).spec
+    assert (spec.site.latitude_deg, spec.site.longitude_deg, spec.site.height) == (-33.0, 151.0, 135.0)
+    assert spec.fleets["a"].vehicles[0].position_ned == [0.0, 0.0, -12.0]
+    assert "plan" not in load_scenario(content).to_yaml()
+    # It takes the place of the site of what is extended, and of the scenario's own by --set.
+    alone = {"extends": "outdoor_patrol", "name": "x", "site": {"plan": {"file": file}}}
+    assert load_scenario(alone).spec.site == spec.site
+    assert load_scenario("outdoor_patrol", [f"site={{plan: {{file: {file}}}}}"]).spec.site == spec.site
+
+
+def test_a_site_that_no_plan_can_give_is_named(write: Write) -> None:
+    file = write((47.0, 8.0, 9500.0))
+    content = {**scenario({"position_ned": [0, 0, -5]}), "site": {"plan": {"file": file}}}
+    assert problems_of(content) == [f"site.plan: {file}: its home is at 9500 m; allowed: -500 to 9000"]
+    content["site"] = {"height": 35.0, "plan": {"file": file}}
+    assert problems_of(content) == [
+        f"site.plan: {file}: gives latitude_deg, longitude_deg, height; leave out height of site, or the plan"
+    ]
+    content["site"] = {"plan": {"file": "absent.plan"}}
+    (found,) = problems_of(content)
+    assert "absent.plan: cannot be read: No such file or directory" in found
