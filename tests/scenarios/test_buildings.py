@@ -157,13 +157,17 @@ def test_heights_are_read_as_people_write_them(written: Written) -> None:
         {"height": "39'4\""}, {"height": "30 Ft"}, {"building:levels": "1,2"},
         {"building:levels": "2", "roof:levels": 1},
         {"building:levels": "2", "roof:height": 2.5}, {"height": 0, "building:levels": 0}, {"height": 10**400},
+        {"height": "39 ft 4 in"}, {"height": "120\""}, {"height": "12 metres"}, {"height": " "},
+        {"building:levels": 0, "roof:levels": 1}, {"building:levels": 2, "building:min_level": -1},
+        {"building:levels": -1},
     ]  # fmt: skip
     features = [feature(SQUARE, **properties) for properties in given]
     world = load_scenario(written(*features, start=(-9.0, 0.0, -3.0))).spec.world
     assert [-round(prism.z_min, 3) for prism in world.obstacles] == [
         12.5, 9.144, 12.0, 7.0, 6.0, 9.0, 11.989, 9.144, 6.0, 9.0, 8.5, 9.0, 9.0,
+        11.989, 3.048, 12.0, 9.0, 3.0, 6.0, 9.0,
     ]  # fmt: skip
-    assert [-prism.z_max for prism in world.obstacles] == [0.0, 0.0, 0.0, 0.0, 0.0, 3.0, *[0.0] * 7]
+    assert [-prism.z_max for prism in world.obstacles] == [0.0, 0.0, 0.0, 0.0, 0.0, 3.0, *[0.0] * 14]
 
 
 def test_what_is_no_building_is_left_out_and_counted(written: Written) -> None:
@@ -175,6 +179,23 @@ def test_what_is_no_building_is_left_out_and_counted(written: Written) -> None:
     with pytest.warns(UserWarning, match=words):
         scenario = load_scenario(written(wood, house, none, point, start=(-9.0, 0.0, -3.0)))
     assert [prism.name for prism in scenario.spec.world.obstacles] == ["feature 1"]
+
+
+def test_without_the_tag_polygons_are_buildings_but_not_woods(written: Written) -> None:
+    wood, water, plain = feature(SQUARE, natural="wood", height=12), feature(SQUARE, natural="water"), feature(SQUARE)
+    with pytest.warns(UserWarning, match=r"left out: 2 are no buildings"):
+        scenario = load_scenario(written(wood, plain, water, start=(-9.0, 0.0, -3.0)))
+    assert [prism.name for prism in scenario.spec.world.obstacles] == ["feature 1"]
+    ending = "has 2 polygons, none of them a building (building=*) among 2 features"
+    for features in ((wood, water), (feature(SQUARE, building="no"), feature(SQUARE, building=None))):
+        assert problem_of(written(*features)).endswith(ending)
+
+
+def test_corners_of_what_is_no_building_do_not_count(written: Written) -> None:
+    wood = feature([[float(i), 0.0] for i in range(1000)], natural="wood")
+    house = feature(SQUARE, building="yes", height=5)
+    scenario = load_scenario(written(*[wood] * 51, house, start=(-9.0, 0.0, -3.0)), quiet=True)
+    assert len(scenario.spec.world.obstacles) == 1
 
 
 def test_prisms_in_a_scenario_are_checked_and_can_be_made_in_python() -> None:

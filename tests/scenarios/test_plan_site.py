@@ -54,7 +54,10 @@ def test_a_plan_far_from_the_site_is_told_once(write: Write) -> None:
     (words,) = told((47.0, 8.0, 550.0), site={**SITE, "height": 450.0})
     assert "0.plan: its home is 0 m from the site and 100 m above site.height, 450 m; site:" in words
     (words,) = told((47.0, 8.0, 429.9), (47.1889, 8.0, 450.0))
-    assert "1.plan: its home is 21 km from the site and 0 m below site.height, 450 m (and 1 more plans); site:" in words
+    assert (
+        "1.plan: its home is 21 km from the site and 0 m below site.height, 450 m (and 1 more of its kind); site:"
+        in words
+    )
     fence = write((47.0, 8.0, 550.0), "fence.plan", polygon())
     (words,) = warnings_of(scenario({"position_ned": [0, 0, -5]}, area={"type": "fence", "file": fence}))
     assert "100 m above site.height" in words
@@ -82,6 +85,6 @@ def test_a_site_that_no_plan_can_give_is_named(write: Write) -> None:
     assert problems_of(content) == [
         f"site.plan: {file}: gives latitude_deg, longitude_deg, height; leave out height of site, or the plan"
     ]
-    content["site"] = {"plan": {"file": "absent.plan"}}
+    content["site"] = {"plan": {"file": file.replace("survey", "survy")}}
     (found,) = problems_of(content)
-    assert "absent.plan: cannot be read: No such file or directory" in found
+    assert found.endswith("survy.plan: cannot be read: No such file or directory; did you mean 'survey.plan'?")

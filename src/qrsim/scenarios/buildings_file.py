@@ -26,11 +26,15 @@ MOST_POINTS, STOREY = 50_000, 3.0
 HIGHEST = 1000.0
 # How a file may name longitude and latitude; RFC 7946 knows no other coordinates.
 _DEGREES = re.compile(r"(CRS:?84|EPSG:+4326)$", re.IGNORECASE)
-_NUMBER = re.compile(r"\s*([0-9]+(?:[.,][0-9]+)?)\s*(m|ft|')?\s*$", re.IGNORECASE)
-_FEET = re.compile(r"""\s*([0-9]+)\s*'\s*([0-9]+(?:\.[0-9]+)?)\s*"\s*$""")
+_DIGITS = r"([0-9]{1,9}(?:[.,][0-9]+)?)"
+_METRES = re.compile(rf"\s*{_DIGITS}\s*(?:m|met(?:re|er)s?)?\s*", re.IGNORECASE)
+_FEET = re.compile(
+    rf"""\s*(?:{_DIGITS}\s*(?:'|\u2032|ft|feet))?\s*(?:{_DIGITS}\s*(?:"|\u2033|in))?\s*""", re.IGNORECASE
+)
 _FOOT = 0.3048
-# What OpenStreetMap says of a building, and of a part of one.
+# Keys of OpenStreetMap: of a building and of a part of one, and of areas that are neither.
 _TAGS = ("building", "building:part")
+_OTHER_TAGS = ("natural", "landuse", "leisure", "waterway", "highway", "barrier")
 
 
 @dataclass
@@ -57,7 +61,7 @@ class BuildingsFile:
     Attributes:
         buildings: in the order of the file.
         skipped: how many features are neither polygon nor multipolygon.
-        others: how many features are no buildings, in a file that says of some that they are.
+        others: how many polygons and multipolygons are no buildings.
     """
 
     buildings: list[Building] = field(default_factory=list)
@@ -79,7 +83,12 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
     """
     content = _content(file)
     _check_frame(file, content, frame)
-    features = list(_features(file, content))
+    everything = list(_features(file, content))
+    tagged = any(tag in properties for _, properties, _ in everything for tag in _TAGS)
+    features = [each for each in everything if _polygons(each[2])]
+    found, problems = BuildingsFile(skipped=len(everything) - len(features)), []
+    features = [each for each in features if _is_building(each[1], tagged)]
+    found.others = len(everything) - found.skipped - len(features)
     points = sum(_points(geometry) for _, _, geometry in features)
     if points > MOST_POINTS:
         raise UsageError(
@@ -88,14 +97,8 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
         )
     # Once, and not of each feature, where it is not installed.
     load("buildings", "a file of buildings", "shapely")
-    found, problems = BuildingsFile(), []
-    tagged = any(_is_building(properties) for _, properties, _ in features)
     for name, properties, geometry in features:
         polygons = _polygons(geometry)
-        found.skipped += not polygons
-        if tagged and not _is_building(properties):
-            found.others += bool(polygons)
-            continue
         for i, rings in enumerate(polygons):
             path = name if len(polygons) == 1 else f"{name}, polygon {i}"
             try:
@@ -111,7 +114,8 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
     if problems:
         raise ScenarioError(file, problems)
     if not found.buildings:
-        raise UsageError(f"{file}: has no polygon{f' among {len(features)} features' if features else ''}")
+        what = f"{found.others} polygons, none of them a building (building=*)" if found.others else "no polygon"
+        raise UsageError(f"{file}: has {what}{f' among {len(everything)} features' if everything else ''}")
     if len(found.buildings) > MOST_OBSTACLES:
         raise UsageError(f"{file}: has {len(found.buildings)} buildings; allowed: at most {MOST_OBSTACLES}")
     return found
@@ -167,8 +171,11 @@ def _features(file: str, content: dict[str, Any]) -> Iterator[tuple[str, dict[st
         yield name, properties, geometry if isinstance(geometry, dict) else {}
 
 
-def _is_building(properties: dict[str, Any]) -> bool:
-    return any(properties.get(tag) not in (None, False, "", "no") for tag in _TAGS)
+def _is_building(properties: dict[str, Any], tagged: bool) -> bool:
+    """Return whether a polygon is one; ``tagged``: its file says of each what it is."""
+    if tagged:
+        return any(properties.get(tag) not in (None, False, "", "no") for tag in _TAGS)
+    return not any(properties.get(tag) for tag in _OTHER_TAGS)
 
 
 def _polygons(geometry: dict[str, Any]) -> list[Any]:
@@ -259,9 +266,10 @@ def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
     """
     height = _length(properties, "height", "building:height") or None
     levels = _levels(properties, "building:levels", "levels")
-    if height is None and levels:
+    if height is None and levels is not None:
         roof = _length(properties, "roof:height")
         height = levels * STOREY + ((_levels(properties, "roof:levels") or 0.0) * STOREY if roof is None else roof)
+        height = height or None
     base = _length(properties, "min_height", "building:min_height")
     if base is None:
         base = (_levels(properties, "building:min_level") or 0.0) * STOREY
@@ -279,23 +287,26 @@ def _length(properties: dict[str, Any], *names: str) -> float | None:
         number = _plain(value)
         if number is not None:
             return number
-        match = _NUMBER.match(value) if isinstance(value, str) else None
-        if match:
-            number = float(match[1].replace(",", "."))
-            return number * _FOOT if (match[2] or "").lower() in ("ft", "'") else number
-        match = _FEET.match(value) if isinstance(value, str) else None
-        if match:
-            return (float(match[1]) + float(match[2]) / 12.0) * _FOOT
+        if not isinstance(value, str) or not value.strip():
+            continue
+        if match := _METRES.fullmatch(value):
+            return float(match[1].replace(",", "."))
+        if match := _FEET.fullmatch(value):
+            feet, inches = (float((part or "0").replace(",", ".")) for part in match.groups())
+            return (feet + inches / 12.0) * _FOOT
     return None
 
 
 def _levels(properties: dict[str, Any], *names: str) -> float | None:
-    """Return the first of some properties that is a number of levels, or the largest of a list of them ("1,2")."""
+    """Return the first of some properties that is a number of levels, or the largest of a list of them ("1,2").
+
+    Levels below the ground do not count.
+    """
     for name in names:
         value = properties.get(name)
         number = _plain(value)
         if number is not None:
-            return number
+            return max(number, 0.0)
         parts = re.split("[,;]", value) if isinstance(value, str) else []
         if parts and all(re.fullmatch(r"\s*[0-9]{1,9}(\.[0-9]+)?\s*", part) for part in parts):
             return max(float(part) for part in parts)

@@ -11,11 +11,13 @@ from typing import NoReturn
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.files.user_files import LARGEST_TEXT, read_bytes
 from qrsim.models.scene.fence import polygon_problems
 
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", "Track", "MultiTrack")
+# Names in one message.
+MOST_NAMES = 20
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,10 @@ def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
         )
     if len(chosen) > 1:
         many = f"has {len(found)} polygons" if name is None else f"{len(chosen)} polygons are called '{name}'"
-        raise UsageError(f"{path}: {many}; choose one by its name: {', '.join(_called(names[i]) for i in chosen)}")
+        first = ", ".join(_called(names[i]) for i in chosen[:MOST_NAMES]) + (
+            ", ..." if len(chosen) > MOST_NAMES else ""
+        )
+        raise UsageError(f"{path}: {many}; choose one by its name: {first}")
     return _polygon(str(path), *found[chosen[0]])
 
 
@@ -97,7 +102,7 @@ def _root(path: str) -> Element:
     try:
         data = read_bytes(path, LARGEST_TEXT)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+        raise UsageError(f"{path}: cannot be read: {error.strerror}{did_you_mean_file(Path(path))}") from None
     if data.startswith(b"PK"):
         raise UsageError(f"{path}: is a KMZ archive; unpack it and give the KML file inside, usually doc.kml")
     parser = ElementTree.XMLParser(target=_Builder())

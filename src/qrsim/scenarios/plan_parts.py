@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import json
+from pathlib import Path
 from typing import Any
 
-from qrsim.errors import ScenarioError, UsageError
+from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
 from qrsim.files.user_files import read_text
 
 KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
@@ -26,7 +27,7 @@ def plan_content(source: str) -> Any:
     except OSError as error:
         if error.errno == errno.EILSEQ:
             raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None
-        raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
+        raise UsageError(f"{source}: cannot be read: {error.strerror}{did_you_mean_file(Path(source))}") from None
     try:
         return json.loads(text, object_pairs_hook=_without_twins)
     except json.JSONDecodeError as error:

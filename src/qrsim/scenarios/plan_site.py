@@ -48,7 +48,7 @@ def far_from_home(plans: Mapping[str, Plan], site: Site) -> str | None:
         return None
     file = max(far, key=lambda each: math.hypot(*far[each]))
     distance, rise = far[file]
-    others = f" (and {len(far) - 1} more plans)" if len(far) > 1 else ""
+    others = f" (and {len(far) - 1} more of its kind)" if len(far) > 1 else ""
     return (
         f"{file}: its home is {_length(distance)} from the site and {_length(abs(rise))} "
         f"{'above' if rise > 0.0 else 'below'} site.height, {site.height:g} m{others}; site: {{plan: {{file: ...}}}} "
