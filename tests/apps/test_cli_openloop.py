@@ -285,7 +285,7 @@ BAD_HEADERS = {
         "the column 'pitch' is there more than once: 'pitch' (column 1) and 'pitch' (column 6)",
     ),
     "bars": (HEADER.replace(",", "|"), "the fields must be separated by commas, semicolons or tabs"),
-    "semicolons": (HEADER.replace(",", ";"), "line 2: 1 field, the header has 5"),
+    "semicolons": (HEADER.replace(",", ";"), "line 2: 1 field, the header has 5, separated by ';'"),
     "yaw_rate in raw": ("pitch,roll,throttle,yaw_rate,battery", "no column 'yaw'; 'yaw_rate' is SI"),
     "nothing near": ("a,b", "no column 'pitch'; known: a, b"),
     "stray quote": ('"pitch"x,roll', "line 1: not CSV"),

@@ -213,16 +213,22 @@ def test_a_damaged_dataflash_log_says_so_in_few_lines(tmp_path: Path, capfd: Any
     assert capfd.readouterr() == ("", "")
 
 
-def test_of_two_boots_in_a_dataflash_log_the_longer_is_read(signals: dict[str, Floats], tmp_path: Path) -> None:
+def test_of_two_boots_in_a_dataflash_log_one_is_read(signals: dict[str, Floats], tmp_path: Path) -> None:
     short, whole = write_dataflash(tmp_path / "a.bin", flown(6.0, seed=2)), write_dataflash(tmp_path / "b.bin", signals)
     both = tmp_path / "log.bin"
     for first, second, number in ((short, whole, 2), (whole, short, 1)):
         both.write_bytes(first.read_bytes() + second.read_bytes())
-        log = read_log(both)
-        assert said(log, f"2 boots in one file; boot {number} is read, the longest: 7.00 to 18.98 s")
-        assert not said(log, "time goes back")
-        for name in ("roll", "velocity_down", "throttle"):
-            assert np.isclose(log.signals[name], signals[name][: len(log.time)], atol=2e-3).mean() > 0.97, name
+        for boot, why in ((None, "the one with the most messages (--boot N reads another)"), (number, "as asked")):
+            log = read_log(both, boot=boot)
+            assert said(log, f"boot {number} of 2 is read, 7.00 to 18.98 s, {why}")
+            assert not said(log, "time goes back")
+            for name in ("roll", "velocity_down", "throttle"):
+                assert np.isclose(log.signals[name], signals[name][: len(log.time)], atol=2e-3).mean() > 0.97, name
+    assert said(read_log(both, boot=2), "boot 2 of 2 is read, 7.00 to 12.98 s, as asked")
+    with pytest.raises(LogError, match=r"log.bin: has no boot 3; known: 1 \(7.00 to 18.98 s\), 2 \(7.00 to 12.98 s\)"):
+        read_log(both, boot=3)
+    with pytest.raises(UsageError, match="--boot 1: .*plain.csv is no DataFlash log; other logs have one boot each"):
+        read_log(write_csv(tmp_path / "plain.csv", signals), boot=1)
 
 
 @pytest.mark.parametrize("instances", [(1,), (2, 3)])

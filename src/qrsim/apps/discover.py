@@ -47,6 +47,8 @@ class Discover:
     """By which commands act late."""
     train: float = 0.6
     """Share of the log that is used; the rest scores the laws."""
+    boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the one with the most messages)")] = None
+    """Number of the boot in a DataFlash log that has several, from 1."""
     overwrite: bool = False
     """Replace FILE where it exists."""
     quiet: bool = False
@@ -64,10 +66,12 @@ class Discover:
         from qrsim.runs.picture import save_picture
         from qrsim.scenarios.reading import dump_yaml
 
-        log = read_log(self.log)
+        log = read_log(self.log, boot=self.boot)
         say: Callable[[str], None] = (
             (lambda text: None) if self.quiet or self.json else (lambda text: print(text, flush=True))
         )
+        for line in (f"{log.source} ({log.kind})", *(f"  {note}" for note in log.notes)):
+            say(line)
         try:
             found = discover(log, self.seed, self.generations, self.population, self.mass, self.train, self.delay, say)
         except LogError as error:

@@ -75,6 +75,8 @@ class Identify:
     """Leave out what comes later in each log."""
     namespace: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Of the vehicle's topics in a bag of ROS 2."""
+    boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the one with the most messages)")] = None
+    """Number of the boot in a DataFlash log that has several, from 1."""
     overwrite: bool = False
     """Replace FILE where it exists."""
     quiet: bool = False
@@ -100,7 +102,7 @@ class Identify:
         from qrsim.identify.result import write_text
 
         question = self._question()
-        logs = [part_of(read_log(path, self.namespace), self.begin, self.end) for path in self.logs]
+        logs = [part_of(read_log(path, self.namespace, self.boot), self.begin, self.end) for path in self.logs]
         for log in logs:
             self._say(f"{log.source} ({log.kind})", *(f"  {note}" for note in log.notes))
             if missing := lacking(log):

@@ -52,7 +52,9 @@ class CsvRows:
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the fields of each row; raises ``csv.Error``."""
-        if self.delimiter == ",":
-            yield from self._reader
         for fields in self._reader:
-            yield [each.replace(",", ".") if _DECIMAL_COMMA.fullmatch(each) else each for each in fields]
+            yield fields if self.delimiter == "," else [_with_point(field) for field in fields]
+
+
+def _with_point(field: str) -> str:
+    return field.replace(",", ".") if _DECIMAL_COMMA.fullmatch(field) else field

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from qrsim import extras
-from qrsim.errors import LogError
+from qrsim.errors import LogError, shortened
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
 
@@ -48,14 +48,17 @@ _BACK_S, _MEDIAN_OF = 1.0, 21
 _NEARLY = 0.9
 
 
-def read_dataflash(path: Path) -> FlightLog:
+def read_dataflash(path: Path, boot: int | None = None) -> FlightLog:
     """Read an ArduPilot .bin log.
 
-    Of several boots in one file the one with the most messages is read, and of several batteries or cores of the
-    estimator one; the notes say which.
+    Of several batteries or cores of the estimator one is read; the notes say which, and which boot.
+
+    Args:
+        path: of the file.
+        boot: number of the boot in the file, from 1; None: the one with the most messages.
 
     Raises:
-        LogError: no DataFlash log, or none of the messages.
+        LogError: no DataFlash log, none of the messages, or no such boot.
         RunError: pymavlink is not installed.
     """
     reader = extras.load("identify", "reading a DataFlash log", "pymavlink.DFReader")
@@ -71,7 +74,7 @@ def read_dataflash(path: Path) -> FlightLog:
         raise LogError(f"{path}: a DataFlash log that cannot be read: {error or type(error).__name__}") from None
     if not messages.times:
         raise LogError(f"{path}: none of the messages {', '.join(MESSAGES)}")
-    tracks, notes = messages.tracks()
+    tracks, notes = messages.tracks(path, boot)
     lines = [line for line in dict.fromkeys(said.getvalue().splitlines()) if line.strip()]
     notes += [f"the reader says: {line}" for line in lines[:MOST_COMPLAINTS]]
     if len(lines) > MOST_COMPLAINTS:
@@ -112,11 +115,11 @@ class _Messages:
         values.extend(fields)
         self.times.append(stamp)
 
-    def tracks(self) -> tuple[dict[str, Track], list[str]]:
+    def tracks(self, path: Path, boot: int | None) -> tuple[dict[str, Track], list[str]]:
         """Return the signals of one boot in SI, each of one instance, and notes on what was chosen."""
         times: Floats = np.array(self.times)
         notes: list[str] = []
-        first, last = _longest(times, notes)
+        first, last = _chosen(path, times, boot, notes)
         there: dict[str, dict[int, tuple[Floats, Floats]]] = {}
         for (kind, instance), (numbers, values) in self.rows.items():
             begin, end = np.searchsorted(numbers, (first, last))
@@ -138,21 +141,22 @@ class _Messages:
         return tracks, notes
 
 
-def _longest(times: Floats, notes: list[str]) -> tuple[int, int]:
-    """Return the first message of the boot with the most messages, and the one after its last."""
+def _chosen(path: Path, times: Floats, boot: int | None, notes: list[str]) -> tuple[int, int]:
+    """Return the first message of the wanted boot, or of the one with the most messages, and the one after its last."""
     starts = [0]
     for i in np.flatnonzero(np.diff(times) < -_BACK_S) + 1:
         before, after = times[max(starts[-1], i - _MEDIAN_OF) : i], times[i : i + _MEDIAN_OF]
         if np.median(after) < np.median(before) - _BACK_S:
             starts.append(int(i))
     ends = [*starts[1:], len(times)]
-    which = int(np.argmax(np.subtract(ends, starts)))
+    spans = [f"{times[a]:.2f} to {times[b - 1]:.2f} s" for a, b in zip(starts, ends, strict=True)]
+    if boot is not None and not 1 <= boot <= len(starts):
+        known = ", ".join(f"{number} ({span})" for number, span in enumerate(spans, 1))
+        raise LogError(f"{path}: has no boot {boot}; known: {shortened(known, 200)}")
+    which = int(np.argmax(np.subtract(ends, starts))) if boot is None else boot - 1
     if len(starts) > 1:
-        part = times[starts[which] : ends[which]]
-        notes.append(
-            f"{len(starts)} boots in one file; boot {which + 1} is read, the longest: {part[0]:.2f} to "
-            f"{part[-1]:.2f} s, {len(part)} of {len(times)} messages"
-        )
+        why = "the one with the most messages (--boot N reads another)" if boot is None else "as asked"
+        notes.append(f"boot {which + 1} of {len(starts)} is read, {spans[which]}, {why}")
     return starts[which], ends[which]
 
 

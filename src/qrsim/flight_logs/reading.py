@@ -14,19 +14,22 @@ _DATAFLASH_HEADER = b"\xa3\x95"
 FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), a bag of ROS 2, CSV with names and units, the public recordings"
 
 
-def read_log(path: Path, namespace: str | None = None) -> FlightLog:
+def read_log(path: Path, namespace: str | None = None, boot: int | None = None) -> FlightLog:
     """Read a flight log; its content decides the format.
 
     Args:
         path: of a file, or of the folder of a bag.
         namespace: of the vehicle in a bag; see ``rosbag.read_bag``.
+        boot: number of the boot in a DataFlash log, from 1; see ``dataflash.read_dataflash``.
 
     Raises:
-        UsageError: no such file, or a namespace without a bag.
+        UsageError: no such file, a namespace without a bag, or a boot without a DataFlash log.
         LogError: empty, no format that is known, or what the reader of the format finds wrong.
         RunError: a bag is damaged.
     """
     if path.exists() and is_bag(path):
+        if boot is not None:
+            raise _no_boots(path, boot)
         return read_bag(path, namespace)
     if namespace is not None and path.exists():
         raise UsageError(f"--namespace {namespace}: {path} is no bag of ROS 2, which alone has namespaces")
@@ -39,14 +42,16 @@ def read_log(path: Path, namespace: str | None = None) -> FlightLog:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     if not beginning.strip():
         raise LogError(f"{path}: the file is empty; expected {FORMATS}")
+    if beginning.startswith(_DATAFLASH_HEADER):
+        from qrsim.flight_logs.dataflash import read_dataflash
+
+        return read_dataflash(path, boot)
+    if boot is not None:
+        raise _no_boots(path, boot)
     if beginning.startswith(_ULOG_MAGIC):
         from qrsim.flight_logs.ulog import read_ulog
 
         return read_ulog(path)
-    if beginning.startswith(_DATAFLASH_HEADER):
-        from qrsim.flight_logs.dataflash import read_dataflash
-
-        return read_dataflash(path)
     if b"\0" in beginning:
         raise LogError(f"{path}: neither ULog nor DataFlash nor text; expected {FORMATS}")
     first = beginning.decode("utf-8-sig", errors="replace").partition("\n")[0]
@@ -57,3 +62,7 @@ def read_log(path: Path, namespace: str | None = None) -> FlightLog:
     from qrsim.flight_logs.recorded import read_recording
 
     return read_recording(path)
+
+
+def _no_boots(path: Path, boot: int) -> UsageError:
+    return UsageError(f"--boot {boot}: {path} is no DataFlash log; other logs have one boot each")

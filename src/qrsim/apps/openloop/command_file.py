@@ -173,7 +173,8 @@ def _numbers(path: Path, line: int, fields: list[str], header: _Header) -> list[
         _fail(path, line, "the line is empty")
     if len(fields) != len(header.names):
         plural = "" if len(fields) == 1 else "s"
-        _fail(path, line, f"{len(fields)} field{plural}, the header has {len(header.names)}")
+        between = "" if header.delimiter == "," else f", separated by {_shown(header.delimiter)}"
+        _fail(path, line, f"{len(fields)} field{plural}, the header has {len(header.names)}{between}")
     numbers = []
     for place in header.wanted:
         text = fields[place].strip()
