@@ -227,7 +227,7 @@ def test_of_two_boots_in_a_dataflash_log_one_is_read(signals: dict[str, Floats],
     assert said(read_log(both, boot=2), "boot 2 of 2 is read, 7.00 to 12.98 s, as asked")
     with pytest.raises(LogError, match=r"log.bin: has no boot 3; known: 1 \(7.00 to 18.98 s\), 2 \(7.00 to 12.98 s\)"):
         read_log(both, boot=3)
-    with pytest.raises(UsageError, match="--boot 1: .*plain.csv is no DataFlash log; other logs have one boot each"):
+    with pytest.raises(UsageError, match=r"--boot 1: .*plain.csv is no DataFlash log; other logs have one boot each"):
         read_log(write_csv(tmp_path / "plain.csv", signals), boot=1)
 
 

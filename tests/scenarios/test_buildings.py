@@ -181,14 +181,38 @@ def test_what_is_no_building_is_left_out_and_counted(written: Written) -> None:
     assert [prism.name for prism in scenario.spec.world.obstacles] == ["feature 1"]
 
 
-def test_without_the_tag_polygons_are_buildings_but_not_woods(written: Written) -> None:
+def test_of_an_export_without_buildings_nothing_is_one(written: Written) -> None:
     wood, water, plain = feature(SQUARE, natural="wood", height=12), feature(SQUARE, natural="water"), feature(SQUARE)
-    with pytest.warns(UserWarning, match=r"left out: 2 are no buildings"):
-        scenario = load_scenario(written(wood, plain, water, start=(-9.0, 0.0, -3.0)))
-    assert [prism.name for prism in scenario.spec.world.obstacles] == ["feature 1"]
-    ending = "has 2 polygons, none of them a building (building=*) among 2 features"
-    for features in ((wood, water), (feature(SQUARE, building="no"), feature(SQUARE, building=None))):
+    no_building = feature(SQUARE, building="no"), feature(SQUARE, building=None), feature(SQUARE, **{"@id": "way/1"})
+    for features in ((water, plain, plain), no_building):
+        ending = "has 3 polygons, none of them a building (building=*) among 3 features"
         assert problem_of(written(*features)).endswith(ending)
+    ending = "among 1 features; 1 are woods or trees (world.buildings.trees makes them obstacles)"
+    assert problem_of(written(wood)).endswith(ending)
+
+
+def test_woods_and_trees_are_obstacles_where_they_are_asked_for(written: Written) -> None:
+    point = {"type": "Point", "coordinates": [50.0, 5.0]}
+    features = [
+        feature(SQUARE, natural="wood"),
+        feature(SQUARE, landuse="forest", height=12),
+        feature(SQUARE, building="yes", height=5),
+        feature(SQUARE, natural="water"),
+        {"type": "Feature", "geometry": point, "properties": {"natural": "tree", "diameter_crown": 8}},
+        {"type": "Feature", "geometry": {**point, "coordinates": [5.0, 50.0]}, "properties": {"natural": "tree"}},
+        {"type": "Feature", "geometry": point, "properties": {"amenity": "bench"}},
+    ]
+    content = written(*features, start=(-9.0, 0.0, -3.0))
+    with pytest.warns(UserWarning, match=r"out: 3 are no buildings \(building=\*\), 3 are neither .*; 4 are woods"):
+        assert len(load_scenario(content).spec.world.obstacles) == 1
+    content["world"]["buildings"]["trees"] = 15.0
+    with pytest.warns(UserWarning, match=r"left out: 1 are no buildings \(building=\*\), 1 are neither [a-z ]*$"):
+        found = load_scenario(content).spec.world.obstacles
+    assert [-prism.z_min for prism in found] == [15.0, 12.0, 5.0, 15.0, 15.0]
+    for prism, middle, radius in zip(found[3:], ([5.0, 50.0], [50.0, 5.0]), (4.0, 2.5), strict=True):
+        corners = np.array(prism.corners_ned)
+        np.testing.assert_allclose(corners.mean(axis=0), middle, atol=1e-9)
+        np.testing.assert_allclose(np.hypot(*(corners - middle).T), radius)
 
 
 def test_corners_of_what_is_no_building_do_not_count(written: Written) -> None:

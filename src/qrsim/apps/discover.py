@@ -47,7 +47,7 @@ class Discover:
     """By which commands act late."""
     train: float = 0.6
     """Share of the log that is used; the rest scores the laws."""
-    boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the one with the most messages)")] = None
+    boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: most messages)")] = None
     """Number of the boot in a DataFlash log that has several, from 1."""
     overwrite: bool = False
     """Replace FILE where it exists."""

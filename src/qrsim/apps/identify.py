@@ -75,7 +75,7 @@ class Identify:
     """Leave out what comes later in each log."""
     namespace: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Of the vehicle's topics in a bag of ROS 2."""
-    boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the one with the most messages)")] = None
+    boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: most messages)")] = None
     """Number of the boot in a DataFlash log that has several, from 1."""
     overwrite: bool = False
     """Replace FILE where it exists."""

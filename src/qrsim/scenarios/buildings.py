@@ -14,7 +14,7 @@ from qrsim.models.scene.contracts import down_at
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.models.site import Site
 from qrsim.scenarios.build import ground_if_any
-from qrsim.scenarios.buildings_file import STOREY, Building, BuildingsFile, read_buildings
+from qrsim.scenarios.buildings_file import STOREY, Building, BuildingsFile, read_buildings, trees_left_out
 from qrsim.scenarios.ground import bounds_of
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, prism_model
 from qrsim.scenarios.schema import ScenarioSpec
@@ -39,7 +39,7 @@ def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[Scenari
     place, path = scenario.site, "world.buildings.file"
     site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
     try:
-        found = read_buildings(spec.file, spec.frame, site)
+        found = read_buildings(spec.file, spec.frame, site, spec.trees)
     except ScenarioError as error:
         return scenario, [f"{path}: {error.source}: {problem}" for problem in error.problems]
     except UsageError as error:
@@ -84,7 +84,7 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
     reasons = [f"{found.others} are no buildings (building=*)"] if found.others else []
     reasons += [f"{found.skipped} are neither polygons nor multipolygons"] if found.skipped else []
     if reasons:
-        warn_user(f"{file}: of its features are left out: {', '.join(reasons)}")
+        warn_user(f"{file}: of its features are left out: {', '.join(reasons)}{trees_left_out(found)}")
 
 
 def _prism(building: Building, height: float, ground: Any) -> Any:

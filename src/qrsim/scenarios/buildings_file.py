@@ -32,14 +32,16 @@ _FEET = re.compile(
     rf"""\s*(?:{_DIGITS}\s*(?:'|\u2032|ft|feet))?\s*(?:{_DIGITS}\s*(?:"|\u2033|in))?\s*""", re.IGNORECASE
 )
 _FOOT = 0.3048
-# Keys of OpenStreetMap: of a building and of a part of one, and of areas that are neither.
+# Keys of OpenStreetMap: of a building and of a part of one, and others by which its exports are known.
 _TAGS = ("building", "building:part")
-_OTHER_TAGS = ("natural", "landuse", "leisure", "waterway", "highway", "barrier")
+_OTHER_TAGS = ("natural", "landuse", "leisure", "waterway", "highway", "barrier", "amenity", "@id")
+# Width of the crown of a tree without the tag diameter_crown [m], and corners of its outline.
+_CROWN, _CROWN_CORNERS = 5.0, 8
 
 
 @dataclass
 class Building:
-    """A building.
+    """A building, or trees.
 
     Attributes:
         name: for messages.
@@ -59,23 +61,26 @@ class BuildingsFile:
     """What a file has.
 
     Attributes:
-        buildings: in the order of the file.
-        skipped: how many features are neither polygon nor multipolygon.
-        others: how many polygons and multipolygons are no buildings.
+        buildings: in the order of the file, with trees if they were asked for.
+        skipped: number of features left out that are neither polygons nor multipolygons.
+        others: number of polygons and multipolygons left out that are no buildings.
+        trees: number of features left out that are trees; they are among the others and the skipped too.
     """
 
     buildings: list[Building] = field(default_factory=list)
     skipped: int = 0
     others: int = 0
+    trees: int = 0
 
 
-def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
+def read_buildings(file: str, frame: str, site: Site, trees: float | None = None) -> BuildingsFile:
     """Read a file of buildings.
 
     Args:
         file: a GeoJSON file with polygons or multipolygons.
         frame: "geodetic": longitude and latitude [deg]; "local": east and north of the site's origin [m].
         site: origin of the local frame.
+        trees: height [m] of woods and trees without one; None: they are left out.
 
     Raises:
         UsageError: the file cannot be read, is no GeoJSON, or is too large.
@@ -84,11 +89,7 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
     content = _content(file)
     _check_frame(file, content, frame)
     everything = list(_features(file, content))
-    tagged = any(tag in properties for _, properties, _ in everything for tag in _TAGS)
-    features = [each for each in everything if _polygons(each[2])]
-    found, problems = BuildingsFile(skipped=len(everything) - len(features)), []
-    features = [each for each in features if _is_building(each[1], tagged)]
-    found.others = len(everything) - found.skipped - len(features)
+    features, found = _chosen(everything, trees is not None)
     points = sum(_points(geometry) for _, _, geometry in features)
     if points > MOST_POINTS:
         raise UsageError(
@@ -97,25 +98,26 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
         )
     # Once, and not of each feature, where it is not installed.
     load("buildings", "a file of buildings", "shapely")
+    problems = []
     for name, properties, geometry in features:
-        polygons = _polygons(geometry)
+        polygons = _polygons(geometry) or [None]
         for i, rings in enumerate(polygons):
             path = name if len(polygons) == 1 else f"{name}, polygon {i}"
             try:
-                if not isinstance(rings, list) or not rings:
-                    raise UsageError("its coordinates are no rings of pairs of numbers")
-                placed = [_placed(ring, frame, site) for ring in rings]
-                _check(placed, rings)
+                placed = [_crown(properties, geometry, frame, site)] if rings is None else _outline(rings, frame, site)
                 height, base = _heights(properties)
             except UsageError as error:
                 problems.append(f"{path}: {error}")
                 continue
+            if height is None and _is_tree(properties):
+                height = trees
             found.buildings.append(Building(path, placed, height, base))
     if problems:
         raise ScenarioError(file, problems)
     if not found.buildings:
         what = f"{found.others} polygons, none of them a building (building=*)" if found.others else "no polygon"
-        raise UsageError(f"{file}: has {what}{f' among {len(everything)} features' if everything else ''}")
+        among = f" among {len(everything)} features" if everything else ""
+        raise UsageError(f"{file}: has {what}{among}{trees_left_out(found)}")
     if len(found.buildings) > MOST_OBSTACLES:
         raise UsageError(f"{file}: has {len(found.buildings)} buildings; allowed: at most {MOST_OBSTACLES}")
     return found
@@ -171,11 +173,40 @@ def _features(file: str, content: dict[str, Any]) -> Iterator[tuple[str, dict[st
         yield name, properties, geometry if isinstance(geometry, dict) else {}
 
 
-def _is_building(properties: dict[str, Any], tagged: bool) -> bool:
-    """Return whether a polygon is one; ``tagged``: its file says of each what it is."""
-    if tagged:
-        return any(properties.get(tag) not in (None, False, "", "no") for tag in _TAGS)
-    return not any(properties.get(tag) for tag in _OTHER_TAGS)
+def _chosen(
+    everything: list[tuple[str, dict[str, Any], dict[str, Any]]], trees: bool
+) -> tuple[list[tuple[str, dict[str, Any], dict[str, Any]]], BuildingsFile]:
+    """Return the features that become obstacles, and how many are left out.
+
+    In exports of OpenStreetMap the buildings are ``building=*``; in files without its keys all polygons are.
+    """
+    of_osm = any(tag in properties for _, properties, _ in everything for tag in (*_TAGS, *_OTHER_TAGS))
+    chosen, found = [], BuildingsFile()
+    for feature in everything:
+        _, properties, geometry = feature
+        outlined = bool(_polygons(geometry))
+        building = outlined and (not of_osm or _has(properties, *_TAGS))
+        tree = not building and _is_tree(properties) and (outlined or geometry.get("type") == "Point")
+        if building or (tree and trees):
+            chosen.append(feature)
+        else:
+            found.skipped += not outlined
+            found.others += outlined
+            found.trees += tree
+    return chosen, found
+
+
+def trees_left_out(found: BuildingsFile) -> str:
+    """Return a remark on trees that were left out, "" if none were."""
+    return f"; {found.trees} are woods or trees (world.buildings.trees makes them obstacles)" if found.trees else ""
+
+
+def _has(properties: dict[str, Any], *tags: str) -> bool:
+    return any(properties.get(tag) not in (None, False, "", "no") for tag in tags)
+
+
+def _is_tree(properties: dict[str, Any]) -> bool:
+    return properties.get("natural") in ("wood", "tree") or properties.get("landuse") == "forest"
 
 
 def _polygons(geometry: dict[str, Any]) -> list[Any]:
@@ -194,26 +225,54 @@ def _polygons(geometry: dict[str, Any]) -> list[Any]:
 
 
 def _points(geometry: dict[str, Any]) -> int:
-    return sum(
+    return int(geometry.get("type") == "Point") + sum(
         len(ring) if isinstance(ring, list) else 0
         for rings in _polygons(geometry)
         for ring in (rings if isinstance(rings, list) else [])
     )
 
 
+def _outline(rings: Any, frame: str, site: Site) -> list[Ring]:
+    """Return the rings of a polygon in NED; raises UsageError where they are none."""
+    if not isinstance(rings, list) or not rings:
+        raise UsageError("its coordinates are no rings of pairs of numbers")
+    placed = [_placed(ring, frame, site) for ring in rings]
+    _check(placed)
+    return placed
+
+
+def _crown(properties: dict[str, Any], geometry: dict[str, Any], frame: str, site: Site) -> Ring:
+    """Return the outline of the crown of a tree that is a point."""
+    ((north, east),) = _in_metres(_pairs([geometry.get("coordinates")]), frame, site)
+    radius = (_length(properties, "diameter_crown") or _CROWN) / 2.0
+    angles = [2.0 * math.pi * i / _CROWN_CORNERS for i in range(_CROWN_CORNERS)]
+    return [[north + radius * math.cos(angle), east + radius * math.sin(angle)] for angle in angles]
+
+
 def _placed(ring: Any, frame: str, site: Site) -> Ring:
     """Return the corners [north, east] [m] of a ring, without the last one, which is the first again."""
-    try:
-        corners = np.array([point[:2] for point in ring], np.float64)
-    except (TypeError, ValueError, KeyError, OverflowError):
-        corners = np.zeros((0, 0))
-    if corners.ndim != 2 or corners.shape[1:] != (2,) or not np.isfinite(corners).all():
-        raise UsageError("its coordinates are no rings of pairs of numbers")
+    corners = _pairs(ring)
     corners = corners[np.append((corners[1:] != corners[:-1]).any(axis=1), True)]
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
         corners = corners[:-1]
     if not 3 <= len(corners) <= MOST_CORNERS:
         raise UsageError(f"a ring has {len(corners)} corners; allowed: 3 to {MOST_CORNERS}")
+    return _in_metres(corners, frame, site)
+
+
+def _pairs(points: Any) -> Any:
+    """Return points as GeoJSON has them as an array (k, 2); raises UsageError where they are none."""
+    try:
+        pairs = np.array([point[:2] for point in points], np.float64)
+    except (TypeError, ValueError, KeyError, OverflowError):
+        pairs = np.zeros((0, 0))
+    if pairs.ndim != 2 or pairs.shape[1:] != (2,) or not np.isfinite(pairs).all():
+        raise UsageError("its coordinates are no rings of pairs of numbers")
+    return pairs
+
+
+def _in_metres(corners: Any, frame: str, site: Site) -> Ring:
+    """Return corners (k, 2) of a file as [north, east] [m] each."""
     if frame == "local":
         far = float(np.hypot(*corners.T).max())
         if far > FARTHEST:
@@ -232,7 +291,7 @@ def _placed(ring: Any, frame: str, site: Site) -> Ring:
     return [point[:2] for point in local_ned(site, [(latitude, longitude, 0.0) for longitude, latitude in corners])]
 
 
-def _check(placed: list[Ring], written: Any) -> None:
+def _check(placed: list[Ring]) -> None:
     """Refuse an outline that crosses itself, and holes that are not in it."""
     if len(placed) - 1 > MOST_HOLES:
         raise UsageError(f"it has {len(placed) - 1} holes; allowed: at most {MOST_HOLES}")

@@ -104,6 +104,12 @@ class BuildingsSpec(Strict):
     default_height: Finite = Field(
         9.0, description="height [m] of buildings that have neither height nor building:levels", gt=0, le=1000
     )
+    trees: Finite | None = Field(
+        None,
+        description="height [m] of woods and trees of OpenStreetMap without a height; default: they are left out",
+        gt=0,
+        le=1000,
+    )
     table: MaskSpec = Field(
         default_factory=lambda: MaskSpec.model_validate({}), description="what obstacles hide of the sky"
     )
