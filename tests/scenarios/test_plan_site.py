@@ -48,14 +48,12 @@ def test_a_plan_far_from_the_site_is_told_once(write: Write) -> None:
 
     assert told((47.0089, 8.0, 469.9)) == []
     (words,) = told((47.0091, 8.0, 450.0))
-    assert (
-        "0.plan: its home is 1.01 km from the site and 0 m below site.height, 450 m; site: {plan: {file: ...}}" in words
-    )
+    assert "0.plan: its home is 1.01 km from the site; site: {plan: FILE} takes the site from it" in words
     (words,) = told((47.0, 8.0, 550.0), site={**SITE, "height": 450.0})
-    assert "0.plan: its home is 0 m from the site and 100 m above site.height, 450 m; site:" in words
-    (words,) = told((47.0, 8.0, 429.9), (47.1889, 8.0, 450.0))
+    assert "0.plan: its home is 100 m above site.height, 450 m; site: {plan: FILE}" in words
+    (words,) = told((47.0, 8.0, 429.9), (47.1889, 8.0, 350.0))
     assert (
-        "1.plan: its home is 21 km from the site and 0 m below site.height, 450 m (and 1 more of its kind); site:"
+        "1.plan: its home is 21 km from the site and 100 m below site.height, 450 m (and 1 more of its kind); site:"
         in words
     )
     fence = write((47.0, 8.0, 550.0), "fence.plan", polygon())
@@ -71,6 +69,14 @@ def test_the_site_may_be_the_home_of_a_plan(write: Write) -> None:
     assert (spec.site.latitude_deg, spec.site.longitude_deg, spec.site.height) == (-33.0, 151.0, 135.0)
     assert spec.fleets["a"].vehicles[0].position_ned == [0.0, 0.0, -12.0]
     assert "plan" not in load_scenario(content).to_yaml()
+    # The name of the file alone is enough, relative to the scenario's folder.
+    short = {**scenario({"plan": file}), "site": {"plan": file}}
+    assert load_scenario(short).spec == load_scenario(content).spec
+    path = Path(file).with_name("short.yaml")
+    path.write_text(
+        "site: {plan: survey.plan}\nfleets: {a: {sensors: noisy, vehicles: [{plan: survey.plan}]}}\nname: x\n"
+    )
+    assert load_scenario(str(path)).spec.site == spec.site
     # It takes the place of the site of what is extended, and of the scenario's own by --set.
     alone = {"extends": "outdoor_patrol", "name": "x", "site": {"plan": {"file": file}}}
     assert load_scenario(alone).spec.site == spec.site

@@ -9,11 +9,9 @@ from qrsim.errors import UsageError
 from qrsim.models.site import Site
 from qrsim.scenarios.plan import Plan
 from qrsim.scenarios.plan_file import read_plan
-from qrsim.scenarios.schema import SiteSpec
+from qrsim.scenarios.schema import HIGHEST_SITE, LOWEST_SITE, SiteSpec
 
 NUMBERS = ("latitude_deg", "longitude_deg", "height")
-# Heights that a site may have [m].
-LOWEST, HIGHEST = -500.0, 9000.0
 # Further apart [m], a plan and a site are hardly meant to be the same field. Heights above the sea, which plans have,
 # and above the ellipsoid differ by more than this in places, so that it is a warning and no error.
 FAR, HIGH = 1000.0, 20.0
@@ -31,29 +29,31 @@ def home_of(site: SiteSpec) -> list[float]:
     if given := [name for name in NUMBERS if name in site.model_fields_set]:
         raise UsageError(f"{file}: gives {', '.join(NUMBERS)}; leave out {', '.join(given)} of site, or the plan")
     home = read_plan(file).home
-    if not LOWEST <= home.altitude_amsl <= HIGHEST:
-        raise UsageError(f"{file}: its home is at {home.altitude_amsl:g} m; allowed: {LOWEST:g} to {HIGHEST:g}")
+    if not LOWEST_SITE <= home.altitude_amsl <= HIGHEST_SITE:
+        raise UsageError(
+            f"{file}: its home is at {home.altitude_amsl:g} m; allowed: {LOWEST_SITE:g} to {HIGHEST_SITE:g}"
+        )
     return [home.latitude_deg, home.longitude_deg, home.altitude_amsl]
 
 
 def far_from_home(plans: Mapping[str, Plan], site: Site) -> str | None:
     """Return a sentence on the plan whose home is farthest from the site, None where all are near."""
-    apart = {}
+    far = {}
     for file, plan in plans.items():
         place = math.radians(plan.home.latitude_deg), math.radians(plan.home.longitude_deg)
         north, east, _ = site.geodetic_to_ned(*place, site.height)
-        apart[file] = math.hypot(north, east), plan.home.altitude_amsl - site.height
-    far = {file: each for file, each in apart.items() if each[0] > FAR or abs(each[1]) > HIGH}
+        distance, rise = math.hypot(north, east), plan.home.altitude_amsl - site.height
+        if distance > FAR or abs(rise) > HIGH:
+            far[file] = distance, rise
     if not far:
         return None
     file = max(far, key=lambda each: math.hypot(*far[each]))
     distance, rise = far[file]
+    apart_by = [f"{_length(distance)} from the site"] if distance > FAR else []
+    if abs(rise) > HIGH:
+        apart_by.append(f"{_length(abs(rise))} {'above' if rise > 0.0 else 'below'} site.height, {site.height:g} m")
     others = f" (and {len(far) - 1} more of its kind)" if len(far) > 1 else ""
-    return (
-        f"{file}: its home is {_length(distance)} from the site and {_length(abs(rise))} "
-        f"{'above' if rise > 0.0 else 'below'} site.height, {site.height:g} m{others}; site: {{plan: {{file: ...}}}} "
-        "takes the site from it"
-    )
+    return f"{file}: its home is {' and '.join(apart_by)}{others}; site: {{plan: FILE}} takes the site from it"
 
 
 def _length(metres: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -166,14 +166,31 @@ def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def anchor_files(content: Any, folder: Path) -> None:
+def anchor_files(content: dict[str, Any], folder: Path) -> None:
     """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
 
-    A name that is not there but is one of the public recordings means the recording.
+    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``. A name that is not there but is one of the
+    public recordings means the recording.
     """
+    for part in _with_plans(content):
+        if isinstance(part, dict) and isinstance(part.get("plan"), str):
+            part["plan"] = {"file": part["plan"]}
+    _anchor(content, folder)
+
+
+def _with_plans(content: dict[str, Any]) -> Iterator[Any]:
+    """Yield the site and the vehicles, whatever the user gave for them."""
+    yield content.get("site")
+    fleets = content.get("fleets")
+    for fleet in fleets.values() if isinstance(fleets, dict) else ():
+        vehicles = fleet.get("vehicles") if isinstance(fleet, dict) else None
+        yield from vehicles if isinstance(vehicles, list) else ()
+
+
+def _anchor(content: Any, folder: Path) -> None:
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for part in parts:
-        anchor_files(part, folder)
+        _anchor(part, folder)
     if isinstance(content, dict) and isinstance(content.get("file"), str):
         file = Path(os.path.abspath(folder / os.path.expanduser(content["file"])))
         recorded = content["file"] in RECORDINGS and not file.exists()

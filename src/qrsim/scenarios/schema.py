@@ -36,6 +36,8 @@ from qrsim.scenarios.slots import Maker, slot, slot_of
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 LONGEST_ROUTE, MOST_CORNERS, MOST_SPANS = 2000, 1000, 100
+# Of the origin over the ellipsoid [m].
+LOWEST_SITE, HIGHEST_SITE = -500.0, 9000.0
 Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 # Where a vehicle flies is given in one of these.
 ROUTES = ("waypoints_ned", "waypoints_geodetic", "plan", "legs")
@@ -101,6 +103,11 @@ class PlanSpec(Strict):
     file: str = Field(description="a QGroundControl .plan file", min_length=1)
 
 
+def _or_its_file(schema: dict[str, Any]) -> None:
+    """Add the file alone to the JSON schema of a plan."""
+    schema["anyOf"].append({"type": "string"})
+
+
 class VehicleSpec(Strict):
     """One vehicle: where it starts and where it flies; once loaded, in NED only."""
 
@@ -119,7 +126,10 @@ class VehicleSpec(Strict):
         [], description="route, instead of NED", max_length=LONGEST_ROUTE, exclude=True
     )
     plan: PlanSpec | None = Field(
-        None, description="route from a file, instead of waypoints; also the start, if none is given", exclude=True
+        None,
+        description="route from a file, instead of waypoints; also the start, if none is given",
+        exclude=True,
+        json_schema_extra=_or_its_file,
     )
     legs: list[LegSpec] = Field(
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
@@ -368,8 +378,13 @@ class SiteSpec(Strict):
 
     latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
     longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
-    height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=-500, le=9000)
-    plan: PlanSpec | None = Field(None, description="the home of a plan, instead of the three numbers", exclude=True)
+    height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
+    plan: PlanSpec | None = Field(
+        None,
+        description="the home of a plan, instead of the three numbers",
+        exclude=True,
+        json_schema_extra=_or_its_file,
+    )
 
 
 class RangeSpec(Strict):
