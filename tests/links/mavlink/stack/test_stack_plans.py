@@ -105,7 +105,7 @@ def test_a_mission_is_paused_resumed_and_set_to_an_item():
     puppet.run(2.0)
     assert puppet.seen.position_ned == pytest.approx(here, abs=0.05)
     assert not puppet.stack.set_current(4)
-    assert puppet.do(224, 9) == 2
+    assert puppet.do(224, 9) == 4
     assert puppet.do(224, 0) == 0
     puppet.stack.set_mode(1, 0x04040000)
     puppet.run(20.0, lambda now: now.stack.mission().seq == 1)
@@ -124,11 +124,61 @@ def test_a_jump_repeats_as_often_as_it_says():
     assert puppet.stack.mode is Mode.RTL
 
 
-def test_items_that_jump_to_each_other_do_not_hang():
-    puppet = Puppet()
-    puppet.stack.accept(MISSION, [item(i, JUMP, frame=2, params=(1 - i, -1, 0, 0)) for i in range(2)])
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_the_mission_item_is_set_and_the_mission_reset_as_autopilots_do(flavour):
+    """PX4's navigator_main.cpp and the matrix of its tests: -1 keeps the item, 4 is FAILED, 2 DENIED."""
+    puppet = Puppet(flavour)
+    assert [puppet.do(224, *params) for params in ((-1, 1), (0, 0), (9, 1))] == [4, 4, 4]
+    puppet.stack.accept(MISSION, [item(i, WAYPOINT, 5 * i + 5, 0, 5.0) for i in range(3)])
+    given = {(-1, 0): 0, (-1, 1): 0, (2, 0): 0, (1, 1): 0, (3, 0): 4, (-2, 0): 2, (1.5, 0): 2, (1, 2): 2, (1, -1): 2}
+    assert {params: puppet.do(224, *params) for params in given} == given
+    assert puppet.stack.mission().seq == 1
     puppet.do(300)
-    puppet.run(1.0)
+    assert puppet.run(60.0, lambda now: now.stack.mission().state is MissionState.COMPLETE)
+    assert puppet.do(224, -1, 0) == 0
+    assert puppet.stack.mission().state is MissionState.COMPLETE
+    assert puppet.do(224, -1, 1) == 0
+    assert (puppet.stack.mission().state, puppet.stack.mission().seq) == (MissionState.PAUSED, 2)
+    # ArduPilot's item 0 is home, and stands for the whole plan.
+    assert puppet.do(224, 0) == 0
+    assert puppet.stack.mission().seq == (0 if flavour == "px4" else 1)
+
+
+@pytest.mark.parametrize(("reset", "visits"), [(0, 3), (1, 4)])
+def test_a_reset_counts_jumps_from_zero_again(reset, visits):
+    items = [item(0, TAKEOFF, up=5.0), item(1, WAYPOINT, 5, 0, 5.0), item(2, WAYPOINT, 0, 5, 5.0)]
+    items += [item(3, JUMP, frame=2, params=(1, 2, 0, 0)), item(4, WAYPOINT, 5, 0, 5.0)]
+    puppet = Puppet()
+    puppet.stack.accept(MISSION, items)
+    puppet.do(300)
+    assert puppet.run(60.0, lambda now: now.kinds("item_reached").count(1) == 2)
+    assert puppet.do(224, -1, reset) == 0
+    assert puppet.run(60.0, lambda now: now.stack.mission().state is MissionState.COMPLETE)
+    assert puppet.kinds("item_reached").count(1) == visits
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        [item(1, JUMP, frame=2, params=(2, -1, 0, 0)), item(2, JUMP, frame=2, params=(1, -1, 0, 0))],
+        [item(1, SPEED, frame=2, params=(1, 3.0, -1, 0)), item(2, JUMP, frame=2, params=(1, -1, 0, 0))],
+    ],
+)
+def test_a_mission_that_jumps_for_ever_without_flying_ends(others):
+    puppet = flown([item(0, WAYPOINT, 5, 0, 5.0), *others])
+    assert puppet.stack.mode is Mode.HOLD
+    assert puppet.texts[-2:] == ["DO JUMP is cycling, giving up", "Mission finished, loitering"]
+    puppet.run(5.0)
+    assert puppet.seen.position_ned == pytest.approx((5.0, 0.0, -5.0), abs=0.9)
+
+
+def test_a_jump_for_ever_to_a_place_goes_on():
+    puppet = Puppet()
+    puppet.stack.accept(MISSION, [item(0, WAYPOINT, 1, 0, 5.0), item(1, JUMP, frame=2, params=(0, -1, 0, 0))])
+    puppet.do(300)
+    puppet.run(40.0)
+    assert puppet.kinds("item_reached").count(1) > 255
+    assert puppet.stack.mission().state is MissionState.ACTIVE
 
 
 def test_loiters_take_their_time_and_turns_go_round():

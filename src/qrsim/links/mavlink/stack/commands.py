@@ -210,10 +210,11 @@ def _set_home(stack: Flight, command: Command) -> Result:
 
 
 def _set_current(stack: Flight, command: Command) -> Result:
-    seq = command.params[0]
-    if math.isnan(seq) or seq != int(seq) or not stack.plan.set_current(int(seq), stack.craft):
+    """Obey DO_SET_MISSION_CURRENT, with the answers of PX4's Navigator and ArduPilot 4.8."""
+    seq, reset = command.params[0], _number(command.params[1])
+    if math.isnan(seq) or seq < -1.0 or seq != int(seq) or reset not in (0.0, 1.0):
         return Result.DENIED
-    return Result.ACCEPTED
+    return Result.ACCEPTED if stack.plan.set_current(int(seq), stack.craft, reset == 1.0) else Result.FAILED
 
 
 def _reboot(stack: Flight, command: Command) -> Result:

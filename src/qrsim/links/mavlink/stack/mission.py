@@ -16,6 +16,9 @@ from qrsim.links.mavlink.stack.landing import Descent
 HEIGHT_RADIUS = 0.8
 # A jump with this many repeats has no end.
 FOR_EVER = -1.0
+# A mission ends after so many jumps without an item that is flown: AP_Mission passes as many DO items, and PX4's
+# MissionBase gives up after 10 jumps to jumps.
+MOST_JUMPS = 255
 
 
 class Mission:
@@ -41,6 +44,7 @@ class Mission:
         self.state = MissionState.NO_MISSION
         self.returns = self.landed = self.rises = self.lands = False
         self._jumps: dict[int, int] = {}
+        self._cycles = 0
         self.descent = Descent()
         self._forget()
 
@@ -83,15 +87,26 @@ class Mission:
         """Return what MISSION_CURRENT says."""
         return MissionStatus(self.current, len(self.items), self.state, in_mode)
 
-    def set_current(self, seq: int, craft: Craft) -> bool:
-        """Go on with another item; return whether there is one."""
-        if not 0 <= seq < len(self.items):
+    def set_current(self, seq: int, craft: Craft, reset: bool = False) -> bool:
+        """Go on with another item; return whether there is one.
+
+        An item before the first that is flown stands for the whole plan, as with ArduPilot.
+
+        Args:
+            seq: of the item; -1: go on with the present one.
+            craft: that is told.
+            reset: whether jumps count from zero again, and a mission that was completed can go on.
+        """
+        if not -1 <= seq < len(self.items) or not self.items:
             return False
-        self.current = seq
-        self._jumps.clear()
-        self._forget()
-        if self.state is MissionState.COMPLETE:
-            self.state = MissionState.NOT_STARTED
+        reset = reset or -1 < seq < self._first
+        if reset or self.state is MissionState.COMPLETE:
+            self._jumps.clear()
+        if self.state is MissionState.COMPLETE and (reset or seq >= 0):
+            self.state = MissionState.PAUSED
+        if seq >= 0:
+            self.current = min(max(seq, self._first), len(self.items) - 1)
+            self._forget()
         craft.tell("mission")
         return True
 
@@ -127,6 +142,8 @@ class Mission:
         for _ in range(len(self.items)):
             item = self.items[self.current]
             done, order = self._fly_item(item, craft)
+            if not done or order is not None:
+                self._cycles = 0
             if not done:
                 return order, False
             over = self._next(item, craft)
@@ -143,8 +160,12 @@ class Mission:
             jumped, times = self._jumps.get(self.current, 0), item.params[1]
             if times == FOR_EVER or jumped < times:
                 self._jumps[self.current] = jumped + 1
+                self._cycles += 1
                 following = int(item.params[0])
         over = following >= len(self.items) or self.returns
+        if self._cycles > MOST_JUMPS:
+            craft.say(Severity.CRITICAL, "DO JUMP is cycling, giving up")
+            over, self._cycles = True, 0
         if over:
             self.state = MissionState.COMPLETE
             self.landed = item.command == plan.LAND
