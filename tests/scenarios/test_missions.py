@@ -138,6 +138,34 @@ def test_a_plan_is_flown_and_not_ignored(planned: str) -> None:
     assert float(flown.command.throttle[-1, 0]) == 0.0
 
 
+def test_legs_from_one_on_are_flown_for_ever(tmp_path: Path) -> None:
+    """Up, then a triangle of 12 m sides: 4 m/s take 3 s a side and more; a plan with a jump for ever is the same."""
+    corners = [to(12.0, 0.0, -20.0), to(6.0, 10.4, -20.0), to(0.0, 0.0, -20.0)]
+    content = scenario({"type": "take_off", "height": 20.0}, *corners, seconds=40.0)
+    vehicle = content["fleets"]["a"]["vehicles"][0]
+    vehicle["repeat_from"] = 1
+    loaded = load_scenario(content)
+    simulation = Simulation(loaded.world(), seed=1, name="for_ever")
+    simulation.reset()
+    now = simulation.record(2000).state.fleets[0]
+    # Three sides, and the three that are repeated; it is up already.
+    assert set(now.guidance.index[:, 0].tolist()) == {1, 2, 3, 4, 5, 6}
+    assert (np.diff(now.guidance.index[:, 0]) < 0).sum() >= 1
+    assert not now.guidance.finished.any()
+    vehicle["repeat_from"] = 4
+    with pytest.raises(ScenarioError, match=r"fleets.a.vehicles.0.repeat_from: is 4; allowed: below 4, the number of"):
+        load_scenario(content)
+    places = [[HOME[0] + 1e-4 * i, HOME[1], 20] for i in range(3)]
+    items = [plan_item(16, [0, 0, 0, None, *place]) for place in places]
+    mission = {"version": 2, "plannedHomePosition": [*HOME, 0.0], "items": [*items, plan_item(177, [2, -1, *[0] * 5])]}
+    path = tmp_path / "loop.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}))
+    del content["fleets"]["a"]["vehicles"][0]
+    content["fleets"]["a"]["vehicles"] = [{"plan": str(path)}]
+    (planned,) = load_scenario(content).spec.fleets["a"].vehicles
+    assert ([leg.item for leg in planned.legs], planned.repeat_from) == ([1, 2, 3, 2, 3], 3)
+
+
 def test_a_run_tells_of_its_missions(tmp_path: Path) -> None:
     """Leg 2 of the first is 40 m away, and the run ends on the way; the third never comes as near as it is to come."""
     guidance = {"type": "mission", "leg_timeout": 2.0}

@@ -332,11 +332,24 @@ BAD: dict[str, tuple[Any, str]] = {
         "mission.items.0.params: expected 7 values, found 4",
     ),
     # What cannot be flown.
-    "jump": (
-        plan(item(16, *GOOD), item(177, 1, 3, 0)),
-        "mission.items.1.command: 177 (DO_JUMP) cannot be flown (item 2); flown: 16 (NAV_WAYPOINT), "
+    "jump to nowhere": (
+        plan(item(16, *GOOD), item(177, 7, 3, 0, 0, 0, 0, 0)),
+        "mission.items.1.params.0: 7 is the doJumpId of no item; there: 1, 2",
+    ),
+    "jump by text": (
+        plan(item(16, *GOOD), item(177, "a", 3, 0, 0, 0, 0, 0)),
+        "mission.items.1.params.0: expected a number, found 'a'",
+    ),
+    "jump too often": (
+        plan(item(16, *GOOD), item(177, 1, 1e6, 0, 0, 0, 0, 0)),
+        "mission.items.0: jumps lead through more than 20000 items",
+    ),
+    "spline": (
+        plan(item(16, *GOOD), item(82, *GOOD)),
+        "mission.items.1.command: 82 (NAV_SPLINE_WAYPOINT) cannot be flown (item 2); flown: 16 (NAV_WAYPOINT), "
         "17 (NAV_LOITER_UNLIM), 18 (NAV_LOITER_TURNS), 19 (NAV_LOITER_TIME), 20 (NAV_RETURN_TO_LAUNCH), 21 (NAV_LAND), "
-        "22 (NAV_TAKEOFF), 31 (NAV_LOITER_TO_ALT), 93 (NAV_DELAY), 115 (CONDITION_YAW), 178 (DO_CHANGE_SPEED)",
+        "22 (NAV_TAKEOFF), 31 (NAV_LOITER_TO_ALT), 93 (NAV_DELAY), 115 (CONDITION_YAW), 178 (DO_CHANGE_SPEED), "
+        "177 (DO_JUMP)",
     ),
     "unknown command": (
         plan(item(999)),
@@ -442,6 +455,53 @@ BAD: dict[str, tuple[Any, str]] = {
 }
 
 
+def jump(to: int, times: float) -> dict[str, Any]:
+    return item(177, to, times, 0, 0, 0, 0, 0, frame=MISSION)
+
+
+def speed(wanted: float) -> dict[str, Any]:
+    return item(178, 1, wanted, -1, 0, 0, 0, 0, frame=MISSION)
+
+
+def flown(path: str) -> tuple[list[int], int | None]:
+    found = read_plan(path)
+    return [waypoint.item for waypoint in found.waypoints], found.again
+
+
+def test_jumps_are_followed_as_often_as_they_say(write: Write) -> None:
+    """A jump of two repeats flies its items three times; one inside another counts once, as autopilots count."""
+    places = [item(16, 47.0, 8.0 + 1e-4 * i, 10.0) for i in range(4)]
+    assert flown(write(plan(*places[:3], jump(2, 2), places[3]))) == ([1, 2, 3, 2, 3, 2, 3, 5], None)
+    assert flown(write(plan(*places[:2], jump(1, 0), places[2]))) == ([1, 2, 4], None)
+    inner = plan(*places[:2], jump(2, 1), jump(1, 2), places[2])
+    assert flown(write(inner)) == ([1, 2, 2, 1, 2, 1, 2, 5], None)
+    assert flown(write(plan(places[0], jump(4, 1), places[1], places[2]))) == ([1, 4], None)
+    # As QGroundControl writes it: a jump leads to the id of an item.
+    named = [{**each, "doJumpId": 10 * i} for i, each in enumerate(places, 1)]
+    assert flown(write(plan(*named[:2], jump(20, 1), named[2]))) == ([1, 2, 2, 4], None)
+    # What is asked on the way is asked again.
+    content = plan(places[0], speed(3.0), places[1], speed(6.0), jump(1, 1), places[2])
+    assert [waypoint.speed for waypoint in read_plan(write(content)).waypoints] == [None, 3.0, 6.0, 3.0, 6.0]
+
+
+def test_a_jump_for_ever_says_where_the_plan_goes_on(write: Write) -> None:
+    places = [item(16, 47.0, 8.0 + 1e-4 * i, 10.0) for i in range(3)]
+    path = write(plan(*places, jump(2, -1), item(20)))
+    assert flown(path) == ([1, 2, 3, 2, 3], 3)
+    texts = [(note.text, note.route_text) for note in read_plan(path).ignored]
+    never = "item 5, NAV_RETURN_TO_LAUNCH: never reached, because DO_JUMP (item 4) repeats for ever"
+    assert texts == [("item 4, DO_JUMP: ", "item 4, DO_JUMP: repeated once, not for ever"), (never, never)]
+    # A delay at the head of the loop is a hold at its end, every time.
+    delayed = read_plan(write(plan(places[0], item(93, 5, 0, 0, 0, 0, 0, 0), places[1], jump(2, -1))))
+    assert ([waypoint.hold for waypoint in delayed.waypoints], delayed.again) == ([5.0, 5.0, 5.0], 2)
+    # Jumps that fly nothing end the plan, as autopilots give up.
+    for others in ([jump(3, -1), jump(2, -1)], [speed(3.0), jump(2, -1)]):
+        path = write(plan(places[0], *others))
+        assert flown(path) == ([1], None)
+        assert any(note.text.endswith("jumps for ever over items that are not flown; the plan ends there")
+                   for note in read_plan(path).ignored)  # fmt: skip
+
+
 @pytest.mark.parametrize("case", BAD)
 def test_bad_plans(write: Write, case: str) -> None:
     content, words = BAD[case]
@@ -455,7 +515,7 @@ def test_bad_plans(write: Write, case: str) -> None:
 
 def test_all_problems_are_reported_at_once(write: Write) -> None:
     content = plan(
-        item(177), item(16, *GOOD, frame=10), item(16, *GOOD), survey(item(82, *GOOD)),
+        item(82), item(16, *GOOD, frame=10), item(16, *GOOD), survey(item(82, *GOOD)),
         geoFence={"version": 2, "polygons": [polygon()], "circles": [circle(-1)]},
     )  # fmt: skip
     with pytest.raises(ScenarioError) as caught:

@@ -59,9 +59,9 @@ class _Author:
         place = Vec3(*(np.array([value], np.float64) for value in (north, east, 0.0)))  # type: ignore[arg-type]
         return float(down_at(self.ground, place)[0])
 
-    def legs(self, specs: list[Any]) -> list[list[Leg]]:
-        """Return the parts of each leg."""
-        return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs)]
+    def legs(self, specs: list[Any], first: int = 0) -> list[list[Leg]]:
+        """Return the parts of each leg from the first on."""
+        return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs[first:], first)]
 
     def _parts(self, spec: Any, j: int) -> list[Leg]:
         where = f"{self.path}.{j}"
@@ -165,6 +165,11 @@ def _specs(vehicle: VehicleSpec) -> tuple[str, list[Any]]:
     return "waypoints_ned", [FlyLeg.model_validate({"to_ned": waypoint}) for waypoint in vehicle.waypoints_ned]
 
 
+def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
+    """Return the index of the leg that follows the last one, None where none does."""
+    return 0 if vehicle.repeat_from is None and fleet.guidance.repeat else vehicle.repeat_from
+
+
 def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: Any, path: str) -> _Author:
     north, east, down = vehicle.position_ned
     return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
@@ -188,9 +193,15 @@ def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground
     for i, vehicle in enumerate(fleet.vehicles):
         name, specs = _specs(vehicle)
         author = _author(fleet, vehicle, ground, f"{path}.vehicles.{i}.{name}")
-        legs = author.legs(specs)
-        if fleet.guidance.repeat:
-            author.legs(specs)
+        legs, again = author.legs(specs), _again(fleet, vehicle)
+        if again is not None:
+            author.legs(specs, again)
+        if vehicle.repeat_from is not None and not vehicle.repeat_from < len(vehicle.legs):
+            yield (
+                f"{path}.vehicles.{i}.repeat_from: is {vehicle.repeat_from}; allowed: below {len(vehicle.legs)}, the "
+                "number of legs"
+            )
+            continue
         yield from dict.fromkeys(author.problems)
         for j, parts in enumerate(legs if name == "legs" else ()):
             for problem in _outside(f"{author.path}.{j}", parts, scenario, author):
@@ -222,13 +233,14 @@ def mission(fleet: FleetSpec, ground: Any) -> Mission:
     for vehicle in fleet.vehicles:
         author = _author(fleet, vehicle, ground, "")
         _, specs = _specs(vehicle)
-        first = [leg for parts in author.legs(specs) for leg in parts]
+        each, start = author.legs(specs), _again(fleet, vehicle)
+        first = [leg for parts in each for leg in parts]
         legs = first or [Leg(author.start, yaw=vehicle.yaw_rad)]
         following = None
-        if fleet.guidance.repeat and len(first) > 1:
+        if start is not None and len(first) > 1:
             # From the second time on the first leg begins where the last one ends.
             following = len(legs)
-            legs = [*legs, *(leg for parts in author.legs(specs) for leg in parts)]
+            legs = [*legs, *(leg for parts in author.legs(specs, start) for leg in parts)]
         plans.append(plan(author.start, legs, limits, following))
         again.append(following)
     return mission_of(plans, again, limits)

@@ -121,6 +121,7 @@ class _Places:
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
+        again = vehicle.repeat_from
         for j, leg in enumerate(legs):
             legs[j] = self._leg(f"{path}.legs.{j}", leg)
         if vehicle.waypoints_geodetic:
@@ -149,8 +150,8 @@ class _Places:
             start = next(iter(self._attempt(f"{path}.position_geodetic", lambda: local_ned(self.site, [place]))), [])
             self.written[f"{path}.position_ned"] = f"{path}.position_geodetic"
         if vehicle.plan and mission and start and vehicle.plan.file in self.flown:
-            legs = self._legs(path, vehicle.plan.file, start)
-        changes = {"position_ned": start, "waypoints_ned": route, "legs": legs}
+            legs, again = self._legs(path, vehicle.plan.file, start)
+        changes = {"position_ned": start, "waypoints_ned": route, "legs": legs, "repeat_from": again}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
 
     def _leg(self, path: str, leg: Any) -> Any:
@@ -162,16 +163,17 @@ class _Places:
         self.written[path] = f"{path}.to_geodetic"
         return leg.model_copy(update={"to_ned": points[0] if points else [0.0, 0.0, 0.0], "to_geodetic": None})
 
-    def _legs(self, path: str, file: str, start: list[float]) -> list[Any]:
-        """Return the legs of a plan for a vehicle that starts at a place."""
+    def _legs(self, path: str, file: str, start: list[float]) -> tuple[list[Any], int | None]:
+        """Return the legs of a plan for a vehicle that starts at a place, and which follows the last."""
         plan, home = self.flown[file], self.flown[file].home
         points = [(w.latitude_deg, w.longitude_deg, w.height_above_home) for w in plan.waypoints]
         home_ned, *places = local_ned(self.site, [(home.latitude_deg, home.longitude_deg, 0.0), *points])
-        legs = TypeAdapter(list[LegSpec]).validate_python(legs_of(plan, start, places, home_ned))
+        written, again = legs_of(plan, start, places, home_ned)
+        legs = TypeAdapter(list[LegSpec]).validate_python(written)
         for j, leg in enumerate(legs):
             what = f"item {leg.item}" if leg.item else "a delay at the start"
             self.written[f"{path}.legs.{j}"] = f"{path}.plan: {file}: {what}"
-        return legs
+        return legs, again
 
     def _plan(self, file: str, needs_start: bool) -> list[list[float]]:
         """Return the start of a plan, then its route."""

@@ -93,7 +93,16 @@ class Ignored:
 
 @dataclass(frozen=True)
 class Plan:
-    """Content of a .plan file; waypoints are in the order of flight, after a delay at the start [s]."""
+    """Content of a .plan file.
+
+    Attributes:
+        home: of the plan.
+        waypoints: in the order of flight.
+        polygons, circles: its fence.
+        ignored: what is not flown.
+        delay: at the start [s].
+        again: index of the waypoint that follows the last one; None: none does.
+    """
 
     home: Home
     waypoints: tuple[Waypoint, ...]
@@ -101,3 +110,4 @@ class Plan:
     circles: tuple[FenceCircle, ...]
     ignored: tuple[Ignored, ...]
     delay: float = 0.0
+    again: int | None = None

@@ -15,6 +15,7 @@ from qrsim.errors import ScenarioError
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.scenarios.legs import LONGEST_HOLD
 from qrsim.scenarios.plan import FenceCircle, FencePolygon, Home, Ignored, Plan, Waypoint
+from qrsim.scenarios.plan_jumps import JUMP, SimpleItem, in_order
 from qrsim.scenarios.plan_parts import (
     LARGEST_LENGTH,
     PlanFaultError,
@@ -70,7 +71,7 @@ NOT_FLOWN = {
 # Names, for messages, of others that occur in plans.
 _OTHERS = {
     82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND",
-    94: "NAV_PAYLOAD_PLACE", 113: "CONDITION_CHANGE_ALT", 176: "DO_SET_MODE", 177: "DO_JUMP", 179: "DO_SET_HOME",
+    94: "NAV_PAYLOAD_PLACE", 113: "CONDITION_CHANGE_ALT", 176: "DO_SET_MODE", 179: "DO_SET_HOME",
     208: "DO_PARACHUTE", 3000: "DO_VTOL_TRANSITION",
 }  # fmt: skip
 _ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
@@ -87,9 +88,10 @@ _FLYABLE = {
 def read_plan(path: str | Path) -> Plan:
     """Read a .plan file, version 1 with a mission of version 2 and a fence of version 2.
 
-    A take-off without a place is above the last waypoint, or above home; a return is a waypoint above home at the
-    height of the last. Landings are waypoints at the height they have. What a mission does at its waypoints (speeds,
-    holds, delays, headings, circles) is theirs; cameras and the like are in ``ignored``.
+    Jumps are followed; one for ever is followed once and then leads to ``again``. A take-off without a place is above
+    the last waypoint, or above home; a return is a waypoint above home at the height of the last. Landings are
+    waypoints at the height they have. What a mission does at its waypoints (speeds, holds, delays, headings, circles)
+    is theirs; cameras and the like are in ``ignored``.
 
     Raises:
         UsageError: the file cannot be read or is no JSON.
@@ -108,12 +110,13 @@ def read_plan(path: str | Path) -> Plan:
         raise ScenarioError(source, [str(fault)]) from None
     route, fence = _Route(home), _Fence()
     route.add_all(items, "mission.items")
+    route.fly()
     fence.add_all(content)
-    if problems := route.problems + fence.problems:
+    if problems := [*dict.fromkeys(route.problems), *fence.problems]:
         raise ScenarioError(source, with_lines(source, problems))
     return Plan(
-        home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles), (*route.ignored, *fence.ignored),
-        route.delay,
+        home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles),
+        (*dict.fromkeys(route.ignored), *fence.ignored), route.delay, route.again,
     )  # fmt: skip
 
 
@@ -125,14 +128,53 @@ class _Route:
         self.waypoints: list[Waypoint] = []
         self.ignored: list[Ignored] = []
         self.problems: list[str] = []
+        self.items: list[SimpleItem] = []
+        self.again: int | None = None
         self.number = 0
         self.ended_by = ""
         self.delay = 0.0
         self.speed: float | None = None
         self.yaw_deg: float | None = None
 
+    def fly(self) -> None:
+        """Add the waypoints of all items, in the order of flight."""
+        try:
+            flight = in_order(self.items)
+        except PlanFaultError as fault:
+            self.problems.append(str(fault))
+            return
+        first, more = flight.again, []
+        for i, item in enumerate(flight.items):
+            if i == first:
+                self.again = len(self.waypoints)
+            self._add_one(item)
+        if flight.jump is None or first is None:
+            return
+        if self.again in (None, len(self.waypoints)):
+            what = "jumps for ever over items that are not flown; the plan ends there"
+            self.again, more = None, [Ignored(flight.jump.number, "DO_JUMP", what)]
+        else:
+            # Delays between the jump and the next waypoint belong to the last one.
+            for item in flight.items[first:]:
+                if item.content.get("command") in FLOWN:
+                    break
+                self._add_one(item)
+            more = [Ignored(flight.jump.number, "DO_JUMP", "", "repeated once, not for ever")]
+        never = f"never reached, because DO_JUMP (item {flight.jump.number}) repeats for ever"
+        for item in self.items:
+            if item.number in flight.unreached:
+                more.append(Ignored(item.number, _name_of(item.content.get("command")), never))
+        self.ignored += more
+
+    def _add_one(self, item: SimpleItem) -> None:
+        self.number = item.number
+        try:
+            self._add(item.content, item.path)
+        except PlanFaultError as fault:
+            self.problems.append(str(fault))
+
     def add_all(self, items: list[Any], where: str, inside: bool = False) -> None:
-        """Add mission items; those of a survey are ``inside`` another item."""
+        """Take mission items; those of a survey are ``inside`` another item."""
         for i, item in enumerate(items):
             path = f"{where}.{i}"
             try:
@@ -140,8 +182,7 @@ class _Route:
                 if kind == "ComplexItem" and not inside:
                     self._add_survey(item, path)
                 elif kind == "SimpleItem":
-                    self.number += 1
-                    self._add(item, path)
+                    self.items.append(SimpleItem(len(self.items) + 1, path, item))
                 else:
                     supported = "'SimpleItem'" if inside else "'SimpleItem', 'ComplexItem'"
                     raise PlanFaultError(f"{path}.type: is {shown(kind)}; supported: {supported}")
@@ -174,7 +215,7 @@ class _Route:
             return
         if command not in FLOWN:
             name = f" ({_OTHERS[command]})" if command in _OTHERS else ""
-            names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY}
+            names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY, JUMP: "DO_JUMP"}
             flown = ", ".join(f"{each} ({words})" for each, words in names.items())
             raise PlanFaultError(
                 f"{path}.command: {command}{name} cannot be flown (item {self.number}); flown: {flown}"
@@ -283,6 +324,12 @@ class _Route:
             last = self.waypoints[-1]
             self.waypoints[-1] = replace(last, hold=last.hold + seconds)
         return ""
+
+
+def _name_of(command: Any) -> str:
+    """Return the name of a command for messages."""
+    names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY, **NOT_FLOWN, **_OTHERS}
+    return names.get(command, str(command)) if isinstance(command, int) else "?"
 
 
 def _params(item: dict[str, Any], path: str) -> list[Any]:

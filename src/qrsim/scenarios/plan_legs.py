@@ -23,8 +23,10 @@ def touches_ground(plan: Plan) -> bool:
     return any(w.command in ("NAV_TAKEOFF", "NAV_LAND", "NAV_RETURN_TO_LAUNCH") for w in plan.waypoints)
 
 
-def legs_of(plan: Plan, start_ned: list[float], places_ned: list[list[float]], home_ned: list[float]) -> list[Any]:
-    """Return the legs of a plan as a scenario writes them.
+def legs_of(
+    plan: Plan, start_ned: list[float], places_ned: list[list[float]], home_ned: list[float]
+) -> tuple[list[Any], int | None]:
+    """Return the legs of a plan as a scenario writes them, and the index of the one that follows the last.
 
     Args:
         plan: its waypoints.
@@ -33,12 +35,13 @@ def legs_of(plan: Plan, start_ned: list[float], places_ned: list[list[float]], h
         home_ned: of the plan [m].
     """
     legs: list[Any] = [{"type": "loiter", "time": plan.delay}] if plan.delay > 0.0 else []
-    here = start_ned
-    for waypoint, place in zip(plan.waypoints, places_ned, strict=True):
+    here, again = start_ned, None
+    for i, (waypoint, place) in enumerate(zip(plan.waypoints, places_ned, strict=True)):
+        again = len(legs) if i == plan.again else again
         own = _legs_at(waypoint, place, here, home_ned)
         legs += [{**leg, **_shared(waypoint)} for leg in own]
         here = _after(waypoint, place, here, home_ned)
-    return legs
+    return legs, again
 
 
 def _shared(waypoint: Waypoint) -> dict[str, Any]:

@@ -134,6 +134,9 @@ class VehicleSpec(Strict):
     legs: list[LegSpec] = Field(
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
     )
+    repeat_from: int | None = Field(
+        None, description="index of the leg that follows the last one; default: none does", ge=0, strict=True
+    )
 
     @model_validator(mode="after")
     def _one_of_each(self) -> VehicleSpec:
