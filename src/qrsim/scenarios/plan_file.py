@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError
-from qrsim.models.scene.fence import polygon_problems
 from qrsim.scenarios.legs import LONGEST_HOLD
-from qrsim.scenarios.plan import FenceCircle, FencePolygon, Home, Ignored, Plan, Waypoint
+from qrsim.scenarios.plan import Home, Ignored, Plan, Waypoint
+from qrsim.scenarios.plan_fence import PlannedFence
 from qrsim.scenarios.plan_jumps import JUMP, SimpleItem, in_order
 from qrsim.scenarios.plan_parts import (
     LARGEST_LENGTH,
     PlanFaultError,
     check_kind,
-    check_version,
     number_of,
     of_kind,
     part_of,
@@ -108,7 +107,7 @@ def read_plan(path: str | Path) -> Plan:
         items = part_of(mission, "items", list, "mission")
     except PlanFaultError as fault:
         raise ScenarioError(source, [str(fault)]) from None
-    route, fence = _Route(home), _Fence()
+    route, fence = _Route(home), PlannedFence()
     route.add_all(items, "mission.items")
     route.fly()
     fence.add_all(content)
@@ -347,59 +346,3 @@ def _asked_of(field: str, number: float, where: str) -> float:
     if not low <= number <= high:
         raise PlanFaultError(f"{where}: {number:g} is out of range; allowed: {low:g} to {high:g} {unit}")
     return number
-
-
-class _Fence:
-    """The fence so far, and what was found wrong or is not used."""
-
-    def __init__(self) -> None:
-        self.polygons: list[FencePolygon] = []
-        self.circles: list[FenceCircle] = []
-        self.ignored: list[Ignored] = []
-        self.problems: list[str] = []
-
-    def add_all(self, content: dict[str, Any]) -> None:
-        """Add the fence of a plan; plans may have none, and no rally points."""
-        has_rally = "rallyPoints" in content
-        try:
-            fence = section_of(content, "geoFence", 2) if "geoFence" in content else {"polygons": [], "circles": []}
-            polygons, circles = (part_of(fence, key, list, "geoFence") for key in ("polygons", "circles"))
-            rally = (
-                part_of(part_of(content, "rallyPoints", dict, ""), "points", list, "rallyPoints") if has_rally else []
-            )
-        except PlanFaultError as fault:
-            self.problems.append(str(fault))
-            return
-        for key, entries, add in (("polygons", polygons, self._add_polygon), ("circles", circles, self._add_circle)):
-            for i, entry in enumerate(entries):
-                path = f"geoFence.{key}.{i}"
-                try:
-                    check_version(of_kind(entry, dict, path), 1, path)
-                    add(entry, path)
-                except PlanFaultError as fault:
-                    self.problems.append(str(fault))
-        if fence.get("breachReturn"):
-            self.ignored.append(Ignored(None, "geoFence.breachReturn", "not used"))
-        if rally:
-            self.ignored.append(Ignored(None, "rallyPoints.points", f"{len(rally)} not used"))
-
-    def _add_polygon(self, entry: dict[str, Any], path: str) -> None:
-        inclusion = part_of(entry, "inclusion", bool, path)
-        where = f"{path}.polygon"
-        corners = []
-        for i, corner in enumerate(part_of(entry, "polygon", list, path)):
-            latitude, longitude = place_of(of_kind(corner, list, f"{where}.{i}"), f"{where}.{i}", 2)
-            corners.append((latitude, longitude))
-        for problem in polygon_problems(corners):
-            raise PlanFaultError(f"{where}: {problem}")
-        self.polygons.append(FencePolygon(inclusion, tuple(corners)))
-
-    def _add_circle(self, entry: dict[str, Any], path: str) -> None:
-        inclusion = part_of(entry, "inclusion", bool, path)
-        circle = part_of(entry, "circle", dict, path)
-        where = f"{path}.circle"
-        latitude, longitude = place_of(part_of(circle, "center", list, where), f"{where}.center", 2)
-        radius = number_of(circle.get("radius"), f"{where}.radius", LARGEST_LENGTH, "m")
-        if radius <= 0.0:
-            raise PlanFaultError(f"{where}.radius: {radius:g} m is not above 0")
-        self.circles.append(FenceCircle(inclusion, latitude, longitude, radius))
