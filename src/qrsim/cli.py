@@ -174,7 +174,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if received := interruptions.received():  # a library has made another exception of it
             return _interrupted(received)
         if isinstance(error, OSError) and error.errno in _NAMES and isinstance(error.filename, str):
-            _print_error(f"{shortened(error.filename, 100)}: {error.strerror}")
+            _print_error(f"{visible(shortened(error.filename, 100))}: {error.strerror}")
             return 2
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             _discard_output()
@@ -198,7 +198,7 @@ def _plain_warnings() -> None:
     import warnings
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"warning: {visible(str(message))}", file=sys.stderr)
+        print(f"warning: {_visible_lines(str(message))}", file=sys.stderr)
 
     warnings.showwarning = show
 
@@ -282,8 +282,13 @@ def _print_error(message: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    text = Text.assemble(("error: ", "bold red"), visible(message))
+    text = Text.assemble(("error: ", "bold red"), _visible_lines(message))
     Console(stderr=True, soft_wrap=True, highlight=False).print(text)
+
+
+def _visible_lines(text: str) -> str:
+    """Return a text of several lines without control characters; those of qrsim's own errors have none already."""
+    return "\n".join(map(visible, text.split("\n")))
 
 
 def _discard_output() -> None:

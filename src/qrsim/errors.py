@@ -14,9 +14,22 @@ LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
 
 
 class QrsimError(Exception):
-    """Base of every error that qrsim raises on purpose; the command line prints it without a traceback."""
+    """Base of every error that qrsim raises on purpose; the command line prints it without a traceback.
+
+    Each argument is a line of the message. Names and values of inputs may have line ends and control characters in
+    them: these are written out, so that a line stays one. In another message (``f"{error}"``) all is one line.
+    """
 
     exit_code = 1
+
+    def __init__(self, *lines: object):
+        super().__init__(*(visible(line) if isinstance(line, str) else line for line in lines))
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.args))
+
+    def __format__(self, spec: str) -> str:
+        return format("; ".join(line.strip() for line in str(self).split("\n")), spec)
 
 
 class UsageError(QrsimError, ValueError):
@@ -34,12 +47,12 @@ class ScenarioError(UsageError):
 
     def __init__(self, source: str, problems: Iterable[str]):
         self.source = source
-        self.problems = list(problems)
+        self.problems = [visible(problem) for problem in problems]
         count = len(self.problems)
         head = f"{source}: {count} problem{'s' if count != 1 else ''}"
         lines = [f"  {shortened(problem)}" for problem in self.problems[:MOST_PROBLEMS]]
         more = [f"  ... and {count - MOST_PROBLEMS} more"] if count > MOST_PROBLEMS else []
-        super().__init__("\n".join([head, *lines, *more]))
+        super().__init__(head, *lines, *more)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # By its own arguments, which are not those of Exception; notes and the like are in the dict.
@@ -57,7 +70,7 @@ class LogError(UsageError):
 
     def __init__(self, message: str, details: Iterable[str] = ()):
         super().__init__(message)
-        self.details = list(details)
+        self.details = [visible(line) for line in details]
 
 
 class RunError(QrsimError):
@@ -86,9 +99,9 @@ def shortened(text: str, most: int = LONGEST_PROBLEM) -> str:
 
 
 def visible(text: str) -> str:
-    """Return a text with its control characters escaped, except line ends and tabs: a terminal would obey them."""
+    """Return a text in one line: line ends and control characters, except tabs, are written as escapes."""
     return "".join(
-        character if character.isprintable() or character in "\n\t" else ascii(character)[1:-1] for character in text
+        character if character.isprintable() or character == "\t" else ascii(character)[1:-1] for character in text
     )
 
 
@@ -121,10 +134,10 @@ def did_you_mean_file(path: Path) -> str:
 
 
 def warn_user(message: str) -> None:
-    """Warn of something unusual; the warning names the line outside qrsim that led here."""
+    """Warn of something unusual, in one line; the warning names the line outside qrsim that led here."""
     depth = 1
     while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] == "qrsim":
         if sys._getframe(depth).f_back is None:
             break
         depth += 1
-    warnings.warn(message, UserWarning, stacklevel=depth + 1)
+    warnings.warn(visible(message), UserWarning, stacklevel=depth + 1)

@@ -90,7 +90,7 @@ def _bring(status: recordings.FileStatus, wanted: list[str]) -> None:
             recordings.fetch_file(status.name, folder, bar)
     except RunError as error:
         missing = wanted[wanted.index(status.name) :]
-        raise RunError(f"{error}\n{recordings.fetch_by_hand(missing, folder)}") from error
+        raise RunError(str(error), *recordings.fetch_by_hand(missing, folder)) from error
     print(f"fetched  {status.name}")
 
 

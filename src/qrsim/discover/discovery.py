@@ -203,8 +203,8 @@ def _rejected(
             told = ", ".join(f"{each} {after[each]:.3g} ({variance[each]:.3g})" for each in channels)
             found[name] = f"held-out mean squared errors are no smaller than the variances: {told}"
     if len(found) == len(laws):
-        lines = [f"{log.source}: no law explains the held-out part, and nothing is written"]
-        raise RunError("\n".join([*lines, *(f"  {name}: {why}" for name, why in found.items())]))
+        head = f"{log.source}: no law explains the held-out part, and nothing is written"
+        raise RunError(head, *(f"  {name}: {why}" for name, why in found.items()))
     return found
 
 

@@ -164,8 +164,8 @@ def _reason(error: Exception) -> str:
     return f"no answer ({type(error).__name__})"
 
 
-def fetch_by_hand(names: list[str], folder: Path) -> str:
-    """Explain how to get a recording without network access."""
-    rows = [f"  {RECORDINGS[name].url}\n    as {folder / name}" for name in names]
+def fetch_by_hand(names: list[str], folder: Path) -> list[str]:
+    """Explain, line by line, how to get a recording without network access."""
+    rows = [line for name in names for line in (f"  {RECORDINGS[name].url}", f"    as {folder / name}")]
     check = f"then check with: {FOLDER_VARIABLE}={shlex.quote(str(folder))} qrsim data where"
-    return "\n".join(["by hand, on a machine with network access, save", *rows, check])
+    return ["by hand, on a machine with network access, save", *rows, check]

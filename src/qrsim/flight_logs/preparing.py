@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qrsim.errors import LogError
+from qrsim.errors import LogError, visible
 from qrsim.flight_logs.signals import ANGLES, SIGNALS, FlightLog, Floats, Track
 
 DT = 0.02
@@ -65,9 +65,9 @@ def _jump(tracks: Mapping[str, Track], first: float, last: float) -> str:
 
 
 def _together(notes: list[str], names: list[str]) -> list[str]:
-    """Return notes that say the same of several signals as one."""
+    """Return notes, each in one line, and those that say the same of several signals as one."""
     whom: dict[str, list[str]] = {}
-    for note in notes:
+    for note in map(visible, notes):
         name, _, what = note.partition(": ")
         if name in names:
             whom.setdefault(what, []).append(name)
