@@ -57,6 +57,8 @@ class Export:
     """Heights of kml: above the ground, or above the WGS-84 ellipsoid."""
     distro: Annotated[str, tyro.conf.arg(metavar="NAME")] = "jazzy"
     """Of ROS 2, that is to read the bag: humble, iron, jazzy, kilted or lyrical."""
+    code: bool = False
+    """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
     force: bool = False
     """Overwrite files that exist."""
     json: bool = False
@@ -75,7 +77,7 @@ class Export:
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         if self.distro != "jazzy" and self.format != "rosbag2":
             raise UsageError(f"--distro {self.distro}: only rosbag2 is of a distribution of ROS 2, not {self.format}")
-        recorded = open_run(self.run_folder, skip_damaged=True)
+        recorded = open_run(self.run_folder, skip_damaged=True, code=self.code)
         if recorded.unfinished:
             print(recorded.unfinished, file=sys.stderr)
         every = self.every or self._usual_every(recorded)

@@ -69,6 +69,8 @@ class Plot:
     """Picture to write: .png, .pdf or .svg."""
     show: Annotated[bool, tyro.conf.arg(name="list")] = False
     """Print all quantities with unit and meaning, and draw nothing."""
+    code: bool = False
+    """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
     json: bool = False
     """Print the quantities, or where the picture is, as JSON."""
 
@@ -77,7 +79,7 @@ class Plot:
         self._check()
         from qrsim.runs import open_run
 
-        recorded = open_run(self.run_folder)
+        recorded = open_run(self.run_folder, code=self.code)
         if recorded.unfinished:
             print(recorded.unfinished, file=sys.stderr)
         if self.show:

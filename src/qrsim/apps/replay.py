@@ -29,6 +29,8 @@ class Replay:
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: not kept)")
     ] = None
     """Run folder for the flight of now."""
+    code: bool = False
+    """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> int:
         """Fly, compare, print."""
@@ -37,7 +39,7 @@ class Replay:
         from qrsim.runs.compare import compare_runs
         from qrsim.runs.compare_report import print_report
 
-        recorded = open_run(self.run_folder)
+        recorded = open_run(self.run_folder, code=self.code)
         with tempfile.TemporaryDirectory(prefix="qrsim-replay-") as folder:
             again = open_run(replay(recorded, self.out or Path(folder) / "again"))
             # Events of the controllers themselves are not there again.

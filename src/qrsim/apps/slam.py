@@ -60,6 +60,8 @@ class SlamCommand:
         Path | None, tyro.conf.arg(name="run", metavar="RUN", help_behavior_hint="(default: none)")
     ] = None
     """Take this recorded run in place of new flights."""
+    code: bool = False
+    """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Vehicle of the run."""
     vehicles: int = 1
@@ -111,6 +113,7 @@ class SlamCommand:
             raise UsageError("--sweep: takes the size of the errors from coloured flights; leave out --noise white")
 
     def _solve_run(self, folder: Path) -> None:
+        from qrsim.runs import open_run
         from qrsim.runs.picture import save_picture
         from qrsim.slam.estimate import from_run
         from qrsim.slam.figures import draw_run
@@ -119,7 +122,8 @@ class SlamCommand:
         if self.vehicles > 1:
             self._solve_together(folder)
             return
-        found = from_run(folder, graph=self.graph, states=self.states, vehicle=self.vehicle)
+        run = open_run(folder, code=self.code)
+        found = from_run(run, graph=self.graph, states=self.states, vehicle=self.vehicle)
         result = _of_run(found)
         if self.out is not None:
             save_picture(lambda: draw_run(found), self.out / "trajectory.png")
@@ -135,9 +139,10 @@ class SlamCommand:
             print(f"\nfigure and numbers: {self.out}")
 
     def _solve_together(self, folder: Path) -> None:
+        from qrsim.runs import open_run
         from qrsim.slam.team_report import solve_run_together, text_of_run
 
-        found, result = solve_run_together(folder, self.vehicles, self.states)
+        found, result = solve_run_together(open_run(folder, code=self.code), self.vehicles, self.states)
         if self.out is not None:
             from qrsim.runs.picture import save_picture
             from qrsim.slam.team_figures import draw_together

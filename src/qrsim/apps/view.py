@@ -59,6 +59,8 @@ class View:
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
     has a token, and only who knows it can look and steer; nothing is encrypted."""
+    code: bool = False
+    """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> None:
         """Check, and show."""
@@ -69,7 +71,7 @@ class View:
         from qrsim.runs import open_run
         from qrsim.view.recording import Recording
 
-        recording = Recording(open_run(self.run_folder))
+        recording = Recording(open_run(self.run_folder, code=self.code))
         end = recording.end
         if self.at is not None and self.at > end + 1e-6:
             raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,18 +23,23 @@ from qrsim.runs.episodes import EPISODES_FILE, episode_folders, holds_episodes, 
 from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo, stream_schema
 from qrsim.runs.parts import StreamParts
 
+if TYPE_CHECKING:
+    from qrsim.scenarios.scenario import Scenario
+
 _INFO = TypeAdapter(RunInfo)
 # A part is written every few seconds: a run of a year has as many.
 MOST_PARTS = 10_000_000
 
 
-def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
+def open_run(path: Path | str, *, skip_damaged: bool = False, code: bool = False) -> Run:
     """Open a run folder for reading, as it is now; reopen it to see newer data.
 
     Args:
         path: the run folder; or a folder of the episodes of a server's session, which is the run of its episode where
             there is one, and otherwise has nothing but ``episodes``.
         skip_damaged: leave damaged and missing parts out, with a warning for each, instead of raising.
+        code: load the Python files and modules that the recorded scenario names, where it has to be built again;
+            they can do anything, so only where you trust who wrote the folder.
 
     Raises:
         UsageError: there is no run folder at ``path``; and where one of several episodes is to be read as a run.
@@ -49,8 +54,8 @@ def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
     if holds_episodes(folder):
         found = episode_folders(folder)
         if len(found) == 1:
-            return open_run(found[0], skip_damaged=skip_damaged)
-        return _Episodes(folder, found, skip_damaged)
+            return open_run(found[0], skip_damaged=skip_damaged, code=code)
+        return _Episodes(folder, found, skip_damaged, code)
     if not (folder / RUN_FILE).is_file():
         raise UsageError(_not_a_run(folder))
     # Before the parts are listed: these are then at least as many as the counts in it.
@@ -59,7 +64,7 @@ def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
         scenario_yaml = read_text(folder / SCENARIO_FILE, LARGEST_DATA)
     except OSError as error:
         raise RunError(f"cannot read {folder / SCENARIO_FILE}: {error.strerror or error}") from error
-    return Run(folder, info, scenario_yaml, skip_damaged)
+    return Run(folder, info, scenario_yaml, skip_damaged, code)
 
 
 class Run:
@@ -71,9 +76,9 @@ class Run:
         scenario_yaml: the resolved scenario, as text.
     """
 
-    def __init__(self, folder: Path, info: RunInfo, scenario_yaml: str, skip_damaged: bool = False):
+    def __init__(self, folder: Path, info: RunInfo, scenario_yaml: str, skip_damaged: bool = False, code: bool = False):
         """Use ``open_run``."""
-        self.folder, self.info, self.scenario_yaml = folder, info, scenario_yaml
+        self.folder, self.info, self.scenario_yaml, self._code = folder, info, scenario_yaml, code
         self._parts = {
             stream: StreamParts(stream, folder / stream, _part_numbers(folder / stream), count, skip_damaged)
             for stream, count in info.parts.items()
@@ -88,6 +93,19 @@ class Run:
             return parse_yaml(self.scenario_yaml, str(source), own=True)
         except ScenarioError as error:
             raise RunError(f"{source} is damaged: {error.problems[0]}") from error
+
+    def built(self) -> Scenario:
+        """Return the recorded scenario, checked as if it were to be flown, without warnings.
+
+        Raises:
+            ScenarioError: it cannot be flown any more, or names code that is not loaded (see ``open_run``).
+            RunError: the file is not YAML.
+        """
+        from qrsim.scenarios.scenario import load_scenario
+
+        if not isinstance(self.scenario, dict):
+            raise ScenarioError(str(self.folder / SCENARIO_FILE), ["expected keys and values such as name: hover"])
+        return load_scenario(self.scenario, quiet=True, named_code=self._code)
 
     @property
     def episodes(self) -> tuple[Run, ...]:
@@ -173,12 +191,12 @@ class Run:
 class _Episodes(Run):
     """Several runs in one folder, which have to be told apart before anything is read."""
 
-    def __init__(self, folder: Path, found: list[Path], skip_damaged: bool):
-        self.folder, self._found, self._skip_damaged = folder, found, skip_damaged
+    def __init__(self, folder: Path, found: list[Path], skip_damaged: bool, code: bool):
+        self.folder, self._found, self._skip_damaged, self._code = folder, found, skip_damaged, code
 
     @property
     def episodes(self) -> tuple[Run, ...]:
-        return tuple(open_run(folder, skip_damaged=self._skip_damaged) for folder in self._found)
+        return tuple(open_run(folder, skip_damaged=self._skip_damaged, code=self._code) for folder in self._found)
 
     def __getattr__(self, name: str) -> Any:
         # All else that a run has is that of one episode.

@@ -104,14 +104,14 @@ def surroundings_of(run: Run) -> Surroundings:
         known = {}
     known["task"] = "" if kind == "none" else kind
     try:
-        known |= _goals(run, content) if kind in WITH_GOALS else {}
+        known |= _goals(run) if kind in WITH_GOALS else {}
     except (QrsimError, OSError) as error:
         return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
     parts = [world.get(name) for name in ("plume", "terrain", "persons")]
     if all(not isinstance(part, dict) or part.get("type") in ABSENT for part in parts):
         return Surroundings(**known)
     try:
-        return Surroundings(**known, **_drawn_again(run, content))
+        return Surroundings(**known, **_drawn_again(run))
     except (QrsimError, OSError) as error:
         return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
 
@@ -125,30 +125,28 @@ def _area(area: Any) -> tuple[Floats, tuple[float, float]]:
     return np.array([[south, west], [north, west], [north, east], [south, east]]), down
 
 
-def _goals(run: Run, content: Any) -> dict[str, Floats]:
+def _goals(run: Run) -> dict[str, Floats]:
     """Return where a simple task wants its vehicles."""
     from qrsim.core.vectors import Vec3
-    from qrsim.scenarios.scenario import load_scenario
     from qrsim.tasks.places import goals_of
 
     if "truth" not in run or not len(run["truth"].time):
         return {}
-    scenario = load_scenario(content, quiet=True)
+    scenario = run.built()
     world, task = scenario.world(run.info.precision), scenario.task(run.info.precision)
     start = vectors(run["truth"], "position_ned", slice(0, 1))[0]
     own: Any = start[world.rows_of(task.fleet)].astype(run.info.precision)
     return {"goals": goals_of(task, world, Vec3(*own.T))} if len(own) else {}
 
 
-def _drawn_again(run: Run, content: Any) -> dict[str, Any]:
+def _drawn_again(run: Run) -> dict[str, Any]:
     """Draw again what the seed alone decides."""
     import jax
 
     from qrsim.core.noise import Key
-    from qrsim.scenarios.scenario import load_scenario
     from qrsim.world.draws import keys_of
 
-    scenario = load_scenario(content, quiet=True)
+    scenario = run.built()
     precision = run.info.precision
     world, task = scenario.world(precision), scenario.task(precision)
     key = Key.root(run.info.seed, 0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import QrsimError
+from qrsim.errors import QrsimError, warn_user
 from qrsim.runs.reader import Run
 
 Floats = np.ndarray[Any, Any]
@@ -31,7 +31,7 @@ class Terrain:
             height = ground.get("height", 0.0) if isinstance(ground, dict) else 0.0
             self._down = -float(height) if isinstance(height, int | float) else 0.0
         else:
-            self._ground = _built(content)
+            self._ground = _built(run)
         self.level = self._ground is None
 
     def down(self, north: Floats, east: Floats) -> Floats:
@@ -52,12 +52,12 @@ def terrain_of(run: Run) -> Terrain:
     return Terrain(run)
 
 
-def _built(content: Any) -> Any:
-    """Return the ground of a scenario, None where it cannot be built any more."""
+def _built(run: Run) -> Any:
+    """Return the ground of a run's scenario; None, with a warning, where it cannot be built any more."""
     from qrsim.scenarios.build import ground_of
-    from qrsim.scenarios.scenario import load_scenario
 
     try:
-        return ground_of(load_scenario(content, quiet=True).spec)
-    except (QrsimError, OSError):
+        return ground_of(run.built().spec)
+    except (QrsimError, OSError) as error:
+        warn_user(f"{run.folder}: the ground is drawn level, because it cannot be built: {error}")
         return None

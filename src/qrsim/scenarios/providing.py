@@ -11,6 +11,9 @@ from qrsim.files import code
 from qrsim.scenarios import catalogue, registry
 from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
 
+# How to load the code that a recorded scenario names.
+TRUST = "if you trust its author, --code loads it, in Python open_run(..., code=True)"
+
 
 def places(content: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield path, kind and content of every component with a type in a scenario."""
@@ -46,16 +49,26 @@ def anchor_code(content: Any, folder: Path) -> None:
             part["type"] = code.anchored(part["type"], folder)
 
 
-def provide_components(content: Any, source: str) -> None:
+def provide_components(content: Any, source: str, named_code: bool = True) -> None:
     """Load and register the components of a scenario that are not built in.
+
+    Args:
+        content: of the scenario.
+        source: of it, for messages.
+        named_code: whether to load files and modules that it names; else those of installed packages alone.
 
     Raises:
         ScenarioError: some cannot be loaded, or are no such components; all are listed.
     """
     problems = []
     for path, kind, part in places(content):
+        name = part["type"]
+        if code.is_code(name) and not named_code:
+            if name not in catalogue.KINDS[kind]:
+                problems.append(f"{path}.type: {name} is Python code, which is not loaded to look at a run; {TRUST}")
+            continue
         try:
-            registry.provide(kind, part["type"])
+            registry.provide(kind, name)
         except UsageError as error:
             problems.append(f"{path}.type: {error}")
     if problems:

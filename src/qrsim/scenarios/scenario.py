@@ -116,7 +116,12 @@ def _of_content(content: dict[str, Any]) -> Scenario:
 
 
 def load_scenario(
-    source: str | Path | dict[str, Any], overrides: Iterable[str] = (), *, quiet: bool = False, local: bool = True
+    source: str | Path | dict[str, Any],
+    overrides: Iterable[str] = (),
+    *,
+    quiet: bool = False,
+    local: bool = True,
+    named_code: bool = True,
 ) -> Scenario:
     """Read and check a scenario; warn of allowed values that cannot fly.
 
@@ -125,6 +130,7 @@ def load_scenario(
         overrides: assignments such as "world.wind.speed_20ft=7", applied before the check.
         quiet: whether to leave out the warnings, where somebody has had them or many variants are tried.
         local: whether the user of this machine wrote it; only then is code loaded that it names.
+        named_code: False loads components of installed packages, but no file and no module that it names.
 
     Raises:
         UsageError: there is no such scenario.
@@ -146,7 +152,7 @@ def load_scenario(
     insert_forecast(content, name)
     insert_sensor_sets(content, name)
     if local:
-        provide_components(content, name)
+        provide_components(content, name, named_code)
     try:
         spec = ScenarioSpec.model_validate(content)
     except ValidationError as error:

@@ -17,7 +17,6 @@ from qrsim.models.sensors.ranging import Ranging as RangingSensor
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
 from qrsim.runs import Run
 from qrsim.runs.reader import Stream
-from qrsim.scenarios.scenario import load_scenario
 from qrsim.slam.between import BETWEEN_STD, Between, pairs_of
 from qrsim.slam.flight import Believed, Flight, Floats, make_flight, ticks_between
 from qrsim.world.state import Fleet, period_ticks
@@ -46,7 +45,7 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
     """
     index = _index(run, vehicle)
     ticks = ticks_between(state_period, run.info.time_step)
-    world = load_scenario(run.scenario, quiet=True).world("float64")
+    world = run.built().world("float64")
     fleet, number = _fleet(world.fleets, index)
     count = _whole(run, "truth")
     commands = _columns(run, "commands", COMMAND_FIELDS, index, count)
@@ -212,7 +211,7 @@ def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, state
         UsageError: no such vehicle, or ranges that come between states.
         RunError: no vehicle has a sensor ``ranging`` that ranges to vehicles.
     """
-    world = load_scenario(run.scenario, quiet=True).world("float64")
+    world = run.built().world("float64")
     ticks, measured = ticks_between(state_period, run.info.time_step), _whole(run, "measurements")
     indices = [_index(run, name) for name in vehicles]
     pairs = pairs_of(len(vehicles))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
+    from qrsim.runs import Run
     from qrsim.slam.cooperative import CooperativeSlam
 
 MEANING = {
@@ -69,19 +69,17 @@ def numbers_of_run(found: CooperativeSlam) -> dict[str, Any]:
 
 
 def solve_run_together(
-    folder: Path, vehicles: int, states: Literal["full", "poses"]
+    run: Run, vehicles: int, states: Literal["full", "poses"]
 ) -> tuple[CooperativeSlam, dict[str, Any]]:
     """Solve the first vehicles of a run together; return the solution and its numbers.
 
     Raises:
         UsageError: the run has fewer vehicles.
     """
-    from qrsim.runs import open_run
     from qrsim.slam.team_run import cooperative_from_run
 
-    run = open_run(folder)
     if vehicles > len(run.vehicles):
-        raise UsageError(f"--vehicles {vehicles}: {folder} has {len(run.vehicles)}: {', '.join(run.vehicles)}")
+        raise UsageError(f"--vehicles {vehicles}: {run.folder} has {len(run.vehicles)}: {', '.join(run.vehicles)}")
     found = cooperative_from_run(run, vehicles=run.vehicles[:vehicles], states=states)
     return found, numbers_of_run(found)
 

@@ -77,17 +77,15 @@ class Recording:
         return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
 
     def _surroundings(self) -> tuple[World | None, Cast]:
-        from qrsim.scenarios.scenario import load_scenario
-
         start = self._truth.at("position", self.time[0])
         try:
-            world = load_scenario(self.run.scenario, quiet=True).world(self.run.info.precision)
+            world = self.run.built().world(self.run.info.precision)
             cast = cast_of(world, start, self._places())
             if cast.names == self.run.vehicles:
                 return world, cast
             why = "its vehicles are others"
         except (QrsimError, OSError) as error:
-            why = str(error)
+            why = f"{error}"
         warn_user(
             f"{self.run.folder}: the recorded scenario cannot be built, so its area is not shown, nor persons, "
             f"plumes and air: {why}"

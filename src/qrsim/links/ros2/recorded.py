@@ -13,7 +13,6 @@ from qrsim.links.ros2.publications import News
 from qrsim.links.shared import sight as s
 from qrsim.runs import Run
 from qrsim.runs.export.output import is_readable
-from qrsim.scenarios.scenario import load_scenario
 from qrsim.world.state import Fleet
 
 Array = np.ndarray[Any, Any]
@@ -42,7 +41,7 @@ class Recorded:
     """
 
     def __init__(self, run: Run, every: int):
-        scenario = load_scenario(run.scenario, quiet=True)
+        scenario = run.built()
         self.world, self.site = scenario.world(run.info.precision), scenario.site
         self.names = tuple(run.vehicles)
         if tuple(name for fleet in self.world.fleets for name in fleet.vehicle_names) != self.names:

@@ -15,7 +15,6 @@ from qrsim.links.shared.recorded import STREAM
 from qrsim.links.shared.spoken import TICK, Spoken
 from qrsim.runs import Run, RunInfo, RunWriter
 from qrsim.runs.streams import EventFinder, Values, columns, values
-from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import History, Simulation
 
 # Ticks that are flown in one call, where their orders are the same.
@@ -38,7 +37,7 @@ def replay(run: Run, out: Path) -> Path:
             f"{run.folder}: it has no orders; 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier) "
             "records them, and 'qrsim run scenario.yaml' flies the scenario of any other run again"
         )
-    scenario = load_scenario(run.scenario, quiet=True)
+    scenario = run.built()
     simulation = Simulation(
         scenario.world(run.info.precision), seed=run.info.seed, name=scenario.name, site=scenario.site, number=0
     )

@@ -156,10 +156,9 @@ def ground_of(run: Run) -> Ground:
     if about.get("type") == "flat":
         return lambda position: np.full(len(position), -float(about.get("height", 0.0)))
     from qrsim.core.vectors import Vec3
-    from qrsim.scenarios.scenario import load_scenario
 
     try:
-        surface = load_scenario(content, quiet=True).world("float64").ground
+        surface = run.built().world("float64").ground
     except (QrsimError, OSError) as error:
         warnings.warn(f"heights are above z = 0, because the ground cannot be built: {error}", stacklevel=2)
         return lambda position: np.zeros(len(position))
