@@ -13,6 +13,7 @@ from tests.slam.problems import exact_flight, exact_ranges
 
 from qrsim.core.tree import replace
 from qrsim.engine.settings import quick_jit
+from qrsim.errors import UsageError
 from qrsim.slam import graph as graphs
 from qrsim.slam.covariance import marginals
 from qrsim.slam.estimate import estimate
@@ -109,6 +110,12 @@ def test_a_step_is_that_of_the_full_matrix(small: tuple[graphs.Graph, Any, Any])
     for k, covariance in enumerate(found.positions):
         rows = slice(k * x.shape[1], k * x.shape[1] + 3)
         np.testing.assert_allclose(covariance, every[rows, rows], rtol=1e-4, atol=1e-6)
+
+
+def test_exact_fixes_have_no_weight_and_are_refused() -> None:
+    flight = exact_flight(0.5)
+    with pytest.raises(UsageError, match="its fixes are exact, and a graph weighs them by their errors"):
+        estimate(flight, exact_ranges(flight), graph="gnss", states="poses", fix_std=0.0)
 
 
 @pytest.mark.long

@@ -230,6 +230,11 @@ def estimate(
     if bias_time_constant is not None and graph != "gnss":
         raise UsageError("bias_time_constant: without GNSS fixes there is no error of them; take graph gnss")
     std = flight.fix_std if fix_std is None else fix_std
+    if not std > 0.0:
+        raise UsageError(
+            f"{flight.name}: its fixes are exact, and a graph weighs them by their errors; record it with a sensor of "
+            "type gnss, or give fix_std"
+        )
     size = state_size(states, bias_time_constant is not None)
     check_memory(len(flight.truth), size, ranging.ranges.shape[1], available_bytes())
     per_landmark = ranging.per_landmark
