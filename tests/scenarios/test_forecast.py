@@ -46,10 +46,12 @@ def test_a_wind_at_20_ft_stays_what_it_was() -> None:
     [
         ({"gust": 5.0}, "world.wind.gust: 5 m/s; allowed: the mean speed, 6, to 75"),
         ({"at_height": 0.0}, "world.wind.at_height: 0 m; allowed: above 0.2 (twice the roughness), at most 300"),
-        ({"speed": None}, "world.wind.speed: missing; it is the mean speed that at_height and gust go with"),
+        ({"speed": None}, "world.wind.speed: missing; expected the mean speed [m/s] beside at_height and gust"),
         ({"speed_20ft": 5.0}, "world.wind.speed: gives both 'speed' and 'speed_20ft'; give one"),
         ({"speed": "6 m/s"}, "world.wind.speed: expected a number, found '6 m/s'"),
         ({"roughness": 0.0}, "world.wind.roughness: 0 m; allowed: above 0, at most 2"),
+        ({"guts": 9.0}, "world.wind.guts: no such parameter of 'log_shear'; did you mean 'gust'?"),
+        ({"speed": None, "sped": 6.0}, "world.wind.sped: no such parameter of 'log_shear'; did you mean 'speed'?"),
     ],
 )
 def test_what_cannot_be_meant(changes: dict[str, Any], words: str) -> None:

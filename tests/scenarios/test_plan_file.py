@@ -291,11 +291,15 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     # Parts that are missing or are something else.
     "no mission": (without(plan(), "mission"), "mission: is missing; expected an object"),
+    "a typo": (
+        {**plan(), "mission": {"version": 2, "plannedHomePositon": HOME, "items": []}},
+        "mission.plannedHomePosition: is missing; expected [latitude, longitude, altitude]; found 'plannedHomePositon'",
+    ),
     "no items": (without(plan(), "mission", "items"), "mission.items: is missing; expected a list"),
     "items": (altered(plan(), "all", "mission", "items"), "mission.items: expected a list, found 'all'"),
     "no home": (
         without(plan(), "mission", "plannedHomePosition"),
-        "mission.plannedHomePosition: is missing; expected a list",
+        "mission.plannedHomePosition: is missing; expected [latitude, longitude, altitude]",
     ),
     "home without altitude": (
         altered(plan(), [47.0, 8.0], "mission", "plannedHomePosition"),
@@ -303,7 +307,7 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "home null": (
         altered(plan(), [47.0, 8.0, None], "mission", "plannedHomePosition"),
-        "mission.plannedHomePosition: altitude: expected a number, found null, which stands for 'the current one'",
+        "mission.plannedHomePosition: altitude: expected a number [m], found null, which stands for 'the current one'",
     ),
     "item": (plan(5), "mission.items.0: expected an object, found 5"),
     "item type": (
@@ -394,11 +398,11 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "null longitude": (
         plan(item(16, 47.0, None, 20.0)),
-        "mission.items.0.params.5 (longitude): expected a number, found null, which stands for 'the current one'",
+        "mission.items.0.params.5 (longitude): expected a number [deg], found null, which stands for 'the current one'",
     ),
     "null altitude": (
         plan(item(22, None, None, None)),
-        "mission.items.0.params.6 (altitude): expected a number, found null, which stands for 'the current one'",
+        "mission.items.0.params.6 (altitude): expected a number [m], found null, which stands for 'the current one'",
     ),
     "NaN": (
         plan(item(16, math.nan, 8.0, 20.0)),
@@ -413,7 +417,10 @@ BAD: dict[str, tuple[Any, str]] = {
         "mission.items.0.params.5 (longitude): -181 is out of range; allowed: -180 to 180 deg",
     ),
     "altitude": (plan(item(16, 47.0, 8.0, 10**400)), "mission.items.0.params.6 (altitude): 1000"),
-    "text": (plan(item(16, "47", 8.0, 20.0)), "mission.items.0.params.4 (latitude): expected a number, found '47'"),  # type: ignore[arg-type]
+    "text": (
+        plan(item(16, "47", 8.0, 20.0)),
+        "mission.items.0.params.4 (latitude): expected a number [deg], found '47'",
+    ),  # type: ignore[arg-type]
     "a hold that is a text": (
         plan(item(16, "long", 0, 0, 0, *GOOD)),
         "mission.items.0.params.0: expected a number, found 'long'",  # type: ignore[arg-type]
@@ -438,7 +445,7 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "corner null": (
         fenced([polygon(*TRIANGLE[:2], [None, 8.0])]),  # type: ignore[list-item]
-        "geoFence.polygons.0.polygon.2: latitude: expected a number, found null",
+        "geoFence.polygons.0.polygon.2: latitude: expected a number [deg], found null",
     ),
     "corner of three": (
         fenced([polygon(*TRIANGLE[:2], [47.0, 8.0, 9.0])]),
@@ -449,7 +456,10 @@ BAD: dict[str, tuple[Any, str]] = {
         "geoFence.circles.0.circle: is missing; expected an object",
     ),
     "no radius": (fenced(circles=[circle(0)]), "geoFence.circles.0.circle.radius: 0 m is not above 0"),
-    "radius null": (fenced(circles=[circle(None)]), "geoFence.circles.0.circle.radius: expected a number, found null"),
+    "radius null": (
+        fenced(circles=[circle(None)]),
+        "geoFence.circles.0.circle.radius: expected a number [m], found null",
+    ),
     "rally points": (plan(rallyPoints={"version": 2}), "rallyPoints.points: is missing; expected a list"),
     "twice": ('{"fileType": "Plan", "version": 1, "version": 2}', "'version' is given twice in one object"),
 }
@@ -547,7 +557,7 @@ def test_problems_say_their_line(tmp_path: Path) -> None:
     [
         ("", "is not JSON: line 1, column 1: Expecting value"),
         ('{"fileType": "Plan",\n "version" 1}', "is not JSON: line 2, column 12: Expecting ':' delimiter"),
-        ("QGC WPL 110\n", "is not JSON: line 1, column 1"),
+        ("QGC WPL 110\n", "is a list of waypoints (QGC WPL); QGroundControl opens it and saves it as a .plan"),
         ("[" * 100_000, "is no plan: "),
         ("1" * 5000, "is no plan: "),
     ],

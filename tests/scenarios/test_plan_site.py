@@ -91,6 +91,13 @@ def test_a_site_that_no_plan_can_give_is_named(write: Write) -> None:
     assert problems_of(content) == [
         f"site.plan: {file}: gives latitude_deg, longitude_deg, height; leave out height of site, or the plan"
     ]
+    unset = Path(write((47.0, 8.0, 450.0), "unset.plan"))
+    unset.write_text(unset.read_text().replace("[47.0, 8.0, 450.0]", "[0.0, 0.0, 450.0]", 1))
+    content["site"] = {"plan": str(unset)}
+    (found,) = problems_of(content)
+    assert found.endswith("unset.plan: its home is at latitude 0 and longitude 0, as where none was set")
+    content["site"] = {"plan": ""}
+    assert problems_of(content) == ["site.plan.file: '' is empty (a QGroundControl .plan file)"]
     content["site"] = {"plan": {"file": file.replace("survey", "survy")}}
     (found,) = problems_of(content)
     assert found.endswith("survy.plan: cannot be read: No such file or directory; did you mean 'survey.plan'?")

@@ -172,6 +172,12 @@ def test_a_pack_of_six_cells_flies_and_is_told() -> None:
     assert warned(battery, f"{VEHICLE}.cvb0=-18.0", f"{VEHICLE}.cvb1=2.0") == []
 
 
+def test_a_capacity_in_mah_is_told() -> None:
+    (found,) = warned("fleets.pelicans.battery={type: lithium_polymer, capacity: 6250}")
+    assert found.endswith("fleets.pelicans.battery.capacity: 6250 Ah; 6250 mAh of a label are 6.25 Ah")
+    assert warned("fleets.pelicans.battery={type: lithium_polymer, capacity: 62.5}") == []
+
+
 def test_a_pack_of_six_cells_gives_its_voltage() -> None:
     """In flight it is neither brought into the range of commands nor counted as clipped."""
     content: dict[str, Any] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from qrsim.errors import ScenarioError
+from qrsim.errors import ScenarioError, did_you_mean, nearest
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
 
 FORECAST = ("speed", "at_height", "gust")
@@ -28,11 +28,11 @@ def insert_forecast(content: dict[str, Any], source: str) -> None:
     if not isinstance(world, dict) or not isinstance(wind, dict) or wind.get("type") != "log_shear":
         return
     given = {name: wind.pop(name) for name in FORECAST if name in wind}
-    if not given:
-        return
-    problem = _problem(given, wind)
+    problem = _unknown(wind, bool(given)) or (_problem(given, wind) if given else "")
     if problem:
         raise ScenarioError(source, [f"world.wind.{problem}"])
+    if not given:
+        return
     height, roughness = float(given.get("at_height", USUAL_HEIGHT)), float(wind.get("roughness", ROUGHNESS_M))
     share = math.log(REFERENCE_FT / FEET_PER_METRE / roughness) / math.log(height / roughness)
     wind["speed_20ft"] = float(given["speed"]) * share
@@ -52,13 +52,27 @@ def turbulence_speed(sigma: float, height: float) -> float:
     return 10.0 * sigma * (0.177 + 0.000823 * feet) ** 0.4
 
 
+def _unknown(wind: dict[str, Any], forecast: bool) -> str:
+    """Return what is wrong with a name that neither a forecast nor a log_shear has, "" for nothing.
+
+    Args:
+        wind: without the names of forecasts.
+        forecast: whether it had some; else only a name that is close to one is told here.
+    """
+    known = (*FORECAST, "roughness", "speed_20ft", "wind_from_rad", "wind_from_deg")
+    for name in wind:
+        if name not in ("type", *known) and (forecast or nearest(str(name), known) in FORECAST):
+            return f"{name}: no such parameter of 'log_shear'{did_you_mean(str(name), known)}"
+    return ""
+
+
 def _problem(given: dict[str, Any], wind: dict[str, Any]) -> str:
     """Return what is wrong with a forecast, "" where nothing is."""
     for name, value in {**given, "roughness": wind.get("roughness", ROUGHNESS_M)}.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            return f"{name}: expected a number, found {value!r:.60}"
+            return f"{name}: expected a number, found {'null' if value is None else f'{value!r:.60}'}"
     if "speed" not in given:
-        return f"speed: missing; it is the mean speed that {' and '.join(given)} go with"
+        return f"speed: missing; expected the mean speed [m/s] beside {' and '.join(given)}"
     if "speed_20ft" in wind:
         return "speed: gives both 'speed' and 'speed_20ft'; give one"
     speed, height = given["speed"], given.get("at_height", USUAL_HEIGHT)

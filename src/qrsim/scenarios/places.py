@@ -184,7 +184,10 @@ class _Places:
         if len(route) > LONGEST_ROUTE:
             raise UsageError(f"{file}: has {len(route)} waypoints; allowed: at most {LONGEST_ROUTE}")
         height = route[0][2] if route else 0.0
-        return local_ned(self.site, [(plan.home.latitude_deg, plan.home.longitude_deg, height), *route])
+        try:
+            return local_ned(self.site, [(plan.home.latitude_deg, plan.home.longitude_deg, height), *route])
+        except UsageError as error:
+            raise UsageError(f"{file}: {error}") from None
 
     def area(self, area: Any) -> Any:
         """Return an area in NED: the polygon of a fence, any other as it is."""

@@ -7,13 +7,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
+from qrsim.errors import ScenarioError, UsageError, did_you_mean_file, nearest
 from qrsim.files.user_files import read_text
 
 KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
 
 
 LARGEST_LENGTH = 1e5
+HOME = "[latitude, longitude, altitude]"
 
 
 class PlanFaultError(Exception):
@@ -31,7 +32,12 @@ def plan_content(source: str) -> Any:
     try:
         return json.loads(text, object_pairs_hook=_without_twins)
     except json.JSONDecodeError as error:
-        raise UsageError(f"{source}: is not JSON: line {error.lineno}, column {error.colno}: {error.msg}") from None
+        if text.startswith("QGC WPL"):
+            raise UsageError(
+                f"{source}: is a list of waypoints (QGC WPL); QGroundControl opens it and saves it as a .plan"
+            ) from None
+        where = f"line {error.lineno}, column {error.colno}"
+        raise UsageError(f"{source}: is not JSON: {where}: {error.msg}; expected a .plan of QGroundControl") from None
     except (ValueError, RecursionError) as error:
         raise UsageError(f"{source}: is no plan: {error}") from None
     except PlanFaultError as fault:
@@ -107,7 +113,9 @@ def part_of(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
     """Return a value of an object at a path, checked to be of a kind."""
     path = f"{where}.{key}" if where else key
     if key not in parent:
-        raise PlanFaultError(f"{path}: is missing; expected {KINDS[kind]}")
+        near = nearest(key, parent)
+        expected = HOME if key == "plannedHomePosition" else KINDS[kind]
+        raise PlanFaultError(f"{path}: is missing; expected {expected}{f'; found {near!r}' if near else ''}")
     return of_kind(parent[key], kind, path)
 
 
@@ -137,7 +145,8 @@ def number_of(value: Any, where: str, limit: float, unit: str) -> float:
     """Return a number whose size is at most a limit."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         meaning = ", which stands for 'the current one'" if value is None else ""
-        raise PlanFaultError(f"{where}: expected a number, found {shown(value)}{meaning}")
+        kind = f"a number [{unit}]" if unit else "a number"
+        raise PlanFaultError(f"{where}: expected {kind}, found {shown(value)}{meaning}")
     # NaN fails this comparison too.
     if not -limit <= value <= limit:
         raise PlanFaultError(f"{where}: {shown(value)} is out of range; allowed: {-limit:g} to {limit:g} {unit}")

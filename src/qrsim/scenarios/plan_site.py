@@ -29,6 +29,8 @@ def home_of(site: SiteSpec) -> list[float]:
     if given := [name for name in NUMBERS if name in site.model_fields_set]:
         raise UsageError(f"{file}: gives {', '.join(NUMBERS)}; leave out {', '.join(given)} of site, or the plan")
     home = read_plan(file).home
+    if home.latitude_deg == home.longitude_deg == 0.0:
+        raise UsageError(f"{file}: its home is at latitude 0 and longitude 0, as where none was set")
     if not LOWEST_SITE <= home.altitude_amsl <= HIGHEST_SITE:
         raise UsageError(
             f"{file}: its home is at {home.altitude_amsl:g} m; allowed: {LOWEST_SITE:g} to {HIGHEST_SITE:g}"

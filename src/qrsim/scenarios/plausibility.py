@@ -31,6 +31,8 @@ LEAST_THRUST_OVER_WEIGHT = 1.2
 # Gravity at sea level is 9.780 to 9.832 m/s^2; drag and thrust were identified on Earth.
 EARTH = (9.7, 9.9)
 LEAST_DAMPING = 0.1
+# No multirotor that is flown in fields carries a larger battery [Ah].
+MOST_AH = 500.0
 # What the published thrust law was identified for [V].
 IDENTIFIED_V = COMMAND_LIMITS["battery"]
 # Range errors of this std [m] and more are those of selective availability, which ended in 2000.
@@ -51,6 +53,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _lift(path, fleet)
             yield from _battery(path, fleet)
             yield from _loops(path, fleet, scenario.time_step)
+        yield from _capacity(path, fleet)
         yield from wind_warnings(path, fleet, scenario)
         for sensor, spec in fleet.sensors.items():
             period = vars(spec).get("period", 0.0) or 0.0
@@ -141,6 +144,16 @@ def _battery(path: str, fleet: FleetSpec) -> Iterator[str]:
                 f"{IDENTIFIED_V[1]:g} V, and what its line gives beyond, {ceiling:.3g} N, is a guess; give the "
                 "constants of your vehicle"
             )
+
+
+def _capacity(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Warn of a battery whose capacity was given in mAh."""
+    capacity = vars(fleet.battery).get("capacity")
+    if capacity is None or is_outside("battery", fleet.battery.type):
+        return
+    largest = float(np.max(np.asarray(capacity, np.float64)))
+    if largest > MOST_AH:
+        yield f"{path}.battery.capacity: {largest:g} Ah; {largest:g} mAh of a label are {largest / 1000.0:g} Ah"
 
 
 def _loops(path: str, fleet: FleetSpec, dt: float) -> Iterator[str]:

@@ -191,7 +191,7 @@ def _anchor(content: Any, folder: Path) -> None:
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for part in parts:
         _anchor(part, folder)
-    if isinstance(content, dict) and isinstance(content.get("file"), str):
+    if isinstance(content, dict) and isinstance(content.get("file"), str) and content["file"]:
         file = Path(os.path.abspath(folder / os.path.expanduser(content["file"])))
         recorded = content["file"] in RECORDINGS and not file.exists()
         content["file"] = str(data_folder() / content["file"] if recorded else file)

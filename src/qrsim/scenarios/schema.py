@@ -127,7 +127,7 @@ class VehicleSpec(Strict):
     )
     plan: PlanSpec | None = Field(
         None,
-        description="route from a file, instead of waypoints; also the start, if none is given",
+        description="route from a .plan file, FILE or {file: FILE}; also the start, if none is given",
         exclude=True,
         json_schema_extra=_or_its_file,
     )
@@ -384,7 +384,7 @@ class SiteSpec(Strict):
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
     plan: PlanSpec | None = Field(
         None,
-        description="the home of a plan, instead of the three numbers",
+        description="a .plan file, FILE or {file: FILE}, whose home it is, instead of the three numbers",
         exclude=True,
         json_schema_extra=_or_its_file,
     )

@@ -95,6 +95,8 @@ def test_a_motor_by_its_data_sheet() -> None:
     ("change", "words"),
     [
         ({name: values[:1] for name, values in TABLE.items()}, "has 1 row; at least 2 are needed"),
+        ({name: [] for name in TABLE}, "has 0 rows; at least 2 are needed"),
+        ({**TABLE, "thrust_g": [-510, 760, 700, 1130, 1390]}, "thrust_g of row 1 is -510; allowed: above 0"),
         ({**TABLE, "thrust_g": [510, 760, 700, 1130, 1390]}, "thrust does not rise from row 2 to row 3"),
         ({**TABLE, "rpm": [3900, 4700]}, "columns of different lengths"),
         ({**TABLE, "rpm": ["a", 1, 2, 3, 4]}, "rpm: row 1 is 'a', which is not a number"),

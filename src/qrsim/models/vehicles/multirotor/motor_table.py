@@ -59,6 +59,9 @@ class MotorTable:
             if quantity in found:
                 raise UsageError(f"gives {quantity} twice; give one of its columns")
             found[quantity] = factor * _numbers(name, values)
+            least = "above 0" if quantity in ("thrust", "speed") else "from 0"
+            if len(values) and (values[0] < 0.0 or (values[0] == 0.0 and least == "above 0")):
+                raise UsageError(f"{name} of row 1 is {values[0]:g}; allowed: {least}")
         for quantity in ("throttle", "thrust", "speed", "power"):
             if quantity not in found:
                 names = " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
@@ -70,14 +73,13 @@ class MotorTable:
         if len(set(rows.values())) > 1:
             raise UsageError(f"columns of different lengths: {', '.join(f'{name} {n}' for name, n in rows.items())}")
         if len(self.throttle) < 2:
-            raise UsageError(f"has {len(self.throttle)} row; at least 2 are needed")
+            rows_there = f"{len(self.throttle)} row{'s' * (len(self.throttle) != 1)}"
+            raise UsageError(f"has {rows_there}; at least 2 are needed")
         for name, column in vars(self).items():
             falling = np.flatnonzero(np.diff(column) <= 0.0)
             if len(falling):
                 row = int(falling[0]) + 2
                 raise UsageError(f"{name} does not rise from row {row - 1} to row {row}")
-            if column[0] < 0.0 or (name in ("thrust", "speed") and column[0] <= 0.0):
-                raise UsageError(f"{name} of row 1 is {column[0]:g}; allowed: above 0")
         if self.throttle[-1] > 1.0:
             raise UsageError(
                 f"throttle of row {len(self.throttle)} is {100 * self.throttle[-1]:g} %; allowed: up to 100"
