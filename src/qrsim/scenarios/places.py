@@ -23,10 +23,10 @@ from qrsim.scenarios.schema import (
     MOST_CORNERS,
     FleetSpec,
     ScenarioSpec,
-    SiteSpec,
     VehicleSpec,
     polygon_model,
 )
+from qrsim.scenarios.site_schema import SiteSpec
 
 LAND = "NAV_LAND"
 

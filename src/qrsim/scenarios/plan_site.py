@@ -9,7 +9,7 @@ from qrsim.errors import UsageError
 from qrsim.models.site import Site
 from qrsim.scenarios.plan import Plan
 from qrsim.scenarios.plan_file import read_plan
-from qrsim.scenarios.schema import HIGHEST_SITE, LOWEST_SITE, SiteSpec
+from qrsim.scenarios.site_schema import HIGHEST_SITE, LOWEST_SITE, SiteSpec
 
 NUMBERS = ("latitude_deg", "longitude_deg", "height")
 # Further apart [m], a plan and a site are hardly meant to be the same field. Heights above the sea, which plans have,

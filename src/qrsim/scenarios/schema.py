@@ -30,14 +30,13 @@ from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.radio_schema import FleetRadioSpec, RadioModel
 from qrsim.scenarios.sensor_sets import or_a_set
+from qrsim.scenarios.site_schema import PlanSpec, SiteSpec, or_its_file
 from qrsim.scenarios.sky_of_receivers import with_sky
 from qrsim.scenarios.slots import Maker, slot, slot_of
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 LONGEST_ROUTE, MOST_CORNERS, MOST_SPANS = 2000, 1000, 100
-# Of the origin over the ellipsoid [m].
-LOWEST_SITE, HIGHEST_SITE = -500.0, 9000.0
 Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 # Where a vehicle flies is given in one of these.
 ROUTES = ("waypoints_ned", "waypoints_geodetic", "plan", "legs")
@@ -97,17 +96,6 @@ def _areas() -> dict[str, Maker]:
     return {**others, "polygon": polygon_model, "fence": _fence_model}
 
 
-class PlanSpec(Strict):
-    """A QGroundControl plan: the route of a vehicle, or the home of which is the site."""
-
-    file: str = Field(description="a QGroundControl .plan file", min_length=1)
-
-
-def _or_its_file(schema: dict[str, Any]) -> None:
-    """Add the file alone to the JSON schema of a plan."""
-    schema["anyOf"].append({"type": "string"})
-
-
 class VehicleSpec(Strict):
     """One vehicle: where it starts and where it flies; once loaded, in NED only."""
 
@@ -129,7 +117,7 @@ class VehicleSpec(Strict):
         None,
         description="route from a .plan file, FILE or {file: FILE}; also the start, if none is given",
         exclude=True,
-        json_schema_extra=_or_its_file,
+        json_schema_extra=or_its_file,
     )
     legs: list[LegSpec] = Field(
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
@@ -374,20 +362,6 @@ def _with_controller(fleet: dict[str, Any]) -> dict[str, Any]:
         return fleet
     own = known.VEHICLES[name].default_controller  # type: ignore[attr-defined]
     return {**fleet, "controller": {"type": own, **controller}}
-
-
-class SiteSpec(Strict):
-    """Origin of the local frame on the Earth."""
-
-    latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
-    longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
-    height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
-    plan: PlanSpec | None = Field(
-        None,
-        description="a .plan file, FILE or {file: FILE}, whose home it is, instead of the three numbers",
-        exclude=True,
-        json_schema_extra=_or_its_file,
-    )
 
 
 class RangeSpec(Strict):

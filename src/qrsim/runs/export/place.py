@@ -12,7 +12,7 @@ from pydantic import AwareDatetime, BaseModel, ValidationError
 from qrsim.errors import RunError
 from qrsim.models.site import Site
 from qrsim.runs import Run
-from qrsim.scenarios.schema import SiteSpec
+from qrsim.scenarios.site_schema import SiteSpec
 
 Floats = npt.NDArray[np.float64]
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

@@ -1,0 +1,37 @@
+"""The schema of a scenario's site, and of plans by their file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field
+
+from qrsim.scenarios.component_schema import Finite, Strict
+
+# Of the origin over the ellipsoid [m].
+LOWEST_SITE, HIGHEST_SITE = -500.0, 9000.0
+
+
+class PlanSpec(Strict):
+    """A QGroundControl plan: the route of a vehicle, or the home of which is the site."""
+
+    file: str = Field(description="a QGroundControl .plan file", min_length=1)
+
+
+def or_its_file(schema: dict[str, Any]) -> None:
+    """Add the file alone to the JSON schema of a plan."""
+    schema["anyOf"].append({"type": "string"})
+
+
+class SiteSpec(Strict):
+    """Origin of the local frame on the Earth."""
+
+    latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
+    longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
+    height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
+    plan: PlanSpec | None = Field(
+        None,
+        description="a .plan file, FILE or {file: FILE}, whose home it is, instead of the three numbers",
+        exclude=True,
+        json_schema_extra=or_its_file,
+    )
