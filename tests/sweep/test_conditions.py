@@ -104,7 +104,7 @@ def test_a_condition_is_a_name_that_knows_what_it_sets() -> None:
         ({"air": {"conditions": {"a": {}}, "values": [1]}}, "give either values, or conditions, or low and high"),
         (
             {"air": {"conditions": {"a": {"world.wind.sped": 1.0}}}},
-            "vary.air: world.wind.sped: no such parameter of 'log_shear'; known: speed_20ft",
+            "vary.air: world.wind.sped: no such parameter of 'log_shear'; did you mean 'speed'",
         ),
         ({"air": {"conditions": {"a": {}, "b": {"world.wind.speed_20ft": -1.0}}}}, "'b': world.wind.speed_20ft: -1"),
         ({"air": {"conditions": {"a": {"fleets.tem.radius": 1.0}}}}, "tem"),
