@@ -146,7 +146,7 @@ def test_latched_topics_reach_who_comes_late_and_other_types_are_told(session: A
     reader = late.reader(static)
     assert [message.data for message in until(reader.take)] == ["kept"]
     late.writer(Topic("/asked", "std_msgs/msg/String", "command"))
-    assert until(first.strangers) == [("/asked", "std_msgs/msg/String")]
+    assert until(first.remarks) == ["/asked: another node writes it as std_msgs/msg/String, which is not read"]
     late.close()
     first.close()
 

@@ -37,5 +37,5 @@ class Node(Protocol):
     def announce(self) -> None:
         """Tell others which topics are this node's, once all are made."""
 
-    def strangers(self) -> list[tuple[str, str]]:
-        """Return topics that this node reads and others have begun to write as another type, with that type."""
+    def remarks(self) -> list[str]:
+        """Return lines about other nodes that have begun to use a topic of this node in a way that cannot work."""

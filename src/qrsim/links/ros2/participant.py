@@ -5,7 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+    DcpsEndpoint,
+)
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import InvalidSample
@@ -18,7 +23,7 @@ from cyclonedds.util import duration
 from qrsim.errors import RunError, UsageError
 from qrsim.links.ros2.profiles import PROFILES, Profile
 from qrsim.links.ros2.topics import Topic
-from qrsim.links.ros2.typestore import Types, dds_name, packed
+from qrsim.links.ros2.typestore import Types, dds_name, other_type, packed
 
 # Ports of DDS are 7400 + 250 times the domain, below 65536.
 LAST_DOMAIN = 232
@@ -59,9 +64,12 @@ class Participant:
             ) from None
         self._writers: list[Writer] = []
         self._readers: list[Reader] = []
-        # By the name of each topic that is read, its types.
-        self._read: dict[str, set[str]] = {}
-        self._heard = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        # Profiles of the topics that are read and written, by name and type.
+        self._read: dict[str, dict[str, Profile]] = {}
+        self._written: dict[str, dict[str, Profile]] = {}
+        self._remarked: set[str] = set()
+        self._publishers = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._subscribers = BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription)
         self._info: Any = None
 
     def writer(self, topic: Topic) -> Writer:
@@ -72,15 +80,16 @@ class Participant:
         sample, found = self._topic(topic)
         writer = Writer(DataWriter(self._participant, found, qos=self._qos(profile, topic.type)), sample)
         self._writers.append(writer)
+        self._written.setdefault(f"rt{topic.name}", {})[dds_name(topic.type)] = profile
         return writer
 
     def reader(self, topic: Topic) -> Reader:
         """Return a new reader of a topic."""
         _, found = self._topic(topic)
-        qos = self._qos(PROFILES[topic.quality], topic.type)
-        reader = Reader(self._types, topic, DataReader(self._participant, found, qos=qos))
+        profile = PROFILES[topic.quality]
+        reader = Reader(self._types, topic, DataReader(self._participant, found, qos=self._qos(profile, topic.type)))
         self._readers.append(reader)
-        self._read.setdefault(f"rt{topic.name}", set()).add(dds_name(topic.type))
+        self._read.setdefault(f"rt{topic.name}", {})[dds_name(topic.type)] = profile
         return reader
 
     def announce(self) -> None:
@@ -96,14 +105,49 @@ class Participant:
         info = self._types[_INFO](self._gid(self._participant), [node])
         self._info.write(self._types.encode(info))
 
-    def strangers(self) -> list[tuple[str, str]]:
-        """Return topics that this node reads and others have begun to write as another type, with that type."""
-        known, found = self._read, []
-        for each in self._heard.take(_MOST_AT_ONCE):
-            name, kind = str(each.topic_name), str(each.type_name)
-            if name in known and kind not in known[name]:
-                found.append((name.removeprefix("rt"), kind.replace("::dds_::", "::").replace("::", "/").rstrip("_")))
-        return found
+    def remarks(self) -> list[str]:
+        """Return a line for every topic of this node that another node has begun to use in a way that cannot work.
+
+        The reason is another type, or a quality of service that does not match; the words are those of rclcpp.
+        """
+        found = []
+        for each in self._publishers.take(_MOST_AT_ONCE):
+            found += self._of_publisher(each)
+        for each in self._subscribers.take(_MOST_AT_ONCE):
+            found += self._of_subscriber(each)
+        new = [line for line in dict.fromkeys(found) if line not in self._remarked]
+        self._remarked.update(new)
+        return new
+
+    def _of_publisher(self, other: DcpsEndpoint) -> list[str]:
+        known, name = self._read.get(str(other.topic_name)), str(other.topic_name).removeprefix("rt")
+        if known is None:
+            return []
+        profile = known.get(str(other.type_name))
+        if profile is None:
+            return [other_type(name, str(other.type_name))]
+        if profile.reliable and _is_best_effort(other.qos):
+            return [
+                f"{name}: new publisher discovered, offering incompatible QoS. No messages will be received from it. "
+                "Last incompatible policy: RELIABILITY (it publishes best effort, and reliable is needed)"
+            ]
+        return []
+
+    def _of_subscriber(self, other: DcpsEndpoint) -> list[str]:
+        profile = self._written.get(str(other.topic_name), {}).get(str(other.type_name))
+        if profile is None:
+            return []
+        policy = ""
+        if not profile.reliable and not _is_best_effort(other.qos):
+            policy = "RELIABILITY (it requests reliable, and best effort is offered; --reliable offers it)"
+        elif not profile.latched and _is_latched(other.qos):
+            policy = "DURABILITY (it requests transient local, and volatile is offered)"
+        name = str(other.topic_name).removeprefix("rt")
+        line = (
+            f"{name}: new subscription discovered, requesting incompatible QoS. No messages will be sent to it. "
+            f"Last incompatible policy: {policy}"
+        )
+        return [line] if policy else []
 
     def _topic(self, topic: Topic) -> tuple[Any, Any]:
         sample = self._types.sample(topic.type)
@@ -117,6 +161,15 @@ class Participant:
         kind = "rmw_dds_common/msg/Gid"
         size = self._types.fields(kind)[0][1][1][1]
         return self._types[kind](np.frombuffer(entity.guid.bytes.ljust(size, b"\0"), np.uint8))
+
+
+def _is_best_effort(qos: Any) -> bool:
+    # Of a reader it is the default.
+    return Policy.Reliability not in qos or qos[Policy.Reliability] == Policy.Reliability.BestEffort
+
+
+def _is_latched(qos: Any) -> bool:
+    return Policy.Durability in qos and qos[Policy.Durability] != Policy.Durability.Volatile
 
 
 def _plain(profile: Profile, *more: Any) -> Any:
@@ -169,8 +222,5 @@ class Reader:
 
     def take(self) -> list[Any]:
         """Return what has come, oldest first; a writer that leaves is an ``InvalidSample``."""
-        return [
-            self._types.decode(sample.cdr, self.topic.type)
-            for sample in self.entity.take(_MOST_AT_ONCE)
-            if not isinstance(sample, InvalidSample)
-        ]
+        samples = self.entity.take(_MOST_AT_ONCE)
+        return self._types.heard((each.cdr for each in samples if not isinstance(each, InvalidSample)), self.topic.type)

@@ -21,5 +21,6 @@ PROFILES: dict[Quality, Profile] = {
     "reliable": Profile(reliable=True, depth=10),
     "clock": Profile(reliable=False, depth=1),
     "static": Profile(reliable=True, depth=1, latched=True),
-    "command": Profile(reliable=True, depth=1),
+    # As mavros subscribes: a reader of best effort hears reliable writers too.
+    "command": Profile(reliable=False, depth=1),
 }

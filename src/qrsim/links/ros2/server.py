@@ -153,8 +153,8 @@ class Server:
                     if str(error) != self._not_said:
                         self._not_said = str(error)
                         self._say(self._not_said)
-        for name, kind in self._participant.strangers():
-            self._say(f"{name}: another node writes it as {kind}, which is not read")
+        for line in self._participant.remarks():
+            self._say(line)
 
     def _obey(self, text: str) -> None:
         """Do what /qrsim/control says."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any
 
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 from cyclonedds.idl.annotations import final
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from qrsim.errors import UsageError, did_you_mean
@@ -61,6 +64,15 @@ class Types:
     def decode(self, cdr: bytes, name: str) -> Any:
         """Return the message of a type in CDR."""
         return self.store.deserialize_cdr(cdr, name)
+
+    def heard(self, samples: Iterable[bytes], name: str) -> list[Any]:
+        """Return the messages of a type that another node has sent as CDR, without those that are none."""
+        found = []
+        for cdr in samples:
+            # One node that sends garbage must not end the flights of all.
+            with suppress(SerdeError):
+                found.append(self.decode(cdr, name))
+        return found
 
     def fields(self, name: str) -> list[tuple[str, Any]]:
         """Return the fields of a type with their descriptions, in order."""
@@ -120,3 +132,9 @@ def dds_name(name: str) -> str:
     """Return what DDS calls a type: "sensor_msgs/msg/Imu" is "sensor_msgs::msg::dds_::Imu_"."""
     package, _, own = name.rpartition("/")
     return f"{package.replace('/', '::')}::dds_::{own}_"
+
+
+def other_type(topic: str, kind: str) -> str:
+    """Return the line about a topic that another node writes as a type, named as DDS does, that nobody reads."""
+    name = kind.replace("::dds_::", "::").replace("::", "/").rstrip("_")
+    return f"{topic}: another node writes it as {name}, which is not read"

@@ -19,7 +19,7 @@ from qrsim.errors import RunError
 from qrsim.links.ros2.participant import checked_domain
 from qrsim.links.ros2.profiles import PROFILES, Profile
 from qrsim.links.ros2.topics import Topic
-from qrsim.links.ros2.typestore import Types, dds_name
+from qrsim.links.ros2.typestore import Types, dds_name, other_type
 
 # Of rmw_zenohd, to which nodes of ROS 2 connect.
 ROUTER = "tcp/localhost:7447"
@@ -109,8 +109,11 @@ class ZenohNode:
     def announce(self) -> None:
         """Do nothing: tokens have told of every topic."""
 
-    def strangers(self) -> list[tuple[str, str]]:
-        """Return topics that this node reads and others have begun to write as another type, with that type."""
+    def remarks(self) -> list[str]:
+        """Return a line for every topic that this node reads and another has begun to write as another type.
+
+        Qualities of service need not match: rmw_zenoh delivers whatever they are.
+        """
         found = []
         for _ in range(_MOST_AT_ONCE):
             sample = self._others.try_recv()
@@ -120,7 +123,7 @@ class ZenohNode:
             if sample.kind == zenoh.SampleKind.PUT and len(parts) == 13 and parts[5] == "MP":
                 name, kind = parts[9].replace("%", "/"), parts[10].replace("%", "/")
                 if name in self._read and kind not in self._read[name]:
-                    found.append((name, kind.replace("::dds_::", "::").replace("::", "/").rstrip("_")))
+                    found.append(other_type(name, kind))
         return found
 
     def close(self) -> None:
@@ -199,8 +202,8 @@ class ZenohReader:
             if sample is None:
                 break
             if sample.kind == zenoh.SampleKind.PUT:
-                found.append(self._types.decode(sample.payload.to_bytes(), self.topic.type))
-        return found
+                found.append(sample.payload.to_bytes())
+        return self._types.heard(found, self.topic.type)
 
 
 def _text(name: str) -> bytes:
