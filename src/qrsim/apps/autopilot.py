@@ -130,7 +130,7 @@ class Ardupilot:
     port: int = 9002
     """UDP port of the first vehicle on this machine; each other 10 further on, as those of ArduPilot's instances."""
     wait: Annotated[float, SECONDS] = 120.0
-    """How long the first packet of each ArduPilot is waited for."""
+    """How long to wait for the first packet of each ArduPilot, and for one that stopped to start again."""
     model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "x500"
     """What an identified quadrotor becomes: hummingbird, x500 or crazyflie."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 400.0

@@ -10,6 +10,8 @@ import math
 import socket
 import struct
 import threading
+import time
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -221,7 +223,33 @@ def test_a_step_that_comes_again_is_answered_again_and_lost_ones_are_counted(por
         flight.advance()
         assert json.loads(peer.recv(4096))["timestamp"] == pytest.approx(0.01)
         assert link.restarts == 1
-        assert any("has begun anew" in line for line in said)
+        assert any("ArduPilot has restarted" in line for line in said)
+
+
+@pytest.mark.long
+def test_a_restarted_ardupilot_flies_its_vehicle_from_another_port(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SITL binds no port, so its packets come from another one; frames count from 0 (SIM_JSON.cpp)."""
+    said: list[str] = []
+
+    def step(peer: socket.socket, frame: int) -> float:
+        peer.sendto(packet(frame, [1000] * 4), ("127.0.0.1", port))
+        flight.advance()
+        return float(json.loads(peer.recv(4096))["timestamp"])
+
+    with ExitStack() as close:
+        flight = close.enter_context(flight_of(one(), port, said=said))
+        first, second, third = (close.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(3))
+        for peer in (first, second, third):
+            peer.settimeout(5.0)
+        times = [step(first, 0), step(first, 1000), step(second, 0), step(second, 1000)]
+        # Where it was lost that one restarted, another is heard once the first is silent.
+        monkeypatch.setattr(servo_link, "SILENCE_S", 0.1)
+        time.sleep(0.15)
+        times.append(step(third, 500))
+        assert times == pytest.approx([0.0025, 0.005, 0.0075, 0.01, 0.0125])
+        link = flight.links[0]
+        assert (link.restarts, link.foreign) == (2, 0)
+        assert f"ArduPilot has restarted, at 127.0.0.1:{second.getsockname()[1]}; the vehicle goes on" in said[1]
 
 
 @pytest.mark.long
@@ -233,7 +261,7 @@ def test_packets_of_others_are_passed_over(port: int) -> None:
             other.sendto(b"hello", ("127.0.0.1", port))
             peer.send(packet(0, [1000] * 4))
             flight.advance()
-            other.sendto(packet(1, [2000] * 4), ("127.0.0.1", port))
+            other.sendto(packet(50, [2000] * 4), ("127.0.0.1", port))
             peer.send(packet(1, [1000] * 4))
             flight.advance()
         assert flight.links[0].foreign == 2
@@ -242,8 +270,10 @@ def test_packets_of_others_are_passed_over(port: int) -> None:
 
 @pytest.mark.long
 def test_nobody_there_and_somebody_gone_are_one_line(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(servo_link, "SILENCE_S", 0.3)
-    with flight_of(one(), port, wait=0.3) as flight:
+    said: list[str] = []
+    monkeypatch.setattr(servo_link, "SILENCE_S", 0.1)
+    monkeypatch.setattr(servo_link, "_POLL_S", 0.1)
+    with flight_of(one(), port, wait=0.3, said=said) as flight:
         with pytest.raises(
             RunError, match=rf"pelicans0?.*: no ArduPilot has come to UDP port {port} in 0.3 s; start it"
         ):
@@ -251,8 +281,9 @@ def test_nobody_there_and_somebody_gone_are_one_line(port: int, monkeypatch: pyt
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
             peer.sendto(packet(0, [1000] * 4), ("127.0.0.1", port))
             flight.advance()
-        with pytest.raises(RunError, match=r"its ArduPilot has been silent for 0\.3 s, after step 0"):
+        with pytest.raises(RunError, match=r"its ArduPilot has been silent for 0\.3 s, since step 0, and no other"):
             flight.advance()
+    assert said[-1].endswith("its ArduPilot is silent; waiting 0.3 s for it to start again")
 
 
 def test_a_port_that_is_taken_is_said(port: int) -> None:

@@ -103,7 +103,7 @@ class JsonFlight:
         simulation: reset, at tick 0.
         fleets: names of those that are flown so; the others fly as ever.
         port: of the first vehicle, UDP on the loopback; each other ``PORT_STEP`` further on.
-        wait: for the first packet of each [s].
+        wait: for the first packet of each, and for the restart of one that has become silent [s].
         say: told lines.
 
     Raises:

@@ -7,14 +7,18 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import NoReturn
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.autopilot.ardupilot import Servos, servos
 
 HOST = "127.0.0.1"
 LONGEST = 2048
-# ArduPilot repeats a step that nobody answers after 10 s; who has been silent for longer is not there any more.
-SILENCE_S = 15.0
+# ArduPilot repeats a step that is not answered after 1 s (SIM_JSON.cpp, recv_fdm), so a longer silence is its end.
+SILENCE_S = 1.5
+# It binds no port (set_interface_ports): after a restart it sends from another one, and counts frames from 0 again,
+# the first one until it is answered.
+FIRST_FRAMES = 10
 _POLL_S = 0.5
 
 
@@ -24,7 +28,7 @@ class ServoLink:
     Args:
         name: of the vehicle.
         port: UDP on the loopback.
-        wait: for the first packet [s].
+        wait: for the first packet, and for a restart of an autopilot that has become silent [s].
         say: told a line of what is odd.
 
     Raises:
@@ -32,7 +36,7 @@ class ServoLink:
 
     Attributes:
         lost, repeated, foreign: packets that never came, came again, or were of somebody else.
-        restarts: how often the autopilot has begun anew.
+        restarts: how often the autopilot has been restarted.
     """
 
     def __init__(self, name: str, port: int, wait: float, say: Callable[[str], None]):
@@ -48,6 +52,7 @@ class ServoLink:
         self._socket.settimeout(_POLL_S)
         self._peer: tuple[str, int] | None = None
         self._last: Servos | None = None
+        self._heard = -math.inf
         self._reply = b""
         self.lost = self.repeated = self.foreign = self.restarts = 0
 
@@ -55,15 +60,20 @@ class ServoLink:
         """Return the next step; a step that comes again is answered again.
 
         Raises:
-            RunError: nobody has been there in time.
+            RunError: no autopilot has come, or come back, in time.
         """
-        limit = time.monotonic() + (self._wait if self._last is None else SILENCE_S)
+        begin = time.monotonic()
+        told = self._last is None
         while True:
             found = self._received()
             if found is not None:
                 return found
-            if time.monotonic() > limit:
+            silence = time.monotonic() - begin
+            if silence > self._wait:
                 self._complain()
+            if not told and silence > SILENCE_S:
+                told = True
+                self._say(f"{self.name}: its ArduPilot is silent; waiting {self._wait:g} s for it to start again")
 
     def _received(self) -> Servos | None:
         """Return the step of a packet; None for silence and for what is no new step."""
@@ -74,25 +84,31 @@ class ServoLink:
         except ConnectionError:  # of an answer that nobody took
             return None
         found = servos(packet)
-        if found is None or self._peer not in (None, peer):
+        if found is None or not self._is_own(found, peer):
             self.foreign += 1
             if self.foreign == 1:
                 self._say(f"{self.name}: a packet of {peer[0]}:{peer[1]} that is not of its ArduPilot is passed over")
             return None
-        last, self._peer = self._last, peer
+        last, moved = self._last, self._peer not in (None, peer)
+        self._peer, self._heard = peer, time.monotonic()
         if last is None:
             self._say(f"{self.name}: ArduPilot at {peer[0]}:{peer[1]}, which asks for {found.rate} steps a second")
+        elif moved or found.frame < last.frame:
+            self.restarts += 1
+            self._say(f"{self.name}: ArduPilot has restarted, at {peer[0]}:{peer[1]}; the vehicle goes on as it is")
         elif found.frame == last.frame:
             self.repeated += 1
             self._send(self._reply)
             return None
-        elif found.frame < last.frame:
-            self.restarts += 1
-            self._say(f"{self.name}: ArduPilot has begun anew; the vehicle goes on from where it is")
         else:
             self.lost += found.frame - last.frame - 1
         self._last = found
         return found
+
+    def _is_own(self, found: Servos, peer: tuple[str, int]) -> bool:
+        """Return whether a packet is of the vehicle's autopilot, or of one that takes its place."""
+        silent = time.monotonic() - self._heard > SILENCE_S
+        return self._peer in (None, peer) or found.frame < FIRST_FRAMES or silent
 
     def answer(self, reply: bytes) -> None:
         """Send the answer of the step that came last."""
@@ -105,13 +121,16 @@ class ServoLink:
             with suppress(OSError):
                 self._socket.sendto(reply, self._peer)
 
-    def _complain(self) -> None:
+    def _complain(self) -> NoReturn:
         if self._last is None:
             raise RunError(
                 f"{self.name}: no ArduPilot has come to UDP port {self.port} in {self._wait:g} s; start it with "
                 f"--model JSON:{HOST} and -I {max(0, math.floor((self.port - FIRST_PORT) / PORT_STEP))}"
             )
-        raise RunError(f"{self.name}: its ArduPilot has been silent for {SILENCE_S:g} s, after step {self._last.frame}")
+        raise RunError(
+            f"{self.name}: its ArduPilot has been silent for {self._wait:g} s, since step {self._last.frame}, and no "
+            "other has come"
+        )
 
     def close(self) -> None:
         """Close the port."""
