@@ -71,6 +71,8 @@ class Betaflight:
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
     """Log only the ticks that N divides; 8 are 50 a second at 400 Hz."""
+    fly_on: bool = False
+    """When the firmware of a vehicle ends, stop its motors and let the others fly on; without it, all flights end."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -91,7 +93,7 @@ class Betaflight:
         flights: list[Flight] = []
 
         def flown_by(simulation: Simulation) -> Flight:
-            flights.append(Flight(simulation, fleets, program, eeprom))
+            flights.append(Flight(simulation, fleets, program, eeprom, lost=_say if self.fly_on else None))
             return flights[0]
 
         streams = ("truth", "measurements", "commands", "wind") if self.every > 1 else ()
@@ -152,6 +154,8 @@ class Ardupilot:
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
     """Log only the ticks that N divides; 8 are 50 a second at 400 Hz."""
+    fly_on: bool = False
+    """When the ArduPilot of a vehicle ends, stop its motors and let the others fly on; without it, all flights end."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -172,7 +176,8 @@ class Ardupilot:
         flights: list[JsonFlight] = []
 
         def flown_by(simulation: Simulation) -> JsonFlight:
-            flight = JsonFlight(simulation, fleets, self.port, self.wait, _say)
+            lost = _say if self.fly_on else None
+            flight = JsonFlight(simulation, fleets, self.port, self.wait, _say, lost)
             flights.append(flight)
             for link in flight.links:
                 _say(f"{link.name} waits for ArduPilot on UDP {link.port}")

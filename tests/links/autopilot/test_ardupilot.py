@@ -94,11 +94,13 @@ class StandIn(threading.Thread):
         return found
 
 
-def flight_of(name: Any, port: int, fleets: tuple[str, ...] = (), wait: float = 20.0, said: Any = None) -> JsonFlight:
+def flight_of(
+    name: Any, port: int, fleets: tuple[str, ...] = (), wait: float = 20.0, said: Any = None, lost: Any = None
+) -> Any:
     scenario, flown = prepared(load_scenario(name), fleets, "x500", RATE)
     simulation = Simulation(scenario.world(), seed=3, name=scenario.name, site=scenario.site)
     simulation.reset()
-    return JsonFlight(simulation, flown, port, wait, (said if said is not None else []).append)
+    return JsonFlight(simulation, flown, port, wait, (said if said is not None else []).append, lost)
 
 
 def one(model: str = "x500", feed: str = "truth") -> dict[str, Any]:
@@ -284,6 +286,10 @@ def test_nobody_there_and_somebody_gone_are_one_line(port: int, monkeypatch: pyt
         with pytest.raises(RunError, match=r"its ArduPilot has been silent for 0\.3 s, since step 0, and no other"):
             flight.advance()
     assert said[-1].endswith("its ArduPilot is silent; waiting 0.3 s for it to start again")
+    with flight_of(one(), port, wait=0.1, lost=said.append) as flight:
+        flight.advance(2)
+        assert flight.simulation.tick == 2
+    assert said[-1].endswith("; its motors stop, and the others fly on")
 
 
 def test_a_port_that_is_taken_is_said(port: int) -> None:

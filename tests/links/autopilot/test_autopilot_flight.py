@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from qrsim.errors import UsageError
+from qrsim.errors import RunError, UsageError
 from qrsim.links.autopilot.firmware import INSTALL, binary, configured
 from qrsim.links.autopilot.fleet import prepared, rotor_order
 from qrsim.links.autopilot.flight import Flight
@@ -70,6 +73,51 @@ def test_a_yaw_stick_turns_at_its_rate(eeprom: bytes):
     rate = np.asarray(history.state.fleets[0].vehicle.rates_body.z)[-400:, 0]
     # One step of the stick is 0.4 deg/s.
     assert rate.mean() == pytest.approx(0.5, abs=0.02)
+
+
+# Speaks lockstep.c's side of the socket: a port, then motors for each state; one of all processes dies in flight.
+MORTAL = """#!{python} -SE
+import os, signal, socket, struct
+print("a line that has nothing to do with its end", flush=True)
+wire = socket.socket(fileno=int(os.environ["QRSIM_LOCKSTEP_FD"]))
+wire.sendall(struct.pack("<I", 5761))
+try:
+    os.open("{mark}", os.O_CREAT | os.O_EXCL)
+    left = 1300
+except FileExistsError:
+    left = 10**9
+while wire.recv(184, socket.MSG_WAITALL):
+    left -= 1
+    if not left:
+        os.kill(os.getpid(), signal.SIGKILL)
+    wire.sendall(struct.pack("<4f", 0.9, 0.9, 0.9, 0.9))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it runs on Linux")
+@pytest.mark.parametrize("fly_on", [False, True])
+def test_a_firmware_that_dies_in_flight_is_named_and_the_others_fly_on_if_asked(fly_on: bool, tmp_path: Path):
+    program = tmp_path / "firmware"
+    program.write_text(MORTAL.format(python=sys.executable, mark=tmp_path / "mark"))
+    program.chmod(0o755)
+    content = json.loads(json.dumps(HOVER))
+    content["fleets"]["quads"]["vehicles"] = [{"position_ned": [north, 0.0, -20.0]} for north in (0.0, 10.0)]
+    scenario, fleets = made(content)
+    simulation = Simulation(scenario.world(), seed=1)
+    simulation.reset()
+    said: list[str] = []
+    line = "quads_0: the firmware was killed by SIGKILL"
+    # It is armed in 1200 messages, and dies 0.25 s later.
+    with Flight(simulation, fleets, program, b"", lost=said.append if fly_on else None) as flight:
+        if fly_on:
+            flight.advance(200)
+            assert said == [f"{line}; its motors stop, and the others fly on"]
+            speeds = np.array(simulation.state.fleets[0].vehicle.rotor_speed)
+            assert (speeds[:, 0] < 0.1 * speeds[:, 1]).all()
+        else:
+            with pytest.raises(RunError) as raised:
+                flight.advance(200)
+            assert str(raised.value) == line
 
 
 @needs_betaflight

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import struct
 import subprocess
@@ -72,13 +73,15 @@ class Process:
         program: the firmware.
         folder: its working directory, which holds its configuration.
         free: whether its clock is left alone.
+        name: of its vehicle, for messages; "" for none.
 
     Raises:
         RunError: it does not start, or does not answer.
     """
 
-    def __init__(self, program: Path, folder: Path, free: bool = False):
+    def __init__(self, program: Path, folder: Path, free: bool = False, name: str = ""):
         library = compiled()
+        self._who = f"{name}: the firmware" if name else "the firmware"
         self._log = folder / "firmware.log"
         ours, theirs = socket.socketpair()
         environment = {**os.environ, "LD_PRELOAD": str(library), "QRSIM_LOCKSTEP_FD": str(theirs.fileno())}
@@ -127,9 +130,14 @@ class Process:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.2)
         code = self._process.poll()
-        what = f"does not answer within {ANSWER_S:g} s" if code is None else f"has ended with code {code}"
-        lines = self._log.read_text("utf-8", "replace").strip().splitlines() if self._log.exists() else []
-        return f"the firmware {what}" + (f"; its last words: {lines[-1]}" if lines else "")
+        if code is None:
+            return f"{self._who} does not answer within {ANSWER_S:g} s"
+        if code < 0:
+            names = {each.value: each.name for each in signal.Signals}
+            return f"{self._who} was killed by {names.get(-code, f'signal {-code}')}"
+        # Only a program that gives up by itself says why in its last line.
+        lines = self._log.read_text("utf-8", "replace").strip().splitlines() if code and self._log.exists() else []
+        return f"{self._who} has ended with code {code}" + (f"; its last words: {lines[-1]}" if lines else "")
 
     def wait(self, seconds: float) -> bool:
         """Return whether it ends by itself within a time [s]."""
@@ -242,7 +250,7 @@ class Firmware:
         try:
             folder = Path(self._folder.name)
             (folder / EEPROM).write_bytes(eeprom)
-            self.process = Process(program, folder)
+            self.process = Process(program, folder, name=name)
         except BaseException:
             self._folder.cleanup()
             raise

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.errors import RunError
 from qrsim.links.autopilot.firmware import Firmware
 from qrsim.links.autopilot.fleet import checked_fleet, rotor_order
+from qrsim.links.autopilot.losses import Losses
 from qrsim.links.autopilot.packets import Sensed
 from qrsim.links.autopilot.sensing import FleetSight
 from qrsim.links.autopilot.sticks import channels
@@ -40,7 +42,9 @@ def flown_history(simulation: Simulation, advance: Callable[[], None], ticks: in
 class FlownFleet:
     """The vehicles of a fleet and their firmware."""
 
-    def __init__(self, simulation: Simulation, fleet: Fleet, program: Path, eeprom: bytes, close: ExitStack):
+    def __init__(
+        self, simulation: Simulation, fleet: Fleet, program: Path, eeprom: bytes, close: ExitStack, losses: Losses
+    ):
         number = [each.name for each in simulation.world.fleets].index(fleet.name)
         self.fleet = fleet
         self._order = list(rotor_order(fleet))
@@ -50,6 +54,7 @@ class FlownFleet:
         self._dtype = simulation.dtype
         self._command = MotorCommand.of_count(4)
         self.sight = FleetSight(simulation, number)
+        self._losses = losses
         self.firmware = [close.enter_context(Firmware(program, eeprom, name)) for name in fleet.vehicle_names]
 
     def arm(self, dt: float) -> float:
@@ -65,13 +70,23 @@ class FlownFleet:
     def tell(self, time: float, override: Callable[[list[Sequence[float]]], list[Sequence[float]]]) -> None:
         """Let all go on to a time [s] of their clocks."""
         asked, sensed = self.sight.look()
-        for firmware, wanted, seen, curve in zip(self.firmware, override(asked), sensed, self._curves, strict=True):
+        for i, (wanted, seen) in enumerate(zip(override(asked), sensed, strict=True)):
             pitch, roll, throttle, yaw_rate = wanted
-            firmware.tell(time, seen, channels(pitch, roll, throttle, yaw_rate, curve))
+            if i not in self._losses:
+                try:
+                    self.firmware[i].tell(time, seen, channels(pitch, roll, throttle, yaw_rate, self._curves[i]))
+                except RunError as error:
+                    self._losses.add(i, error)
 
     def answer(self) -> Piloted:
-        """Return what their motors are to do."""
-        table = np.array([firmware.motors() for firmware in self.firmware], self._dtype)
+        """Return what their motors are to do; those of a vehicle without its firmware stand still."""
+        table = np.zeros((len(self.firmware), len(self._order)), self._dtype)
+        for i, firmware in enumerate(self.firmware):
+            if i not in self._losses:
+                try:
+                    table[i] = firmware.motors()
+                except RunError as error:
+                    self._losses.add(i, error)
         columns = np.clip(table[:, self._order], 0.0, 1.0).T
         return Piloted(self._command(*np.ascontiguousarray(columns)))
 
@@ -84,6 +99,7 @@ class Flight:
         fleets: names of those that are flown so; the others fly as ever.
         program, eeprom: the firmware and its configuration.
         override: what is asked of the first of these fleets in place of what its controller asks; None: that.
+        lost: told a line when a firmware ends in flight, whose vehicle's motors then stop; None: all flights end.
 
     Raises:
         UsageError: a fleet cannot be flown.
@@ -95,19 +111,19 @@ class Flight:
 
     def __init__(
         self, simulation: Simulation, fleets: Sequence[str], program: Path, eeprom: bytes,
-        override: Override | None = None,
+        override: Override | None = None, lost: Callable[[str], None] | None = None,
     ):  # fmt: skip
         self.simulation = simulation
         self._override = override
         chosen = [checked_fleet(simulation.world, name) for name in fleets]
         self._dt = simulation.world.time_step
         with ExitStack() as close:
-            self._fleets = [FlownFleet(simulation, fleet, program, eeprom, close) for fleet in chosen]
+            self._fleets = [FlownFleet(simulation, fleet, program, eeprom, close, Losses(lost)) for fleet in chosen]
             self._armed = [fleet.arm(self._dt) for fleet in self._fleets]
             self._close = close.pop_all()
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly so many ticks; raises RunError where a firmware ends or is silent."""
+        """Fly so many ticks; raises RunError where a firmware ends or is silent, and all flights end with it."""
         for _ in range(ticks):
             simulation = self.simulation
             for fleet, armed in zip(self._fleets, self._armed, strict=True):

@@ -7,10 +7,11 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 
-from qrsim.errors import ScenarioError, UsageError
+from qrsim.errors import RunError, ScenarioError, UsageError
 from qrsim.links.autopilot import ardupilot
 from qrsim.links.autopilot.fleet import refitted
 from qrsim.links.autopilot.flight import flown_history
+from qrsim.links.autopilot.losses import Losses
 from qrsim.links.autopilot.sensing import FleetSight
 from qrsim.links.autopilot.servo_link import PORT_STEP, ServoLink
 from qrsim.links.shared.grounding import put_down, standing
@@ -73,9 +74,9 @@ def motor_order(fleet: Fleet) -> tuple[int, ...]:
 class JsonFleet:
     """The vehicles of a fleet and the ports of their autopilots."""
 
-    def __init__(self, simulation: Simulation, fleet: Fleet, links: Sequence[ServoLink]):
+    def __init__(self, simulation: Simulation, fleet: Fleet, links: Sequence[ServoLink], losses: Losses):
         number = [each.name for each in simulation.world.fleets].index(fleet.name)
-        self.fleet, self.links = fleet, links
+        self.fleet, self.links, self._losses = fleet, links, losses
         self._order = list(motor_order(fleet))
         self._command = MotorCommand.of_count(len(self._order))
         self._dtype = simulation.dtype
@@ -84,8 +85,14 @@ class JsonFleet:
         self._start = [place[:] for place in self._sight.positions()]
 
     def wait(self) -> Piloted:
-        """Return what the motors are to do, once all have said it."""
-        table = np.array([ardupilot.speeds(link.wait().pulses, len(self._order)) for link in self.links], self._dtype)
+        """Return what the motors are to do, once all autopilots have sent it; without one they stand still."""
+        table = np.zeros((len(self.links), len(self._order)), self._dtype)
+        for i, link in enumerate(self.links):
+            if i not in self._losses:
+                try:
+                    table[i] = ardupilot.speeds(link.wait().pulses, len(self._order))
+                except RunError as error:
+                    self._losses.add(i, error)
         return Piloted(self._command(*np.ascontiguousarray(table[:, self._order].T)))
 
     def answer(self, time: float) -> None:
@@ -105,6 +112,7 @@ class JsonFlight:
         port: of the first vehicle, UDP on the loopback; each other ``PORT_STEP`` further on.
         wait: for the first packet of each, and for the restart of one that has become silent [s].
         say: told lines.
+        lost: told a line when an autopilot does not come, or ends, whose vehicle's motors then stop; None: all end.
 
     Raises:
         UsageError: a fleet cannot be flown, or a port is taken.
@@ -112,7 +120,7 @@ class JsonFlight:
 
     def __init__(
         self, simulation: Simulation, fleets: Sequence[str], port: int, wait: float,
-        say: Callable[[str], None] = lambda line: None,
+        say: Callable[[str], None] = lambda line: None, lost: Callable[[str], None] | None = None,
     ):  # fmt: skip
         self.simulation = simulation
         world = simulation.world
@@ -134,11 +142,11 @@ class JsonFlight:
                     close.enter_context(closing(link))
                     self.links.append(link)
                     own.append(link)
-                self._fleets.append(JsonFleet(simulation, fleet, own))
+                self._fleets.append(JsonFleet(simulation, fleet, own, Losses(lost)))
             self._close = close.pop_all()
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly so many ticks, each when all autopilots have said what to do in it; raises RunError if one is silent."""
+        """Fly so many ticks, each when all autopilots have sent what to do in it; raises RunError if one is gone."""
         for _ in range(ticks):
             simulation = self.simulation
             simulation.advance({fleet.fleet.name: fleet.wait() for fleet in self._fleets})
