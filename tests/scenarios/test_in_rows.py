@@ -34,6 +34,26 @@ def test_rows_begin_in_the_south_west_and_lie_about_the_middle() -> None:
     assert [vehicle.yaw_rad for vehicle in found] == pytest.approx([1.5707963] * 5)
 
 
+def test_each_flies_the_legs_shifted_as_its_start_is() -> None:
+    """Two, 10 m apart to the east: places are shifted, heights and the place that both look at are not."""
+    legs: list[Any] = [
+        {"type": "take_off", "height": 10}, {"to_ned": [50, 0, -10], "facing_ned": [30, 30], "hold": 2},
+        {"type": "loiter", "time": 3}, {"type": "land", "at_ned": [5, 7]},
+    ]  # fmt: skip
+    rows = {"count": 2, "spacing": 10.0, "position_ned": [0, 0, 0], "on_ground": True, "legs": legs}
+    content = {"name": "rows", "fleets": {"team": {"ground": "parked", "guidance": {"type": "mission"},
+                                                   "controller": {"type": "cascade", "feed": "truth"},
+                                                   "vehicles": rows}}}  # fmt: skip
+    first, second = load_scenario(content, quiet=True).spec.fleets["team"].vehicles
+    for vehicle, east in ((first, -5.0), (second, 5.0)):
+        found = [leg.model_dump(exclude_unset=True) for leg in vehicle.legs]
+        assert found == [
+            {"type": "take_off", "height": 10.0},
+            {"type": "fly", "to_ned": [50.0, east, -10.0], "facing_ned": [30.0, 30.0], "hold": 2.0},
+            {"type": "loiter", "time": 3.0}, {"type": "land", "at_ned": [5.0, 7.0 + east]},
+        ]  # fmt: skip
+
+
 def test_without_columns_the_whole_is_nearly_square() -> None:
     """Seven make rows of three, and one alone is in the middle."""
     found = loaded({"count": 7, "position_ned": [0.0, 0.0, -7.0]}).spec.fleets["team"].vehicles
@@ -62,6 +82,21 @@ def test_they_hold_their_places() -> None:
         ({"spacing": 3.0, "position_ned": [0, 0, -7]}, "count: missing"),
         ({"count": 3, "spacing": -1.0, "position_ned": [0, 0, -7]}, "spacing: -1.0 is out of range"),
         ({"count": 3, "name": "x", "position_ned": [0, 0, -7]}, "name: no such parameter"),
+        (
+            {"count": 3, "position_ned": [0, 0, -7], "waypoints_ned": [[1, 2, -3]], "legs": [{"to_ned": [1, 2, -3]}]},
+            "gives both 'waypoints_ned' and 'legs'; give one",
+        ),
+        (
+            {
+                "count": 3,
+                "position_ned": [0, 0, -7],
+                "legs": [
+                    {"to_geodetic": {"latitude_deg": 1, "longitude_deg": 2, "height": 3}},
+                ],
+            },
+            "legs.0.to_geodetic: rows are shifted in metres; give to_ned",
+        ),
+        ({"count": 3, "position_ned": [0, 0, -7], "legs": [{"type": "lnd"}]}, "legs.0.type: .* did you mean 'land'"),
         ({}, "expected a list, or rows with a count; found keys and values without one"),
         ({"position_ned": [0, 0, -7]}, "expected a list, or rows with a count; found keys and values without one"),
         ({"cout": 3, "spacing": 2.0, "position_ned": [0, 0, -7]}, "did you mean 'count'"),
@@ -75,8 +110,10 @@ def test_wrong_rows_say_what_and_where(rows: dict[str, Any], message: str) -> No
 
 def test_the_json_schema_has_both_forms() -> None:
     """A list of vehicles as before, or rows with a count."""
-    fleet = json_schema()["$defs"]["FleetSpec"]["properties"]["vehicles"]
-    listed, rows = fleet["anyOf"]
+    known = json_schema()["$defs"]
+    listed, other = known["FleetSpec"]["properties"]["vehicles"]["anyOf"]
+    assert other == {"$ref": "#/$defs/RowsSpec"}
+    rows = known["RowsSpec"]
     assert (listed["type"], listed["minItems"]) == ("array", 1)
     assert rows["required"] == ["count", "position_ned"]
     assert "yaw_deg" in rows["properties"]

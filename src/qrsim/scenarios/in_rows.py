@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from qrsim.scenarios.component_schema import Finite, Strict
-from qrsim.scenarios.legs import Position
+from qrsim.scenarios.legs import LegSpec, Position
 from qrsim.scenarios.problems import describe
 
 MOST_IN_ROWS = 10_000
@@ -26,30 +26,49 @@ class RowsSpec(Strict):
     waypoints_ned: list[Position] = Field(
         [], description="route of the middle [m], which each flies beside it as it starts", max_length=2000
     )
+    legs: list[LegSpec] = Field(
+        [], description="mission of the middle, instead of waypoints; each flies it shifted as its start is",
+        max_length=2000,
+    )  # fmt: skip
     yaw_rad: Finite = Field(0.0, description="heading of all at the start and along the route [rad]", ge=-6.3, le=6.3)
     velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity of all in body axes [m/s]")
     on_ground: bool = Field(False, description="whether all start on the ground", strict=True)
+
+    @model_validator(mode="after")
+    def _one_route(self) -> RowsSpec:
+        if self.waypoints_ned and self.legs:
+            raise ValueError("gives both 'waypoints_ned' and 'legs'; give one")
+        for number, leg in enumerate(self.legs):
+            if getattr(leg, "to_geodetic", None) is not None:
+                raise ValueError(f"legs.{number}.to_geodetic: rows are shifted in metres; give to_ned")
+        return self
 
     def vehicles(self) -> list[dict[str, Any]]:
         """Return the vehicles one by one, as a list of them in a scenario has them."""
         columns = min(self.columns or math.ceil(math.sqrt(self.count)), self.count)
         rows = -(-self.count // columns)
+        legs = [leg.model_dump(exclude_unset=True) | {"type": leg.type} for leg in self.legs]
         found = []
         for i in range(self.count):
             row, column = divmod(i, columns)
-            beside = (self.spacing * (row - 0.5 * (rows - 1)), self.spacing * (column - 0.5 * (columns - 1)), 0.0)
-
-            def shifted(point: list[float], beside: tuple[float, ...] = beside) -> list[float]:
-                return [axis + off for axis, off in zip(point, beside, strict=True)]
-
+            off = (self.spacing * (row - 0.5 * (rows - 1)), self.spacing * (column - 0.5 * (columns - 1)), 0.0)
             found.append(
                 {
-                    "position_ned": shifted(self.position_ned), "yaw_rad": self.yaw_rad,
-                    "waypoints_ned": [shifted(point) for point in self.waypoints_ned],
+                    "position_ned": _shifted(self.position_ned, off), "yaw_rad": self.yaw_rad,
+                    "waypoints_ned": [_shifted(point, off) for point in self.waypoints_ned],
+                    "legs": [
+                        leg | {name: _shifted(leg[name], off) for name in ("to_ned", "at_ned") if leg.get(name)}
+                        for leg in legs
+                    ],
                     "velocity_body": list(self.velocity_body), "on_ground": self.on_ground,
                 }
             )  # fmt: skip
         return found
+
+
+def _shifted(point: list[float], off: tuple[float, ...]) -> list[float]:
+    """Return a place of two or three numbers [m], shifted."""
+    return [axis + shift for axis, shift in zip(point, off, strict=False)]
 
 
 def one_by_one(value: Any) -> Any:
@@ -65,14 +84,10 @@ def one_by_one(value: Any) -> Any:
     try:
         rows = RowsSpec.model_validate(value)
     except ValidationError as error:
-        raise ValueError("; ".join(describe(error, RowsSpec, value))) from None
+        # What concerns the rows as a whole has the path of the scenario itself.
+        lines = (line.removeprefix("scenario: ") for line in describe(error, RowsSpec, value))
+        raise ValueError("; ".join(lines)) from None
     return rows.vehicles()
-
-
-def or_in_rows(schema: dict[str, Any]) -> None:
-    """Add rows to the JSON schema of a list of vehicles."""
-    listed = {name: schema.pop(name) for name in ("type", "items", "minItems") if name in schema}
-    schema["anyOf"] = [listed, RowsSpec.model_json_schema()]
 
 
 def count_of(value: Any) -> int:

@@ -24,7 +24,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.fitting_schema import FITTING
-from qrsim.scenarios.in_rows import one_by_one, or_in_rows
+from qrsim.scenarios.in_rows import RowsSpec, one_by_one
 from qrsim.scenarios.interference import MOST, InterferenceSlot
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
@@ -308,9 +308,12 @@ class FleetSpec(Strict):
     radio: FleetRadioSpec | None = Field(
         None, description="what its radios have of their own, or none, which is silent and deaf; default: world.radio"
     )
-    vehicles: Annotated[list[VehicleSpec], BeforeValidator(one_by_one)] = Field(
-        description="vehicles one by one, or in rows", min_length=1, json_schema_extra=or_in_rows
-    )
+    vehicles: Annotated[
+        list[VehicleSpec],
+        BeforeValidator(
+            one_by_one, json_schema_input_type=Annotated[list[VehicleSpec], Field(min_length=1)] | RowsSpec
+        ),
+    ] = Field(description="vehicles one by one, or in rows", min_length=1)
 
     @model_validator(mode="before")
     @classmethod
