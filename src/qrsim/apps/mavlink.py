@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from qrsim.links.mavlink.world import FlownWorld
 
 FLAVOURS = ("px4", "ardupilot")
+ORIGINS = ("start", "site")
 LAST_SYSTEM = 240
 
 
@@ -53,6 +54,9 @@ class Mavlink:
     """Change one value of the scenario; can be given several times."""
     flavour: Annotated[str, tyro.conf.arg(metavar="px4|ardupilot")] = "px4"
     """Whose numbers of modes are spoken."""
+    local_origin: Annotated[str, tyro.conf.arg(metavar="start|site")] = "start"
+    """Origin of each vehicle's local frame (LOCAL_POSITION_NED, SET_POSITION_TARGET_LOCAL_NED, ...): where it was when
+    its estimator began, or the site of the scenario, which all vehicles share."""
     first_sysid: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """MAVLink system id of the first vehicle; the last one is 240."""
     own_ports: bool = False
@@ -89,7 +93,7 @@ class Mavlink:
         say = log.say
         world = FlownWorld(
             prepared(load_scenario(self.scenario, self.set)),
-            stack_of(self.flavour),  # type: ignore[arg-type]
+            stack_of(self.flavour, self.local_origin),  # type: ignore[arg-type]
             seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, log=say,
         )  # fmt: skip
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
@@ -116,6 +120,7 @@ class Mavlink:
             raise UsageError(f"--first-sysid {self.first_sysid}: expected 1 to {LAST_SYSTEM}")
         for name, value, allowed in (
             ("--flavour", self.flavour, FLAVOURS),
+            ("--local-origin", self.local_origin, ORIGINS),
             ("--stream-time", self.stream_time, ("wall", "sim")),
         ):
             if value not in allowed:

@@ -166,10 +166,11 @@ def test_a_rover_drives_by_setpoints_and_repositions(team):
             team.on(4)
 
     state = team.world.simulation
-    send(0.2, type_mask=0xDF8, x=30.0, y=-45.0)
+    # Its local frame began at (20, -50).
+    send(0.2, type_mask=0xDF8, x=10.0, y=5.0)
     assert team.command(ROVER, 176, 1.0, 6.0)["COMMAND_ACK"].result == 0
     assert team.command(ROVER, 400, 1.0)["COMMAND_ACK"].result == 0
-    send(25.0, type_mask=0xDF8, x=30.0, y=-45.0)
+    send(25.0, type_mask=0xDF8, x=10.0, y=5.0)
     assert team.run(5)[ROVER]["HEARTBEAT"].custom_mode == 6 << 16
     # It stops where it seems to be there, some metres off by its receiver.
     assert state.truth.position_ned[ROVER - 1, :2] == pytest.approx([30.0, -45.0], abs=4.0)

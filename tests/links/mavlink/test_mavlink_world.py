@@ -88,6 +88,29 @@ def air():
     return Air()
 
 
+def test_the_local_frame_of_each_begins_where_it_stood(air):
+    """Each is at (0, 0, 0), and GPS_GLOBAL_ORIGIN is there: the second stands 5 m north of the first."""
+    air.run(1)
+    places = []
+    for system, sent in air.sent.items():
+        sent.clear()
+        for number in (32.0, 49.0, 242.0):
+            air.command(system, 512, number)
+        local, origin, home = (
+            read.message()
+            for data in sent
+            for read in Reader().datagram(data)
+            if read.layout.name in ("LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN", "HOME_POSITION")
+        )
+        assert (local.x, local.y, local.z) == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
+        assert (home.x, home.y, home.z) == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
+        assert (origin.latitude, origin.longitude) == pytest.approx((home.latitude, home.longitude), abs=1.0)
+        places.append(origin)
+    # A degree of latitude is 111 252 m at 51.7 degrees (WGS-84).
+    assert places[1].latitude - places[0].latitude == pytest.approx(5.0 / 111252.0 * 1e7, abs=2.0)
+    assert places[1].longitude == pytest.approx(places[0].longitude, abs=1.0)
+
+
 def test_one_is_flown_and_the_other_one_stays(air):
     first, second = air.world.systems
     assert (first.number, first.name, second.number) == (7, "pair_0", 8)
@@ -121,7 +144,7 @@ def test_what_is_sent_is_what_is_seen(air):
     assert (gps.satellites_visible, gps.fix_type) == (reading.gnss.satellites[0], 3)
     assert gps.eph == round(reading.gnss.hdop[0] * 100)
     local, place = found["LOCAL_POSITION_NED"], found["GLOBAL_POSITION_INT"]
-    # This controller is fed with the truth, of the tick before.
+    # This controller is fed with the truth, of the tick before; its local frame began at the site.
     assert (local.x, local.y, local.z) == pytest.approx(truth.position_ned[0], abs=0.05)
     latitude, longitude, height = simulation.site.ned_to_geodetic([local.x, local.y, local.z])
     assert (place.lat, place.lon) == pytest.approx((np.degrees(latitude) * 1e7, np.degrees(longitude) * 1e7), abs=1.0)

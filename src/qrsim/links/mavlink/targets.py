@@ -35,7 +35,8 @@ def position_target_local_ned(v: View) -> Payload:
     if found is None:
         return None
     mask, numbers = found
-    return _STRUCT["POSITION_TARGET_LOCAL_NED"](v.boot_ms, *numbers, 0.0, mask, _LOCAL_NED)
+    place = v.local((numbers[0], numbers[1], numbers[2])) if mask == _PATH else numbers[:3]
+    return _STRUCT["POSITION_TARGET_LOCAL_NED"](v.boot_ms, *place, *numbers[3:], 0.0, mask, _LOCAL_NED)
 
 
 def position_target_global_int(v: View) -> Payload:
@@ -66,8 +67,8 @@ def attitude_target(v: View) -> Payload:
 
 
 def gps_global_origin(v: View) -> Payload:
-    """GPS_GLOBAL_ORIGIN: where the local frame begins, which is the site of the scenario."""
-    latitude, longitude, altitude = v.stack.place((0.0, 0.0, 0.0))
+    """GPS_GLOBAL_ORIGIN: the origin of the vehicle's local frame."""
+    latitude, longitude, altitude = v.stack.place(v.stack.origin)
     return LAYOUTS["GPS_GLOBAL_ORIGIN"].payload(
         latitude=round(latitude * 1e7), longitude=round(longitude * 1e7), altitude=round(altitude * 1e3),
         time_usec=v.boot_us,

@@ -125,10 +125,10 @@ def attitude_quaternion(v: View) -> Payload:
 
 
 def local_position_ned(v: View) -> Payload:
-    """LOCAL_POSITION_NED, in the site's frame."""
+    """LOCAL_POSITION_NED, from the origin of the vehicle's local frame."""
     if not v.seen.valid:
         return None
-    return _STRUCT["LOCAL_POSITION_NED"](v.boot_ms, *v.seen.position_ned, *v.seen.velocity_ned)
+    return _STRUCT["LOCAL_POSITION_NED"](v.boot_ms, *v.local(v.seen.position_ned), *v.seen.velocity_ned)
 
 
 def global_position_int(v: View) -> Payload:
@@ -178,7 +178,7 @@ def altitude(v: View) -> Payload:
         return None
     relative = seen.altitude - v.home_altitude
     return _STRUCT["ALTITUDE"](
-        v.boot_us, seen.altitude, seen.altitude, -seen.position_ned[2], relative, NAN, v.row[s.RANGE]
+        v.boot_us, seen.altitude, seen.altitude, -v.local(seen.position_ned)[2], relative, NAN, v.row[s.RANGE]
     )
 
 
@@ -259,8 +259,8 @@ def odometry(v: View) -> Payload:
     pose = _variances(row[s.STD_POSITION : s.STD_POSITION + 3], row[s.STD_ATTITUDE : s.STD_ATTITUDE + 3])
     speed = _variances(row[s.STD_VELOCITY : s.STD_VELOCITY + 3], [NAN, NAN, NAN])
     return _STRUCT["ODOMETRY"](
-        v.boot_us, *seen.position_ned, w, x, y, z, forward, right, below, *seen.rates, *pose, *speed, _LOCAL_NED,
-        _BODY_FRD, 0, _GPS_INS, 0,
+        v.boot_us, *v.local(seen.position_ned), w, x, y, z, forward, right, below, *seen.rates, *pose, *speed,
+        _LOCAL_NED, _BODY_FRD, 0, _GPS_INS, 0,
     )  # fmt: skip
 
 
@@ -316,8 +316,8 @@ def home_position(v: View) -> Payload:
         return None
     half = 0.5 * home.yaw
     return _STRUCT["HOME_POSITION"](
-        round(home.latitude * 1e7), round(home.longitude * 1e7), round(home.altitude * 1e3), *home.position_ned,
-        math.cos(half), 0.0, 0.0, math.sin(half), 0.0, 0.0, 0.0, v.boot_us,
+        round(home.latitude * 1e7), round(home.longitude * 1e7), round(home.altitude * 1e3),
+        *v.local(home.position_ned), math.cos(half), 0.0, 0.0, math.sin(half), 0.0, 0.0, 0.0, v.boot_us,
     )  # fmt: skip
 
 

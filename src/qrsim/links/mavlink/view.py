@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack
+from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack, Triple
 from qrsim.links.shared import sight as s
 
 
@@ -47,6 +47,11 @@ class View:
         if self._row is None:
             self._row = self.numbers.tolist()
         return self._row
+
+    def local(self, position_ned: Triple) -> Triple:
+        """Return a position of the site's frame NED [m] in the vehicle's local frame."""
+        (north, east, down), origin = position_ned, self.stack.origin
+        return north - origin[0], east - origin[1], down - origin[2]
 
     @property
     def boot_ms(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.contracts import NAN, Ack, Command, Event, Facts, Item, Seen, Text
@@ -43,9 +44,10 @@ class Puppet:
 
     def __init__(
         self, flavour: str = "px4", factor: float = 1.0, fence: tuple = (), settle: float = 2.0,
-        z_min: float = -math.inf, z_max: float = math.inf,
+        z_min: float = -math.inf, z_max: float = math.inf, local_origin: str = "start",
     ):  # fmt: skip
         facts = Facts("a", hover_throttle=0.5, has_battery=True, fence=fence, z_min=z_min, z_max=z_max)
+        facts = replace(facts, local_origin=local_origin)  # type: ignore[arg-type]
         self.stack = FlightStack(facts, SITE, flavour=flavour, factor=factor)  # type: ignore[arg-type]
         self.seen = Seen(charge=0.8, present=0xF, healthy=0xF, altitude=488.0)
         self.order: Order | None = None

@@ -48,6 +48,21 @@ def test_places_are_flown_to_with_their_heading():
     assert puppet.stack.heartbeat().custom_mode == OFFBOARD
 
 
+@pytest.mark.parametrize(("origin", "reached"), [("start", (41.0, -29.0, -12.0)), ("site", (1.0, 1.0, -12.0))])
+def test_local_places_are_those_of_the_frame_that_began_with_the_estimator(origin, reached):
+    puppet = Puppet(local_origin=origin)
+    # It is elsewhere when it starts again.
+    puppet.seen.position_ned = (40.0, -30.0, 0.0)
+    puppet.stack.reset()
+    puppet.run(2.0)
+    puppet.fly_up(10.0)
+    target = position(1.0, 1.0, -12.0)
+    assert puppet.stack.setpoint(target)
+    assert puppet.stack.set_mode(1, OFFBOARD) == 0
+    puppet.run(20.0, each=keep(target))
+    assert puppet.seen.position_ned == pytest.approx(reached, abs=0.1)
+
+
 @pytest.mark.parametrize(("frame", "alt"), [(0, 500.0), (5, 500.0), (3, 12.0), (6, 12.0), (10, 12.0), (11, 12.0)])
 def test_places_on_earth_are_flown_to(frame, alt):
     x, y = round((47.397742 + 6.0 * NORTH_DEG) * 1e7), round((8.545594 - 9.0 * EAST_DEG) * 1e7)

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]
 Quadruple = tuple[float, float, float, float]
 FlavourName = Literal["px4", "ardupilot"]
+# Where the local frame of a vehicle begins: where it was when its estimator began, or at the scenario's site.
+LocalOrigin = Literal["start", "site"]
 NAN = math.nan
 # Kinds of orders by which a stack flies a vehicle itself.
 NEEDED = frozenset({"path", "velocity", "attitude"})
@@ -55,6 +57,7 @@ class Facts:
         z_min, z_max: ceiling and floor of that area, positions down [m].
         airspeed, airspeed_min: of a fixed wing, that of its controller and that of its stall [m/s].
         loiter_radius: of the circles of a fixed wing [m]; 0: no fixed wing.
+        local_origin: where its local frame begins.
     """
 
     name: str
@@ -76,6 +79,7 @@ class Facts:
     airspeed: float = 0.0
     airspeed_min: float = 0.0
     loiter_radius: float = 0.0
+    local_origin: LocalOrigin = "start"
 
 
 @dataclass(slots=True)
@@ -155,7 +159,7 @@ class LocalTarget:
     """SET_POSITION_TARGET_LOCAL_NED: numbers that ``mask`` ignores may be anything.
 
     Attributes:
-        frame: MAV_FRAME 1 local, 7 offset from here, 8 and 9 along the heading.
+        frame: MAV_FRAME 1 local (from ``Stack.origin``), 7 offset from here, 8 and 9 along the heading.
         mask: POSITION_TARGET_TYPEMASK.
     """
 
@@ -307,6 +311,10 @@ class Stack(Protocol):
     @property
     def home(self) -> Home | None:
         """Where it returns to; None before there was a position."""
+
+    @property
+    def origin(self) -> Triple:
+        """Origin of its local frame, in the site's frame NED [m]."""
 
     def place(self, position_ned: Triple) -> Triple:
         """Return latitude and longitude [deg] and altitude [m] of a position NED [m]."""

@@ -30,6 +30,8 @@ class Craft:
     Attributes:
         seen: what it saw last.
         home: where it returns to.
+        origin: of its local frame, in the site's frame NED [m]: its position when its estimator began, as that of PX4's
+            VehicleLocalPosition; or the site.
         fence: that of the plan within the area of the scenario, or that area alone.
         area: that of the scenario, where a flight ends that leaves it.
         path: the point that it follows.
@@ -56,6 +58,8 @@ class Craft:
         self.seen = Seen()
         self._known = (ZERO, ZERO, ZERO, self.geodesy.height)
         self.home: Home | None = None
+        self.origin: Triple = ZERO
+        self._estimates = 0
         self.path = Path()
         self.yaw = 0.0
         self.cruise: float | None = None
@@ -94,6 +98,10 @@ class Craft:
         """Take what it sees at a tick; of what it does not know it keeps what it knew last."""
         if seen.valid:
             self._known = (seen.position_ned, seen.velocity_ned, seen.attitude, seen.altitude)
+            self._estimates += 1
+            # The first estimate is older than the first readings.
+            if self._estimates == 2 and self.facts.local_origin == "start":
+                self.origin = seen.position_ned
         else:
             place, velocity, attitude, altitude = self._known
             seen = replace(seen, position_ned=place, velocity_ned=velocity, attitude=attitude, altitude=altitude)

@@ -129,6 +129,11 @@ class FlightStack(Flight):
         """Where it returns to; None before there was a position."""
         return self.craft.home
 
+    @property
+    def origin(self) -> Triple:
+        """Origin of its local frame, in the site's frame NED [m]."""
+        return self.craft.origin
+
     def heartbeat(self) -> Heartbeat:
         """Return what HEARTBEAT and EXTENDED_SYS_STATE say."""
         told, craft = self._heartbeat, self.craft

@@ -72,12 +72,11 @@ class Offboard:
         if frame not in (LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD):
             return f"frame {frame} is not supported"
         position, velocity, acceleration = _unmasked(target)
-        if frame != LOCAL_NED:
-            here = craft.seen.position_ned
-            if frame != LOCAL_OFFSET:
-                yaw = craft.seen.attitude[2]
-                position, velocity, acceleration = (_turned(part, yaw) for part in (position, velocity, acceleration))
-            position = (here[0] + position[0], here[1] + position[1], here[2] + position[2])
+        if frame not in (LOCAL_NED, LOCAL_OFFSET):
+            yaw = craft.seen.attitude[2]
+            position, velocity, acceleration = (_turned(part, yaw) for part in (position, velocity, acceleration))
+        begin = craft.origin if frame == LOCAL_NED else craft.seen.position_ned
+        position = (begin[0] + position[0], begin[1] + position[1], begin[2] + position[2])
         return self._take_motion(target, position, velocity, acceleration)
 
     def _take_global(self, target: GlobalTarget, craft: Craft) -> str:

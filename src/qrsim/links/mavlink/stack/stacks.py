@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER
-from qrsim.links.mavlink.stack.contracts import Facts, FlavourName, Stack
+from qrsim.links.mavlink.stack.contracts import Facts, FlavourName, LocalOrigin, Stack
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.rover_stack import RoverStack
 from qrsim.links.mavlink.stack.wing_stack import WingStack
@@ -14,10 +15,11 @@ from qrsim.models.site import Site
 _KINDS: dict[int, type[FlightStack]] = {GROUND_ROVER: RoverStack, FIXED_WING: WingStack}
 
 
-def stack_of(flavour: FlavourName = "px4") -> Callable[[Facts, Site], Stack]:
+def stack_of(flavour: FlavourName = "px4", local_origin: LocalOrigin = "start") -> Callable[[Facts, Site], Stack]:
     """Return what makes the stack of a vehicle, by its type."""
 
     def make(facts: Facts, site: Site) -> Stack:
-        return _KINDS.get(facts.mav_type, FlightStack)(facts, site, flavour=flavour)
+        own = replace(facts, local_origin=local_origin)
+        return _KINDS.get(facts.mav_type, FlightStack)(own, site, flavour=flavour)
 
     return make
