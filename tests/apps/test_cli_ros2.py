@@ -12,6 +12,9 @@ from qrsim import cli
         (["--seed", "-1"], "--seed -1: expected an integer from 0 to 2**63 - 1"),
         (["--hold", "0"], "--hold 0: expected 0.01 to 3600 seconds"),
         (["--duration", "-1"], "--duration -1: expected more than 0 seconds"),
+        (["--api", "mavrs"], "--api mavrs: expected qrsim, mavros, px4; did you mean 'mavros'?"),
+        (["--api", "px4", "--pace", "barrier"], "--pace barrier: --api px4 has a flight stack"),
+        (["--namespaces", "uav{n}"], "--namespaces uav{n}: is for --api mavros and --api px4"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(words, said, capsys):

@@ -15,12 +15,16 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
 
 if TYPE_CHECKING:
+    from qrsim.links.ros2.apis.flown import Flown
     from qrsim.links.ros2.node import Node
     from qrsim.links.ros2.typestore import Types
+    from qrsim.scenarios.scenario import Scenario
+    from qrsim.simulation.simulation import Simulation
 
 # As links/ros2/server.py has them, which takes long to load.
 PACES = ("free", "fast", "barrier")
 TRANSPORTS = ("dds", "zenoh")
+APIS = ("qrsim", "mavros", "px4")
 # How long a router of zenoh has to answer before it is said that it does not.
 ROUTER_S = 2.0
 
@@ -54,6 +58,13 @@ class Ros2:
     """What carries the messages: dds for most middlewares of ROS 2, zenoh for rmw_zenoh."""
     router: Annotated[str, tyro.conf.arg(metavar="ENDPOINT")] = "tcp/localhost:7447"
     """With --transport zenoh: where rmw_zenohd listens."""
+    api: Annotated[str, tyro.conf.arg(metavar="qrsim|mavros|px4")] = "qrsim"
+    """How nodes fly the vehicles. qrsim: by set-points alone; mavros: by its topics and services; px4: by the topics of
+    PX4's uXRCE-DDS bridge. With the last two, vehicles stand on the ground, with PX4's arming, modes and failsafes."""
+    namespaces: Annotated[
+        str | None, tyro.conf.arg(metavar="PATTERN", help_behavior_hint="(default: see docs/ros2_apis.md)")
+    ] = None
+    """Namespaces of --api mavros and px4, with {name}, {i} from 0 or {n} from 1, such as uav{n}."""
     realtime: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0
     """Simulated seconds per second of the wall clock."""
     pace: Annotated[str, tyro.conf.arg(metavar="free|fast|barrier")] = "free"
@@ -92,22 +103,21 @@ class Ros2:
         from qrsim.links.printing import Log
         from qrsim.links.ros2.participant import checked_domain
         from qrsim.links.ros2.server import Options, Server
-        from qrsim.links.ros2.typestore import Types
         from qrsim.scenarios.scenario import load_scenario
-        from qrsim.simulation.simulation import Simulation
 
-        types = Types(self.distro)
         checked_domain(domain)
         scenario = load_scenario(self.scenario, self.set)
-        simulation = Simulation(scenario.world(), seed=self.seed, name=scenario.name, site=scenario.site)
         log = Log()
         options = Options(self.realtime, self.truth, self.hold, self.paused, self.rate, self.pace)
         try:
-            server = Server(simulation, types, options, log.say, self._node(types, domain, log.say))
+            types, simulation, flown = self._world(scenario, log.say)
+            server = Server(simulation, types, options, log.say, self._node(types, domain, log.say), flown)
             spaces = server.messages.namespaces
             log.say(f"qrsim ros2: {len(spaces)} vehicles, {', '.join(spaces[:5])}{', ...' if len(spaces) > 5 else ''}")
             carrier = f"zenoh by {self.router}" if self.transport == "zenoh" else "dds"
-            count = len(server.messages.topics)
+            count = len(server.messages.topics) + (0 if flown is None else len(flown.topics))
+            if flown is not None:
+                log.say(f"{self.api}: {', '.join(flown.spaces[:5])}{', ...' if len(flown.spaces) > 5 else ''}")
             log.say(f"domain {domain}, {count} topics, {self.distro}, {carrier}; docs/ros2.md")
             try:
                 server.serve(math.inf if self.duration is None else self.duration - 1e-9)
@@ -120,6 +130,24 @@ class Ros2:
                     )
         finally:
             log.close()
+
+    def _world(self, scenario: Scenario, say: Callable[[str], None]) -> tuple[Types, Simulation, Flown | None]:
+        """Return types, the simulation, and the vehicles that flight stacks fly, if the API has them."""
+        from qrsim.links.ros2.typestore import Types
+
+        if self.api == "qrsim":
+            from qrsim.simulation.simulation import Simulation
+
+            types = Types(self.distro)
+            return types, Simulation(scenario.world(), seed=self.seed, name=scenario.name, site=scenario.site), None
+        from qrsim.links.mavlink.fleet import prepared
+        from qrsim.links.mavlink.stack.stacks import stack_of
+        from qrsim.links.mavlink.world import FlownWorld
+        from qrsim.links.ros2.apis.flown import PACKAGES, Flown
+
+        types = Types(self.distro, PACKAGES[self.api])
+        world = FlownWorld(prepared(scenario), stack_of("px4"), seed=self.seed, factor=self.realtime, log=say)
+        return types, world.simulation, Flown(types, world, self.api, self.namespaces, self.rate)  # type: ignore[arg-type]
 
     def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:
         if self.transport == "zenoh":
@@ -141,6 +169,12 @@ class Ros2:
         if self.transport not in TRANSPORTS:
             near = did_you_mean(self.transport, TRANSPORTS)
             raise UsageError(f"--transport {self.transport}: expected {' or '.join(TRANSPORTS)}{near}")
+        if self.api not in APIS:
+            raise UsageError(f"--api {self.api}: expected {', '.join(APIS)}{did_you_mean(self.api, APIS)}")
+        if self.api != "qrsim" and self.pace != "free":
+            raise UsageError(f"--pace {self.pace}: --api {self.api} has a flight stack, which goes by --pace free")
+        if self.api == "qrsim" and self.namespaces is not None:
+            raise UsageError(f"--namespaces {self.namespaces}: is for --api mavros and --api px4")
         if not re.fullmatch(r"(tcp|tls|quic|udp|ws)/\S+:\d{1,5}(#\S*)?", self.router):
             raise UsageError(f"--router {self.router}: expected an endpoint of zenoh, such as tcp/localhost:7447")
         if self.pace not in PACES:

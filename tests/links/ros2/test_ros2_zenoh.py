@@ -151,6 +151,27 @@ def test_latched_topics_reach_who_comes_late_and_other_types_are_told(session: A
     first.close()
 
 
+def test_services_answer_queries_with_their_attachment(session: Any, port: int) -> None:
+    """Key, payload and attachment as rmw_zenoh's clients have them; the response carries the same attachment."""
+    types = Types("jazzy", ["std_srvs"])
+    node = ZenohNode(types, 3, "services", router=f"tcp/127.0.0.1:{port}")
+    service = node.service("/uav/ask", "std_srvs/srv/Trigger")
+    own = attachment(9, 5) + bytes(17)
+    key = f"3/uav/ask/std_srvs::srv::dds_::Trigger_/{types.service_hash('std_srvs/srv/Trigger')}"
+    end = time.monotonic() + 10.0
+    found: list[Any] = []
+    while not found and time.monotonic() < end:
+        replies = session.get(key, payload=b"\0\1\0\0\0", attachment=own, timeout=2.0)
+        for request, message in until(service.take):
+            assert message.structure_needs_at_least_one_member == 0
+            service.reply(request, types["std_srvs/srv/Trigger_Response"](True, "there"))
+        found = [reply.ok for reply in replies]
+    assert found[0].attachment.to_bytes() == own
+    response = types.decode(found[0].payload.to_bytes(), "std_srvs/srv/Trigger_Response")
+    assert (response.success, response.message) == (True, "there")
+    node.close()
+
+
 def test_attachments_are_in_the_serialisation_of_zenoh() -> None:
     import zenoh
 

@@ -96,6 +96,16 @@ class FlownWorld:
         busy = (time.perf_counter() - begin) / self.simulation.world.time_step
         self._busy += 0.02 * (busy - self._busy)
 
+    def reset(self, seed: int) -> None:
+        """Begin with another episode: vehicles stand at their starts, disarmed, with their parameters and plans."""
+        self.simulation.reset(seed)
+        for system in self.systems:
+            system.stack.reset()
+            self._latches.clear(system.name)
+            system.view.order = None
+        self._sight = StackSight(self.simulation)
+        self._command()
+
     def _command(self) -> None:
         """Let each stack see what its vehicle sees now, and latch what it orders."""
         sight = self._sight

@@ -25,6 +25,16 @@ class Reader(Protocol):
         """Return what has come, oldest first."""
 
 
+class Service(Protocol):
+    """Answers requests of a service."""
+
+    def take(self) -> list[tuple[Any, Any]]:
+        """Return the requests that have come, oldest first: what ``reply`` needs to know, and the message."""
+
+    def reply(self, request: Any, response: Any) -> None:
+        """Send the response to a request."""
+
+
 class Node(Protocol):
     """A node; made by ``participant.Participant`` over DDS, and ``zenoh_node.ZenohNode`` over zenoh."""
 
@@ -33,6 +43,9 @@ class Node(Protocol):
 
     def reader(self, topic: Topic) -> Reader:
         """Return a new reader of a topic."""
+
+    def service(self, name: str, kind: str) -> Service:
+        """Return a new service of a type, such as "std_srvs/srv/Trigger"."""
 
     def announce(self) -> None:
         """Tell others which topics are this node's, once all are made."""

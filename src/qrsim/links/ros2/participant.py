@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 from cyclonedds.builtin import (
@@ -30,6 +31,9 @@ LAST_DOMAIN = 232
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _DISCOVERY = "ros_discovery_info"
 _MOST_AT_ONCE = 32
+# What is before the fields of requests and responses, and where it is in the bytes of a sample.
+_SERVICE_HEADER = {"guid": "uint64", "seq": "int64"}
+_HEADER_AT = slice(4, 20)
 
 
 def checked_domain(domain: int) -> int:
@@ -64,6 +68,7 @@ class Participant:
             ) from None
         self._writers: list[Writer] = []
         self._readers: list[Reader] = []
+        self._services: list[Service] = []
         # Profiles of the topics that are read and written, by name and type.
         self._read: dict[str, dict[str, Profile]] = {}
         self._written: dict[str, dict[str, Profile]] = {}
@@ -92,16 +97,33 @@ class Participant:
         self._read.setdefault(f"rt{topic.name}", {})[dds_name(topic.type)] = profile
         return reader
 
+    def service(self, name: str, kind: str) -> Service:
+        """Return a new service, as rmw_cyclonedds has them."""
+        # By it clients know which reader and writer belong together.
+        identity = Policy.Userdata(f"serviceid={uuid4().hex};".encode())
+        own = []
+        for prefix, suffix, part, make in (
+            ("rq", "Request", "_Request", DataReader), ("rr", "Reply", "_Response", DataWriter),
+        ):  # fmt: skip
+            sample = self._types.sample(f"{kind}{part}", _SERVICE_HEADER)
+            topic: Any = DdsTopic(self._participant, f"{prefix}{name}{suffix}", sample)
+            own.append((make(self._participant, topic, qos=_plain(PROFILES["service"], identity)), sample))
+        (reader, _), (writer, sample) = own
+        made = Service(self._types, kind, reader, Writer(writer, sample))
+        self._services.append(made)
+        return made
+
     def announce(self) -> None:
         """Tell other nodes which readers and writers are this node's."""
         if self._info is None:
             kind = self._types.sample(_INFO)
             topic: Any = DdsTopic(self._participant, _DISCOVERY, kind)
             self._info = Writer(DataWriter(self._participant, topic, qos=_plain(Profile(True, 1, True))), kind)
+        readers = [*self._readers, *(each.reader for each in self._services)]
+        writers = [*self._writers, *(each.writer for each in self._services)]
         node = self._types["rmw_dds_common/msg/NodeEntitiesInfo"](
-            "/", self._node, [self._gid(each.entity) for each in self._readers],
-            [self._gid(each.entity) for each in self._writers],
-        )  # fmt: skip
+            "/", self._node, [self._gid(each.entity) for each in readers], [self._gid(each.entity) for each in writers]
+        )
         info = self._types[_INFO](self._gid(self._participant), [node])
         self._info.write(self._types.encode(info))
 
@@ -224,3 +246,32 @@ class Reader:
         """Return what has come, oldest first; a writer that leaves is an ``InvalidSample``."""
         samples = self.entity.take(_MOST_AT_ONCE)
         return self._types.heard((each.cdr for each in samples if not isinstance(each, InvalidSample)), self.topic.type)
+
+
+class Service:
+    """A service whose requests and responses begin with a header, as those of rmw_cyclonedds.
+
+    Source: rmw_cyclonedds_cpp, serdata.hpp (cdds_request_header): an identifier of the client, and a number.
+
+    Attributes:
+        reader, writer: of requests and responses.
+    """
+
+    def __init__(self, types: Types, kind: str, entity: Any, writer: Writer):
+        self._types, self._kind, self.writer = types, kind, writer
+        self.reader = Reader(types, Topic("", f"{kind}_Request", "service"), entity)
+
+    def take(self) -> list[tuple[bytes, Any]]:
+        """Return the requests that have come, oldest first: their header, and the message."""
+        found = []
+        for sample in self.reader.entity.take(_MOST_AT_ONCE):
+            if not isinstance(sample, InvalidSample):
+                cdr = sample.cdr
+                header, message = cdr[_HEADER_AT], cdr[: _HEADER_AT.start] + cdr[_HEADER_AT.stop :]
+                found += [(header, each) for each in self._types.heard([message], f"{self._kind}_Request")]
+        return found
+
+    def reply(self, request: bytes, response: Any) -> None:
+        """Send the response to a request."""
+        cdr = self._types.encode(response)
+        self.writer.write(cdr[: _HEADER_AT.start] + request + cdr[_HEADER_AT.start :])

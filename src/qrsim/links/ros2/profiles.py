@@ -23,4 +23,8 @@ PROFILES: dict[Quality, Profile] = {
     "static": Profile(reliable=True, depth=1, latched=True),
     # As mavros subscribes: a reader of best effort hears reliable writers too.
     "command": Profile(reliable=False, depth=1),
+    # As PX4's bridge publishes, and hears commands, of which several may come at once.
+    "fmu": Profile(reliable=False, depth=1, latched=True),
+    "request": Profile(reliable=False, depth=10),
+    "service": Profile(reliable=True, depth=10),
 }

@@ -12,6 +12,7 @@ from typing import Any
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.pacing import Metronome, PaceReport
 from qrsim.links.ros2 import topics as t
+from qrsim.links.ros2.apis.flown import Flown
 from qrsim.links.ros2.commands import topics_of, wish_of
 from qrsim.links.ros2.messages import Messages, text_message
 from qrsim.links.ros2.node import Node, Reader
@@ -59,23 +60,33 @@ class Server:
         options: how it is served.
         say: told one line of what happens.
         node: that others see.
+        flown: the vehicles of the simulation, where they are flown by flight stacks; None: nodes fly them directly.
     """
 
-    def __init__(self, simulation: Simulation, types: Types, options: Options, say: Callable[[str], None], node: Node):
+    def __init__(
+        self, simulation: Simulation, types: Types, options: Options, say: Callable[[str], None], node: Node,
+        flown: Flown | None = None,
+    ):  # fmt: skip
         self._types, self._options, self._say, self._participant = types, options, say, node
-        self.simulation = simulation
-        simulation.reset()
+        self.simulation, self._flown = simulation, flown
+        if flown is None:
+            simulation.reset()
         self._pilots = Pilots(simulation, options.hold, options.factor, say, by_wall=options.pace != "free")
-        self._warm()
+        if flown is None:
+            self._warm()
         self.messages = Messages(types, simulation, options.truth, options.rate)
         self._writers = [self._participant.writer(topic) for topic in self.messages.topics]
         self._static = self._participant.writer(t.TF_STATIC)
         self._status = self._participant.writer(t.STATUS)
         self._control = self._participant.reader(t.CONTROL)
         self._readers: list[tuple[int, str, Reader]] = []
-        for row, (name, space) in enumerate(zip(simulation.vehicle_names, self.messages.namespaces, strict=True)):
-            for own, topic in topics_of(space, self._pilots.latches.kinds(name)):
-                self._readers.append((row, own, self._participant.reader(topic)))
+        own = [] if flown is None else flown.topics
+        self._api_writers = [node.writer(topic) for topic in own]
+        self._api_readers = [] if flown is None else [(node.reader(each.topic), each.take) for each in flown.heard]
+        services = [] if flown is None else flown.answered
+        self._services = [(node.service(each.name, each.type), each.answer) for each in services]
+        if flown is None:
+            self._subscribe()
         self._said: list[tuple[int, Reader]] = []
         self._not_said = ""
         if simulation.world.radio is not None:
@@ -86,6 +97,12 @@ class Server:
         self.paused, self._steps = options.paused, 0
         self._told_status = -math.inf
         self._pacer = self._started()
+
+    def _subscribe(self) -> None:
+        """Subscribe to what nodes ask of vehicles directly."""
+        for row, (name, space) in enumerate(zip(self.simulation.vehicle_names, self.messages.namespaces, strict=True)):
+            for own, topic in topics_of(space, self._pilots.latches.kinds(name)):
+                self._readers.append((row, own, self._participant.reader(topic)))
 
     def _warm(self) -> None:
         """Compile what is flown."""
@@ -117,7 +134,10 @@ class Server:
 
     def tick(self) -> None:
         """Advance by one tick, and publish."""
-        self.simulation.advance(self._pilots.actions())
+        if self._flown is None:
+            self.simulation.advance(self._pilots.actions())
+        else:
+            self._flown.advance()
         self._steps = max(0, self._steps - 1)
         self.publish()
         if not self.paused and self._options.pace == "free":
@@ -128,8 +148,12 @@ class Server:
     def publish(self) -> None:
         """Publish what is new at this tick."""
         writers = self._writers
-        for topic, message in self.messages.due(self._pilots.modes):
+        flown = self._flown
+        for topic, message in self.messages.due(self._pilots.modes if flown is None else flown.modes):
             writers[topic].write(message)
+        if flown is not None:
+            for topic, message in flown.due():
+                self._api_writers[topic].write(message)
         self._tell_status()
 
     def listen(self) -> None:
@@ -144,6 +168,12 @@ class Server:
                     self._pilots.refuse(row, str(error))
                 else:
                     self._pilots.ask(row, wish)
+        for api_reader, take in self._api_readers:
+            for message in api_reader.take():
+                take(message)
+        for service, answer in self._services:
+            for request, message in service.take():
+                service.reply(request, answer(message))
         for row, reader in self._said:
             for message in reader.take():
                 try:
@@ -182,7 +212,10 @@ class Server:
             self._pacer = self._started()
 
     def _reset(self, seed: int) -> None:
-        self.simulation.reset(seed)
+        if self._flown is None:
+            self.simulation.reset(seed)
+        else:
+            self._flown.reset(seed)
         self._pilots.restart()
         self._steps = 0
         self._pacer = self._started()
@@ -197,7 +230,7 @@ class Server:
         status: dict[str, Any] = {
             "time": simulation.time, "tick": simulation.tick, "paused": self.paused, "steps": self._steps,
             "seed": simulation.seed, "factor": self._options.factor, "late": report.overruns,
-            "lost": sum(writer.lost for writer in self._writers),
+            "lost": sum(writer.lost for writer in (*self._writers, *self._api_writers)),
         }  # fmt: skip
         self._status.write(text_message(self._types, json.dumps(status)))
 

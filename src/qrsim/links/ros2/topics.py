@@ -10,7 +10,7 @@ from qrsim.links.ros2.names import MAP, base_link, gnss_link, range_link
 from qrsim.links.shared import sight as s
 
 # How writers and readers deal with loss and with those who come late.
-Quality = Literal["sensor", "reliable", "clock", "static", "command"]
+Quality = Literal["sensor", "reliable", "clock", "static", "command", "fmu", "request", "service"]
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 # Where a message is about in a vehicle's frames.
 Frame = Literal["map", "base_link", "gnss", "range"]

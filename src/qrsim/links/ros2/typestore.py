@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from typing import Any
 
 from cyclonedds.idl import make_idl_struct
@@ -14,10 +15,12 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.links.ros2.definitions import definitions_of, service_types
 
 DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
 # Humble knows no type hashes.
 _WITHOUT_HASHES = ("humble",)
+_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 _PRIMITIVES: dict[str, Any] = {
     "bool": bool, "byte": idl.uint8, "char": idl.uint8, "uint8": idl.uint8, "int8": idl.int8, "uint16": idl.uint16,
     "int16": idl.int16, "uint32": idl.uint32, "int32": idl.int32, "uint64": idl.uint64, "int64": idl.int64,
@@ -30,6 +33,7 @@ class Types:
 
     Args:
         distro: one of DISTROS.
+        packages: whose types (``definitions``) are known too.
 
     Raises:
         UsageError: the distribution is not one of them.
@@ -38,11 +42,12 @@ class Types:
         store: of rosbags, which writes and reads messages.
     """
 
-    def __init__(self, distro: str = "jazzy"):
+    def __init__(self, distro: str = "jazzy", packages: Sequence[str] = ()):
         if distro not in DISTROS:
             raise UsageError(f"distribution '{distro}': expected {', '.join(DISTROS)}{did_you_mean(distro, DISTROS)}")
         self.distro = distro
         self.store: Any = get_typestore(Stores[f"ROS2_{distro.upper()}"])
+        self.store.register(definitions_of(*packages))
         self._structs: dict[str, Any] = {}
         self._samples: dict[str, Any] = {}
 
@@ -55,6 +60,16 @@ class Types:
         if self.distro in _WITHOUT_HASHES:
             return ""
         found: str = self.store.hash_rihs01(name)
+        return found
+
+    def service_hash(self, name: str) -> str:
+        """Return the RIHS01 hash of a service; empty where the distribution knows none."""
+        if self.distro in _WITHOUT_HASHES:
+            return ""
+        # A copy of the store, for types of events are of no other use.
+        store = copy(self.store)
+        store.fielddefs = store.fielddefs | service_types(name, store.fielddefs[_EVENT_INFO][1])
+        found: str = store.hash_rihs01(name)
         return found
 
     def encode(self, message: Any) -> bytes:
@@ -79,23 +94,26 @@ class Types:
         found: list[tuple[str, Any]] = self.store.fielddefs[name][1]
         return found
 
-    def sample(self, name: str) -> Any:
+    def sample(self, name: str, header: Mapping[str, str] | None = None) -> Any:
         """Return the DDS type of a message: a class whose instances have ``cdr``, XCDR1 bytes.
+
+        ``header``: primitive fields, by name, that are before those of the message.
 
         The library would turn a message into an object of its own field by field; qrsim hands it bytes.
         """
         if name not in self._samples:
-            made = self._struct(name, alone=True)
+            made = self._struct(name, alone=True, header=header)
             made.serialize = _bytes_of
             made.deserialize = classmethod(packed)
             self._samples[name] = made
         return self._samples[name]
 
-    def _struct(self, name: str, alone: bool = False) -> Any:
+    def _struct(self, name: str, alone: bool = False, header: Mapping[str, str] | None = None) -> Any:
         """Return a DDS struct as rmw_cyclonedds describes the type: final, members called as in ROS."""
         if name in self._structs and not alone:
             return self._structs[name]
-        fields = {field: self._type(description) for field, description in self.fields(name)}
+        fields = {field: _PRIMITIVES[kind] for field, kind in (header or {}).items()}
+        fields |= {field: self._type(description) for field, description in self.fields(name)}
         struct = final(make_idl_struct(f"{name.rpartition('/')[2]}_", dds_name(name), fields))
         if not alone:
             self._structs[name] = struct

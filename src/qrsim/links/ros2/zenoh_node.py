@@ -106,6 +106,17 @@ class ZenohNode:
         self._kept.append(made)
         return ZenohReader(self._types, topic, made)
 
+    def service(self, name: str, kind: str) -> ZenohService:
+        """Return a new service, as rmw_zenoh has them: a queryable, whose replies carry the attachment of the query."""
+        own = self._types.service_hash(kind) or _NO_HASH
+        told = f"/{_mangled(name)}/{dds_name(kind)}/{own}/{_qualities(PROFILES['service'])}"
+        self._declare("SS", told)
+        key = f"{self._domain}/{name.strip('/')}/{dds_name(kind)}/{own}"
+        channel = zenoh.handlers.RingChannel(_MOST_AT_ONCE)
+        made: Any = self._session.declare_queryable(key, channel, complete=True)
+        self._kept.append(made)
+        return ZenohService(self._types, kind, key, made)
+
     def announce(self) -> None:
         """Do nothing: tokens have told of every topic."""
 
@@ -138,10 +149,7 @@ class ZenohNode:
 
     def _told(self, topic: Topic, profile: Profile) -> str:
         """Return what a token says of a topic: name, type, hash and qualities of service."""
-        reliability = "" if profile.reliable else _BEST_EFFORT
-        durability = _TRANSIENT_LOCAL if profile.latched else ""
-        quality = f"{reliability}:{durability}:,{profile.depth}:,:,:,,"
-        return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._hash(topic.type)}/{quality}"
+        return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._hash(topic.type)}/{_qualities(profile)}"
 
     def _declare(self, what: str, told: str) -> str:
         """Declare a token of this node (NN), or of a publisher (MP) or subscriber (MS) of its, and return it."""
@@ -161,6 +169,13 @@ def _config(router: str, listen: str) -> Any:
     ):  # fmt: skip
         config.insert_json5(path, json.dumps(value))
     return config
+
+
+def _qualities(profile: Profile) -> str:
+    """Return qualities of service as tokens have them."""
+    reliability = "" if profile.reliable else _BEST_EFFORT
+    durability = _TRANSIENT_LOCAL if profile.latched else ""
+    return f"{reliability}:{durability}:,{profile.depth}:,:,:,,"
 
 
 def _mangled(name: str) -> str:
@@ -204,6 +219,31 @@ class ZenohReader:
             if sample.kind == zenoh.SampleKind.PUT:
                 found.append(sample.payload.to_bytes())
         return self._types.heard(found, self.topic.type)
+
+
+class ZenohService:
+    """Answers requests; as ``participant.Service``."""
+
+    def __init__(self, types: Types, kind: str, key: str, queryable: Any):
+        self._types, self._kind, self._key, self._queryable = types, kind, key, queryable
+
+    def take(self) -> list[tuple[Any, Any]]:
+        """Return the requests that have come, oldest first: the query, and the message."""
+        found = []
+        for _ in range(_MOST_AT_ONCE):
+            query = self._queryable.try_recv()
+            if query is None:
+                break
+            if query.payload is not None:
+                cdr = query.payload.to_bytes()
+                found += [(query, each) for each in self._types.heard([cdr], f"{self._kind}_Request")]
+        return found
+
+    def reply(self, request: Any, response: Any) -> None:
+        """Send the response to a request."""
+        own = request.attachment
+        request.reply(self._key, self._types.encode(response), attachment=None if own is None else own.to_bytes())
+        request.drop()
 
 
 def _text(name: str) -> bytes:

@@ -50,12 +50,12 @@ class Craft:
         self.fence = self.area = Fence(facts.fence)
         self._texts: list[Text] = []
         self._events: list[Event] = []
-        self._idle: Order | None = None
         self.reset()
 
     def reset(self) -> None:
         """Begin again as after a boot."""
         self.seen = Seen()
+        self._idle: Order | None = None
         self._known = (ZERO, ZERO, ZERO, self.geodesy.height)
         self.home: Home | None = None
         self.origin: Triple = ZERO

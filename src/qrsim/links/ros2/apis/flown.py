@@ -1,0 +1,156 @@
+"""Vehicles that fly by flight stacks, as those of ``qrsim mavlink``, and are asked over the topics of an API."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, get_args
+
+from qrsim.errors import UsageError
+from qrsim.links.mavlink.system import System
+from qrsim.links.mavlink.world import FlownWorld
+from qrsim.links.ros2.apis import mavros, mavros_asked, px4, px4_asked
+from qrsim.links.ros2.apis.contracts import EACH, Answered, Heard, Interface, Told
+from qrsim.links.ros2.apis.modes import name_of
+from qrsim.links.ros2.apis.texts import Texts
+from qrsim.links.ros2.names import namespaces
+from qrsim.links.ros2.topics import Topic
+from qrsim.links.ros2.typestore import Types
+
+ApiName = Literal["mavros", "px4"]
+APIS: tuple[str, ...] = get_args(ApiName)
+PACKAGES: dict[str, Sequence[str]] = {"mavros": mavros.PACKAGES, "px4": px4.PACKAGES}
+
+
+def spaces_of(api: ApiName, names: Sequence[str], pattern: str | None) -> list[str]:
+    """Return what is before the names of each vehicle's topics, such as "/uav1/mavros/" or "/px4_1/fmu/".
+
+    Args:
+        api: whose topics they are.
+        names: of the vehicles.
+        pattern: of the namespaces, with {name}, {i} from 0 and {n} from 1; None: of PX4's simulation, no namespace for
+            the first vehicle and px4_1, px4_2, ... for the others; of mavros, no namespace for a single vehicle, else
+            the names of the vehicles.
+
+    Raises:
+        UsageError: the pattern has other fields, gives no names of ROS, or the same one twice.
+    """
+    own = namespaces(names)
+    if pattern is None:
+        if api == "px4":
+            found = ["", *(f"px4_{i}" for i in range(1, len(own)))]
+        else:
+            found = own if len(own) > 1 else [""]
+    else:
+        try:
+            found = [pattern.format(name=name, i=i, n=i + 1).strip("/") for i, name in enumerate(own)]
+        except (KeyError, IndexError, ValueError, AttributeError):
+            raise UsageError(f"--namespaces {pattern}: expected a text with {{name}}, {{i}} or {{n}}") from None
+        for space in found:
+            if space and namespaces(space.split("/")) != space.split("/"):
+                raise UsageError(f"--namespaces {pattern}: '{space}' is no name in ROS")
+        if len(set(found)) < len(found):
+            raise UsageError(f"--namespaces {pattern}: {len(found)} vehicles need {{name}}, {{i}} or {{n}}")
+    last = "mavros" if api == "mavros" else "fmu"
+    return [f"/{space}/{last}/" if space else f"/{last}/" for space in found]
+
+
+class Flown:
+    """The vehicles of a world, their topics and their services.
+
+    Args:
+        types: of the distribution, with the PACKAGES of the API.
+        world: with stacks in PX4's flavour.
+        api: by which they are asked.
+        pattern: of namespaces (``spaces_of``).
+        rate: how often estimates are published at most [Hz].
+
+    Attributes:
+        world: whose vehicles they are.
+        topics: that are published.
+        heard, answered: topics that are subscribed to, and services.
+        spaces: see ``spaces_of``.
+    """
+
+    def __init__(self, types: Types, world: FlownWorld, api: ApiName, pattern: str | None, rate: float):
+        self.world = world
+        self._rate, self._dt = rate, world.simulation.world.time_step
+        self.spaces = spaces_of(api, [system.name for system in world.systems], pattern)
+        self._asked: list[px4_asked.Asked] = []
+        self.topics: list[Topic] = []
+        self.heard: list[Heard] = []
+        self.answered: list[Answered] = []
+        self._told: list[tuple[System, list[_Scheduled]]] = []
+        for system, space in zip(world.systems, self.spaces, strict=True):
+            made = self._mavros(types, system, space) if api == "mavros" else self._px4(types, system, space)
+            scheduled = []
+            for told in made.told:
+                scheduled.append(_Scheduled(told, len(self.topics), self._every(told.rate)))
+                self.topics.append(told.topic)
+            self._told.append((system, scheduled))
+            self.heard += made.heard
+            self.answered += made.answered
+
+    def _mavros(self, types: Types, system: System, space: str) -> Interface:
+        texts = Texts(system.number, self._dt)
+        system.links.append(texts)
+        asked = mavros_asked.Asked(types, system, space)
+        return Interface(list(mavros.published(types, space, texts)), list(asked.heard()), list(asked.answered()))
+
+    def _px4(self, types: Types, system: System, space: str) -> Interface:
+        asked = px4_asked.Asked(types, system, space)
+        self._asked.append(asked)
+        return Interface([*px4.published(types, system, space, self._dt), asked.told()], list(asked.heard()))
+
+    def _every(self, rate: float) -> int:
+        """Return after how many ticks a message is due again; 0: at changes alone, or when there is one."""
+        if rate == EACH:
+            return 0
+        return max(1, round(1.0 / (min(rate, self._rate) * self._dt))) if rate else 0
+
+    @property
+    def modes(self) -> list[str]:
+        """By what each vehicle of the world flies: the mode of its stack, or the guidance of its scenario."""
+        simulation = self.world.simulation
+        found = dict.fromkeys(simulation.vehicle_names, "guidance")
+        found |= {system.name: name_of(system.stack.heartbeat().custom_mode) for system in self.world.systems}
+        return list(found.values())
+
+    def advance(self) -> None:
+        """Advance the world by one tick."""
+        self.world.tick(time.monotonic())
+
+    def reset(self, seed: int) -> None:
+        """Begin with another episode."""
+        self.world.reset(seed)
+        for asked in self._asked:
+            asked.restart()
+
+    def due(self) -> Iterator[tuple[int, bytes]]:
+        """Yield what is published at the present tick: number of its topic, and message."""
+        tick = self.world.simulation.tick
+        for system, scheduled in self._told:
+            for each in scheduled:
+                yield from each.due(tick, system)
+
+
+class _Scheduled:
+    """A topic, and when it was published last."""
+
+    def __init__(self, told: Told, number: int, every: int):
+        self._told, self._number, self._every = told, number, every
+        self._key: Any = None
+
+    def due(self, tick: int, system: System) -> Iterator[tuple[int, bytes]]:
+        """Yield its messages of a tick."""
+        told, view = self._told, system.view
+        if told.rate == EACH:
+            while (message := told.make(view)) is not None:
+                yield self._number, message
+            return
+        key = None if told.key is None else told.key(view)
+        if key != self._key or (self._every and tick % self._every == 0):
+            self._key = key
+            message = told.make(view)
+            if message is not None:
+                yield self._number, message

@@ -1,0 +1,104 @@
+"""Messages whose numbers alone change, made by templates, and numbers in the axes of ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from qrsim.links.mavlink.stack.contracts import Quadruple, Triple
+from qrsim.links.mavlink.view import View
+from qrsim.links.ros2.apis.contracts import Make
+from qrsim.links.ros2.blank import empty
+from qrsim.links.ros2.publications import stamp_of
+from qrsim.links.ros2.template import Template
+from qrsim.links.ros2.topics import STAMP
+from qrsim.links.ros2.typestore import Types
+from qrsim.links.shared import sight as s
+
+_HALF_ROOT = 0.5**0.5
+# Returns the numbers of a message, in the order of its paths; None where they are not known.
+Numbers = Callable[[View], Sequence[float] | None]
+
+
+def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame: str = "", **constants: object) -> Make:
+    """Return the function that makes messages of a type: a stamp, if the type has one, and numbers.
+
+    Args:
+        types: of the distribution.
+        name: of the type.
+        paths: of the numbers (``template.Template.putter``).
+        numbers: of a vehicle, one for each path and for each element of an array.
+        frame: of the header.
+        constants: values of fields that stay, "__" for the dot in their paths.
+    """
+    message = empty(types, name)
+    stamped = "header" in dict(types.fields(name))
+    if stamped:
+        message.header.frame_id = frame
+    for path, value in constants.items():
+        *parents, last = path.split("__")
+        owner = message
+        for parent in parents:
+            owner = getattr(owner, parent)
+        setattr(owner, last, value)
+    template = Template(types, message)
+    put = template.putter(*(STAMP if stamped else ()), *paths)
+
+    def make(view: View) -> bytes | None:
+        values = numbers(view)
+        if values is None:
+            return None
+        put(*(stamp_of(view.seen.time) if stamped else ()), *values)
+        return bytes(template.cdr)
+
+    return make
+
+
+def stamped(types: Types, name: str, time: float, frame: str = "") -> Any:
+    """Return an empty message with a header of a time [s]."""
+    message = empty(types, name)
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp_of(time)
+    message.header.frame_id = frame
+    return message
+
+
+def enu(ned: Triple) -> Triple:
+    """Return a vector of NED in ENU, or of ENU in NED."""
+    return ned[1], ned[0], -ned[2]
+
+
+def flu(frd: Sequence[float]) -> Triple:
+    """Return a vector of FRD axes in FLU, or the reverse."""
+    return frd[0], -frd[1], -frd[2]
+
+
+def orientation(view: View) -> Quadruple:
+    """Return the attitude of FLU axes in ENU (x, y, z, w)."""
+    w, x, y, z = view.row[s.QUATERNION : s.QUATERNION + 4]
+    return _HALF_ROOT * (x + y), _HALF_ROOT * (x - y), _HALF_ROOT * (w - z), _HALF_ROOT * (w + z)
+
+
+def turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
+    """Return a vector of a body in the axes of its attitude (x, y, z, w)."""
+    i, j, k, w = quaternion
+    x, y, z = vector
+    a, b, c = 2.0 * (j * z - k * y), 2.0 * (k * x - i * z), 2.0 * (i * y - j * x)
+    return x + w * a + j * c - k * b, y + w * b + k * a - i * c, z + w * c + i * b - j * a
+
+
+def turned_back(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
+    """Return a vector of the axes of an attitude (x, y, z, w) in those of the body."""
+    i, j, k, w = quaternion
+    return turned((-i, -j, -k, w), vector)
+
+
+def ned_attitude(x: float, y: float, z: float, w: float) -> Quadruple:
+    """Return the attitude of FRD axes in NED (w, x, y, z) for that of FLU axes in ENU (x, y, z, w)."""
+    return _HALF_ROOT * (w + z), _HALF_ROOT * (x + y), _HALF_ROOT * (x - y), _HALF_ROOT * (w - z)
+
+
+def heading(q: Quadruple) -> float:
+    """Return the yaw [rad] of an attitude (w, x, y, z)."""
+    w, x, y, z = q
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,206 @@
+"""What mavros takes for one vehicle: set-points of its topics, and services, as it hands them to the autopilot.
+
+Source: mavros, src/plugins of its branch ros2: command, setpoint_position, _velocity, _raw, _attitude and _accel,
+sys_status, home_position.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from qrsim.links.mavlink.stack.codes import UNSET_INT, Result
+from qrsim.links.mavlink.stack.contracts import (
+    AttitudeTarget,
+    Command,
+    GlobalTarget,
+    LocalTarget,
+    Quadruple,
+    Stack,
+    Triple,
+)
+from qrsim.links.mavlink.system import System
+from qrsim.links.ros2.apis import forms as f
+from qrsim.links.ros2.apis.contracts import Answered, Heard
+from qrsim.links.ros2.apis.modes import number_of
+from qrsim.links.ros2.topics import Topic
+from qrsim.links.ros2.typestore import Types
+
+# MAV_FRAME.
+_LOCAL, _BODY, _BODY_OFFSET, _GLOBAL = 1, 8, 9, 5
+# POSITION_TARGET_TYPEMASK: what is left out.
+_POSITION, _VELOCITY, _ACCELERATION, _YAW, _YAW_RATE = 7, 7 << 3, 7 << 6, 1 << 10, 1 << 11
+# ATTITUDE_TARGET_TYPEMASK.
+_NO_RATES, _NO_ATTITUDE = 7, 1 << 7
+_ZERO: Triple = (0.0, 0.0, 0.0)
+# MAV_CMD.
+_TAKE_OFF, _LAND, _SET_HOME, _ARM, _GET_HOME = 22, 21, 179, 400, 410
+_CUSTOM = 1
+
+
+def _vector(message: Any) -> Triple:
+    return message.x, message.y, message.z
+
+
+def _attitude(turn: Any) -> Quadruple:
+    """Return the attitude of FRD axes in NED (w, x, y, z) of an orientation; four zeros are no turn, as for mavros."""
+    numbers = turn.x, turn.y, turn.z, turn.w
+    return f.ned_attitude(*numbers) if any(numbers) else f.ned_attitude(0.0, 0.0, 0.0, 1.0)
+
+
+class Asked:
+    """The set-points and services of one vehicle.
+
+    Args:
+        types: of the distribution, with ``mavros.PACKAGES``.
+        system: the vehicle.
+        space: what is before the names of topics and services, such as "/uav1/mavros/".
+    """
+
+    def __init__(self, types: Types, system: System, space: str):
+        self._types, self._system, self._space = types, system, space
+        # What setpoint_attitude has heard last beside a thrust: an attitude (w, x, y, z), or rates.
+        self._attitude: AttitudeTarget | None = None
+
+    @property
+    def _stack(self) -> Stack:
+        return self._system.stack
+
+    # ---- set-points ----
+
+    def heard(self) -> Iterator[Heard]:
+        """Yield the topics that are subscribed to."""
+        pose, twist = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
+        for name, kind, take in (
+            ("setpoint_position/local", pose, self._position),
+            ("setpoint_position/global", "geographic_msgs/msg/GeoPoseStamped", self._place),
+            ("setpoint_velocity/cmd_vel", twist, lambda message: self._velocity(message.twist)),
+            ("setpoint_velocity/cmd_vel_unstamped", "geometry_msgs/msg/Twist", self._velocity),
+            ("setpoint_accel/accel", "geometry_msgs/msg/Vector3Stamped", self._acceleration),
+            ("setpoint_attitude/attitude", pose, self._lean),
+            ("setpoint_attitude/cmd_vel", twist, self._turn),
+            ("setpoint_attitude/thrust", "mavros_msgs/msg/Thrust", self._thrust),
+            ("setpoint_raw/local", "mavros_msgs/msg/PositionTarget", self._raw),
+            ("setpoint_raw/global", "mavros_msgs/msg/GlobalPositionTarget", self._raw_place),
+            ("setpoint_raw/attitude", "mavros_msgs/msg/AttitudeTarget", self._raw_attitude),
+        ):
+            yield Heard(Topic(self._space + name, kind, "command"), take)
+
+    def _position(self, message: Any) -> None:
+        pose = message.pose
+        yaw = f.heading(_attitude(pose.orientation))
+        mask = _VELOCITY | _ACCELERATION | _YAW_RATE
+        self._stack.setpoint(LocalTarget(_LOCAL, mask, position=f.enu(_vector(pose.position)), yaw=yaw))
+
+    def _place(self, message: Any) -> None:
+        yaw = f.heading(_attitude(message.pose.orientation))
+        self._global(_VELOCITY | _ACCELERATION | _YAW_RATE, _GLOBAL, message.pose.position, yaw=yaw)
+
+    def _global(self, mask: int, frame: int, place: Any, **others: Any) -> None:
+        north, east = place.latitude, place.longitude
+        known = math.isfinite(north) and math.isfinite(east) and abs(north) <= 90.0 and abs(east) <= 180.0
+        whole = (int(north * 1e7), int(east * 1e7)) if known else (UNSET_INT, UNSET_INT)
+        self._stack.setpoint(GlobalTarget(frame, mask, *whole, place.altitude, **others))
+
+    def _velocity(self, twist: Any) -> None:
+        mask = _POSITION | _ACCELERATION | _YAW
+        velocity = f.enu(_vector(twist.linear))
+        self._stack.setpoint(LocalTarget(_LOCAL, mask, velocity=velocity, yaw_rate=-twist.angular.z))
+
+    def _acceleration(self, message: Any) -> None:
+        mask = _POSITION | _VELOCITY | _YAW | _YAW_RATE
+        self._stack.setpoint(LocalTarget(_LOCAL, mask, acceleration=f.enu(_vector(message.vector))))
+
+    def _lean(self, message: Any) -> None:
+        self._attitude = AttitudeTarget(_NO_RATES, _attitude(message.pose.orientation), _ZERO, 0.0)
+
+    def _turn(self, message: Any) -> None:
+        # With the axes that mavros has here: those of ENU, for rates of the body.
+        rates = f.enu(_vector(message.twist.angular))
+        self._attitude = AttitudeTarget(_NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), rates, 0.0)
+
+    def _thrust(self, message: Any) -> None:
+        asked = self._attitude
+        if asked is not None:
+            self._attitude = None
+            self._stack.setpoint(AttitudeTarget(asked.mask, asked.q, asked.rates, message.thrust))
+
+    def _raw(self, message: Any) -> None:
+        of_body = message.coordinate_frame in (_BODY, _BODY_OFFSET)
+        turned = f.flu if of_body else f.enu
+        yaw = -message.yaw if of_body else 0.5 * math.pi - message.yaw
+        parts = (message.position, message.velocity, message.acceleration_or_force)
+        position, velocity, acceleration = (turned(_vector(part)) for part in parts)
+        frame, mask, rate = message.coordinate_frame, message.type_mask, -message.yaw_rate
+        self._stack.setpoint(LocalTarget(frame, mask, position, velocity, acceleration, yaw, rate))
+
+    def _raw_place(self, message: Any) -> None:
+        self._global(
+            message.type_mask, message.coordinate_frame, message, velocity=f.enu(_vector(message.velocity)),
+            acceleration=f.enu(_vector(message.acceleration_or_force)), yaw=0.5 * math.pi - message.yaw,
+            yaw_rate=-message.yaw_rate,
+        )  # fmt: skip
+
+    def _raw_attitude(self, message: Any) -> None:
+        thrust = min(max(message.thrust, 0.0), 1.0)
+        q, rates = _attitude(message.orientation), f.flu(_vector(message.body_rate))
+        self._stack.setpoint(AttitudeTarget(message.type_mask, q, rates, thrust))
+
+    # ---- services ----
+
+    def answered(self) -> Iterator[Answered]:
+        """Yield the services."""
+        for name, kind, answer in (
+            ("cmd/arming", "CommandBool", lambda r: self._obey("CommandBool", _ARM, float(r.value))),
+            ("cmd/command", "CommandLong", self._long),
+            ("cmd/command_int", "CommandInt", self._int),
+            ("cmd/takeoff", "CommandTOL", lambda r: self._take_off_or_land(_TAKE_OFF, r.min_pitch, r)),
+            ("cmd/land", "CommandTOL", lambda r: self._take_off_or_land(_LAND, 0.0, r)),
+            ("cmd/set_home", "CommandHome", self._home),
+            ("set_mode", "SetMode", self._mode),
+            ("set_stream_rate", "StreamRate", lambda r: self._response("StreamRate", 0)),
+            ("set_message_interval", "MessageInterval", lambda r: self._response("MessageInterval", False)),
+        ):
+            yield Answered(self._space + name, f"mavros_msgs/srv/{kind}", answer)
+        yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._tell_home)
+
+    def _response(self, kind: str, *values: Any) -> Any:
+        return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
+
+    def _obey(self, kind: str, command: int, *params: float) -> Any:
+        """Return the response that has the result of a command."""
+        whole = (*params, *[0.0] * (7 - len(params)))
+        result = self._stack.command(Command(command, whole)).result  # type: ignore[arg-type]
+        return self._response(kind, result is Result.ACCEPTED, int(result))
+
+    def _long(self, r: Any) -> Any:
+        params = (r.param1, r.param2, r.param3, r.param4, r.param5, r.param6, r.param7)
+        return self._obey("CommandLong", r.command, *params)
+
+    def _int(self, r: Any) -> Any:
+        self._stack.command(Command.of_int(r.command, r.frame, (r.param1, r.param2, r.param3, r.param4), r.x, r.y, r.z))
+        # mavros does not wait for the result.
+        return self._response("CommandInt", True)
+
+    def _take_off_or_land(self, command: int, first: float, r: Any) -> Any:
+        return self._obey("CommandTOL", command, first, 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
+
+    def _home(self, r: Any) -> Any:
+        params = (float(r.current_gps), 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
+        return self._obey("CommandHome", _SET_HOME, *params)
+
+    def _mode(self, r: Any) -> Any:
+        base, custom = r.base_mode, 0
+        if r.custom_mode:
+            number = number_of(r.custom_mode)
+            if number is None:
+                return self._response("SetMode", False)
+            base, custom = base | _CUSTOM, number
+        # As mavros: known and sent, whatever becomes of it.
+        self._stack.set_mode(base, custom)
+        return self._response("SetMode", True)
+
+    def _tell_home(self, r: Any) -> Any:
+        result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
+        return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

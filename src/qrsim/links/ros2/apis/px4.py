@@ -1,0 +1,285 @@
+"""What PX4 publishes of one vehicle over its uXRCE-DDS bridge: NED and FRD axes, times in microseconds.
+
+Source: PX4 1.15, src/modules/uxrce_dds_client/dds_topics.yaml (topics) and utilities.hpp (qualities of service: best
+effort, kept for late readers), and the message definitions of px4_msgs, release/1.15.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from qrsim.links.mavlink.stack.codes import Landed, Sensor
+from qrsim.links.mavlink.stack.contracts import NAN
+from qrsim.links.mavlink.system import System
+from qrsim.links.mavlink.view import View
+from qrsim.links.ros2.apis import forms as f
+from qrsim.links.ros2.apis.contracts import Make, Told
+from qrsim.links.ros2.apis.modes import TERMINATED, nav_state
+from qrsim.links.ros2.topics import Topic
+from qrsim.links.ros2.typestore import Types
+from qrsim.links.shared import sight as s
+
+PACKAGES = ("px4_msgs",)
+# Of topics whose rate is limited by ``--rate`` alone [Hz].
+MOST = 1e9
+Fields = dict[str, float | Sequence[float] | None]
+_ARMED, _OFFBOARD = 128, 14
+# VehicleStatus: ARMING_STATE_*, VEHICLE_TYPE_* by MAV_TYPE (1 aeroplane, 10 rover).
+_DISARMED, _IS_ARMED = 1, 2
+_TYPES = {1: 2, 10: 3}
+# MAV_STATE, and its flight termination.
+_CRITICAL, _TERMINATION = 5, 8
+# Frames of VehicleOdometry; TimesyncStatus.SOURCE_PROTOCOL_DDS; VehicleLocalPosition.DIST_BOTTOM_SENSOR_RANGE.
+_NED, _DDS, _RANGE = 1, 2, 1
+# States in which the autopilot flies by itself: mission, loiter, return, take-off, landing.
+_AUTOMATIC = (3, 4, 5, 17, 18)
+
+
+class Status:
+    """The changes of a vehicle's state, for the times that VehicleStatus has.
+
+    Attributes:
+        armed, took_off, mode: times of arming, take-off and the present mode [us]; 0 while there was none.
+    """
+
+    def __init__(self) -> None:
+        self.armed = self.took_off = self.mode = 0
+        self._was: tuple[bool, int, bool] = (False, -1, False)
+
+    def look(self, view: View) -> None:
+        """Note what has changed since the last call."""
+        beat, now = view.stack.heartbeat(), view.boot_us
+        state = bool(beat.base_mode & _ARMED), beat.custom_mode, beat.landed is not Landed.ON_GROUND
+        if state[0] != self._was[0]:
+            self.armed = now if state[0] else 0
+        if state[1] != self._was[1]:
+            self.mode = now
+        if state[2] != self._was[2]:
+            self.took_off = now if state[2] else 0
+        self._was = state
+
+
+def state_of(view: View) -> int:
+    """Return the NAVIGATION_STATE of a vehicle."""
+    beat = view.stack.heartbeat()
+    return TERMINATED if beat.system_status == _TERMINATION else nav_state(beat.custom_mode)
+
+
+def published(types: Types, system: System, space: str, period: float) -> Iterator[Told]:
+    """Yield the topics of a vehicle.
+
+    Args:
+        types: of the distribution, with PACKAGES.
+        system: the vehicle.
+        space: what is before the names of topics, such as "/px4_1/fmu/".
+        period: of the readings of its gyroscope and accelerometer [s].
+    """
+    status = Status()
+
+    def told(
+        name: str, kind: str, rate: float, fields: Callable[[View], Fields | None],
+        key: Callable[[View], object] | None = None, **constants: Any,
+    ) -> Told:  # fmt: skip
+        return Told(
+            Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"), rate, _made(types, kind, fields, constants), key
+        )
+
+    def changes(view: View) -> object:
+        beat = view.stack.heartbeat()
+        return beat.base_mode, beat.custom_mode, beat.system_status, beat.landed
+
+    def vehicle_status(view: View) -> Fields:
+        status.look(view)
+        beat, state, armed = view.stack.heartbeat(), state_of(view), view.stack.armed
+        return {
+            "armed_time": status.armed, "takeoff_time": status.took_off, "nav_state_timestamp": status.mode,
+            "arming_state": _IS_ARMED if armed else _DISARMED, "nav_state": state, "nav_state_user_intention": state,
+            "failsafe": beat.system_status == _CRITICAL,
+            "pre_flight_checks_pass": armed or not view.stack.health().reasons,
+        }  # fmt: skip
+
+    kind = system.stack.heartbeat().mav_type
+    yield told(
+        "vehicle_status", "VehicleStatus", 2.0, vehicle_status, changes, vehicle_type=_TYPES.get(kind, 1),
+        system_type=kind, system_id=system.number, component_id=1, power_input_valid=True, safety_off=True,
+        gcs_connection_lost=True,
+    )  # fmt: skip
+    yield told("vehicle_control_mode", "VehicleControlMode", 2.0, _control_mode, changes)
+    yield told("vehicle_land_detected", "VehicleLandDetected", 1.0, _landed, changes)
+    yield told(
+        "home_position",
+        "HomePosition",
+        0.5,
+        _home,
+        lambda view: view.stack.home,
+        valid_alt=True,
+        valid_hpos=True,
+        valid_lpos=True,
+    )
+    yield told("vehicle_local_position", "VehicleLocalPosition", MOST, _local_position)
+    yield told("vehicle_global_position", "VehicleGlobalPosition", MOST, _global_position)
+    yield told("vehicle_attitude", "VehicleAttitude", MOST, _attitude)
+    yield told("vehicle_odometry", "VehicleOdometry", MOST, _odometry, pose_frame=_NED, velocity_frame=_NED)
+    step = round(1e6 * period)
+    yield told(
+        "sensor_combined", "SensorCombined", MOST, _sensors, gyro_integral_dt=step, accelerometer_integral_dt=step
+    )
+    yield told("vehicle_gps_position", "SensorGps", 0.0, _fix, lambda view: view.fix_time)
+    yield told("battery_status", "BatteryStatus", 1.0, _battery, connected=True, current_a=-1.0)
+    yield told(
+        "timesync_status", "TimesyncStatus", 1.0, lambda view: {"remote_timestamp": view.boot_us}, source_protocol=_DDS
+    )
+
+
+def _made(
+    types: Types, kind: str, fields: Callable[[View], Fields | None], constants: dict[str, Any]
+) -> Callable[[View], bytes | None]:
+    """Return the function that makes messages of a kind, by the fields that it has; the times are put too."""
+    made: list[Make] = []
+    name = f"px4_msgs/msg/{kind}"
+    times = [field for field, _ in types.fields(name) if field in ("timestamp", "timestamp_sample")]
+    now: list[float] = []
+
+    def make(view: View) -> bytes | None:
+        found = fields(view)
+        if found is None:
+            return None
+        now.clear()
+        now.extend([view.boot_us] * len(times))
+        for value in found.values():
+            now.extend(value) if isinstance(value, Sequence) else now.append(value)  # type: ignore[arg-type]
+        if not made:
+            made.append(f.form(types, name, (*times, *found), lambda _: now, **constants))
+        return made[0](view)
+
+    return make
+
+
+def _control_mode(view: View) -> Fields:
+    state, armed = state_of(view), view.stack.armed
+    offboard, automatic = state == _OFFBOARD, state in _AUTOMATIC
+    flies = offboard or automatic
+    levels = ("position", "velocity", "altitude", "climb_rate", "attitude", "rates", "allocation")
+    return {
+        "flag_armed": armed, "flag_control_offboard_enabled": offboard, "flag_control_auto_enabled": automatic,
+        "flag_multicopter_position_control_enabled": flies, "flag_control_termination_enabled": state == TERMINATED,
+        **{f"flag_control_{level}_enabled": flies for level in levels},
+    }  # fmt: skip
+
+
+def _landed(view: View) -> Fields:
+    landed = view.stack.heartbeat().landed is Landed.ON_GROUND
+    names = ("ground_contact", "maybe_landed", "landed", "at_rest", "close_to_ground_or_skipped_check")
+    north, east, down = view.seen.velocity_ned
+    moving: Fields = {"vertical_movement": abs(down) > 0.3, "horizontal_movement": math.hypot(north, east) > 1.0}
+    return moving | dict.fromkeys(names, float(landed))
+
+
+def _home(view: View) -> Fields | None:
+    home = view.stack.home
+    if home is None:
+        return None
+    x, y, z = view.local(home.position_ned)
+    return {"lat": home.latitude, "lon": home.longitude, "alt": home.altitude, "x": x, "y": y, "z": z, "yaw": home.yaw}
+
+
+def _accuracies(view: View) -> tuple[float, float]:
+    """Return the standard deviations [m] of the estimate, horizontal and vertical, else those of the receiver."""
+    north, east, down = view.row[s.STD_POSITION : s.STD_POSITION + 3]
+    if north == north:
+        return math.hypot(north, east), down
+    return view.seen.horizontal_accuracy, view.seen.vertical_accuracy
+
+
+def _local_position(view: View) -> Fields | None:
+    seen = view.seen
+    if not seen.valid:
+        return None
+    x, y, z = view.local(seen.position_ned)
+    vx, vy, vz = seen.velocity_ned
+    latitude, longitude, altitude = view.stack.place(view.stack.origin)
+    below = view.row[s.RANGE]
+    seen_below = math.isfinite(below)
+    eph, epv = _accuracies(view)
+    north, east, down = view.row[s.STD_VELOCITY : s.STD_VELOCITY + 3]
+    valid = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid", "xy_global", "z_global", "heading_good_for_control")
+    return {
+        **dict.fromkeys(valid, True), "x": x, "y": y, "z": z, "vx": vx, "vy": vy, "vz": vz, "z_deriv": vz,
+        "heading": seen.attitude[2], "unaided_heading": seen.attitude[2], "ref_lat": latitude, "ref_lon": longitude,
+        "ref_alt": altitude, "dist_bottom": below if seen_below else NAN, "dist_bottom_valid": seen_below,
+        "dist_bottom_sensor_bitfield": _RANGE if seen_below else 0, "eph": eph, "epv": epv,
+        "evh": math.hypot(north, east), "evv": down, "vxy_max": NAN, "vz_max": NAN, "hagl_min": NAN, "hagl_max": NAN,
+    }  # fmt: skip
+
+
+def _global_position(view: View) -> Fields | None:
+    seen = view.seen
+    if not seen.valid:
+        return None
+    eph, epv = _accuracies(view)
+    return {
+        "lat": seen.latitude, "lon": seen.longitude, "alt": seen.altitude, "alt_ellipsoid": seen.altitude, "eph": eph,
+        "epv": epv, "terrain_alt": NAN,
+    }  # fmt: skip
+
+
+def _quaternion(view: View) -> list[float]:
+    return view.row[s.QUATERNION : s.QUATERNION + 4]
+
+
+def _attitude(view: View) -> Fields | None:
+    return {"q": _quaternion(view)} if view.seen.valid else None
+
+
+def _odometry(view: View) -> Fields | None:
+    seen, row = view.seen, view.row
+    if not seen.valid:
+        return None
+    return {
+        "position": view.local(seen.position_ned), "q": _quaternion(view), "velocity": seen.velocity_ned,
+        "angular_velocity": seen.rates, "position_variance": _squares(row, s.STD_POSITION),
+        "orientation_variance": _squares(row, s.STD_ATTITUDE), "velocity_variance": _squares(row, s.STD_VELOCITY),
+    }  # fmt: skip
+
+
+def _squares(row: list[float], first: int) -> list[float]:
+    return [std * std for std in row[first : first + 3]]
+
+
+def _sensors(view: View) -> Fields | None:
+    if not view.seen.present & (Sensor.GYRO | Sensor.ACCELEROMETER):
+        return None
+    return {"gyro_rad": view.row[s.RATES : s.RATES + 3], "accelerometer_m_s2": view.row[s.FORCE : s.FORCE + 3]}
+
+
+def _fix(view: View) -> Fields | None:
+    row, seen = view.row, view.seen
+    if row[s.FIX_PLACE] != row[s.FIX_PLACE]:
+        return None
+    latitude, longitude, height = row[s.FIX_PLACE : s.FIX_PLACE + 3]
+    north, east, down = row[s.FIX_VELOCITY : s.FIX_VELOCITY + 3]
+    moving = north == north and east == east
+    satellites = row[s.SATELLITES]
+    return {
+        "latitude_deg": latitude, "longitude_deg": longitude, "altitude_msl_m": height, "altitude_ellipsoid_m": height,
+        "s_variance_m_s": row[s.SPEED], "fix_type": seen.fix_type, "eph": seen.horizontal_accuracy,
+        "epv": seen.vertical_accuracy, "hdop": row[s.HDOP], "vdop": row[s.VDOP], "vel_m_s": math.hypot(north, east),
+        "vel_n_m_s": north, "vel_e_m_s": east, "vel_d_m_s": down,
+        "cog_rad": math.atan2(east, north) if moving else NAN, "vel_ned_valid": moving,
+        "time_utc_usec": round((view.unix + view.fix_time) * 1e6),
+        "satellites_used": 0 if satellites != satellites else int(satellites), "heading": NAN,
+    }  # fmt: skip
+
+
+def _battery(view: View) -> Fields | None:
+    charge, voltage = view.seen.charge, view.seen.voltage
+    if charge != charge:
+        return None
+    names = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
+    return {
+        "voltage_v": voltage, "voltage_filtered_v": voltage, "remaining": charge, "scale": 1.0,
+        "time_remaining_s": NAN, "temperature": NAN,
+        "warning": sum(charge <= view.stack.parameters[name] for name in names),
+    }  # fmt: skip

@@ -1,0 +1,163 @@
+"""What PX4 takes for one vehicle over its uXRCE-DDS bridge: offboard set-points and commands.
+
+Source: PX4 1.15, Commander.cpp (commands), offboard control mode and the message definitions of px4_msgs, release/1.15.
+A vehicle is in OFFBOARD as long as ``offboard_control_mode`` comes in; its flags say which numbers of the set-points
+count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from qrsim.links.mavlink.stack.contracts import AttitudeTarget, Command, LocalTarget, Target, Triple
+from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.system import System
+from qrsim.links.mavlink.view import View
+from qrsim.links.ros2.apis.contracts import EACH, Heard, Told
+from qrsim.links.ros2.apis.modes import NAV_STATES
+from qrsim.links.ros2.blank import empty
+from qrsim.links.ros2.topics import Topic
+from qrsim.links.ros2.typestore import Types
+
+# MAV_CMD: DO_SET_MODE; of PX4 alone: VEHICLE_CMD_SET_NAV_STATE.
+_SET_MODE, _SET_NAV_STATE = 176, 100001
+_UNKNOWN: Triple = (math.nan,) * 3
+_LOCAL = 1
+# ATTITUDE_TARGET_TYPEMASK.
+_NO_RATES, _NO_ATTITUDE = 7, 1 << 7
+# Of acknowledgements that nobody could be sent, the last ones are kept.
+_MOST = 64
+
+
+class Asked:
+    """The set-points and commands of one vehicle.
+
+    Args:
+        types: of the distribution, with ``px4.PACKAGES``.
+        system: the vehicle.
+        space: what is before the names of topics, such as "/px4_1/fmu/".
+    """
+
+    def __init__(self, types: Types, system: System, space: str):
+        self._types, self._system, self._space = types, system, space
+        self._acks: deque[bytes] = deque(maxlen=_MOST)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with an episode: nothing was heard."""
+        self._mode: Any = None
+        self._mode_at = -math.inf
+        # By kind, the set-point that came last.
+        self._motion: Any = None
+        self._attitude: Any = None
+        self._rates: Any = None
+        self._here: Triple | None = None
+
+    def heard(self) -> Iterator[Heard]:
+        """Yield the topics that are subscribed to."""
+        for name, kind, quality, take in (
+            ("offboard_control_mode", "OffboardControlMode", "command", self._take_mode),
+            ("trajectory_setpoint", "TrajectorySetpoint", "command", self._take_motion),
+            ("vehicle_attitude_setpoint", "VehicleAttitudeSetpoint", "command", self._take_attitude),
+            ("vehicle_rates_setpoint", "VehicleRatesSetpoint", "command", self._take_rates),
+            ("vehicle_command", "VehicleCommand", "request", self._obey),
+        ):
+            yield Heard(Topic(f"{self._space}in/{name}", f"px4_msgs/msg/{kind}", quality), take)  # type: ignore[arg-type]
+
+    def told(self) -> Told:
+        """Return the topic of acknowledgements."""
+
+        def make(view: View) -> bytes | None:
+            return self._acks.popleft() if self._acks else None
+
+        topic = Topic(f"{self._space}out/vehicle_command_ack", "px4_msgs/msg/VehicleCommandAck", "fmu")
+        return Told(topic, EACH, make)
+
+    # ---- set-points ----
+
+    def _take_mode(self, message: Any) -> None:
+        self._mode, self._mode_at = message, self._system.view.seen.time
+        self._hand_over()
+
+    def _take_motion(self, message: Any) -> None:
+        self._motion = message
+        self._take()
+
+    def _take_attitude(self, message: Any) -> None:
+        self._attitude = message
+        self._take()
+
+    def _take_rates(self, message: Any) -> None:
+        self._rates = message
+        self._take()
+
+    def _take(self) -> None:
+        """Fly by a new set-point, if the mode is alive."""
+        stack = self._system.stack
+        limit = stack.parameters["COM_OF_LOSS_T"] * max(1.0, stack.factor)
+        if self._system.view.seen.time - self._mode_at < limit:
+            self._hand_over()
+            if isinstance(stack, FlightStack):
+                # Set-points alone do not keep a vehicle in OFFBOARD.
+                stack.offboard.heard = self._mode_at
+
+    def _hand_over(self) -> None:
+        target = self._target()
+        if target is not None:
+            self._system.stack.setpoint(target)
+
+    def _target(self) -> Target | None:
+        """Return the set-point of the mode; before any has come, the place where the vehicle is."""
+        mode = self._mode
+        if mode.position or mode.velocity or mode.acceleration:
+            return self._motion_target(mode)
+        if mode.attitude and self._attitude is not None:
+            thrust = -float(self._attitude.thrust_body[2])
+            return AttitudeTarget(_NO_RATES, tuple(map(float, self._attitude.q_d)), (0.0, 0.0, 0.0), thrust)  # type: ignore[arg-type]
+        if mode.body_rate and self._rates is not None:
+            rates, thrust = self._rates, -float(self._rates.thrust_body[2])
+            turn = (float(rates.roll), float(rates.pitch), float(rates.yaw))
+            return AttitudeTarget(_NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), turn, thrust)
+        return self._stay() if mode.attitude or mode.body_rate else None
+
+    def _stay(self) -> Target:
+        if self._here is None:
+            view = self._system.view
+            self._here = view.local(view.seen.position_ned)
+        return LocalTarget(_LOCAL, 0, position=self._here)
+
+    def _motion_target(self, mode: Any) -> Target:
+        if self._motion is None:
+            return self._stay()
+        motion = self._motion
+
+        def part(name: str, counts: bool) -> Triple:
+            x, y, z = (float(number) for number in getattr(motion, name))
+            return (x, y, z) if counts else _UNKNOWN
+
+        return LocalTarget(
+            _LOCAL, 0, part("position", mode.position), part("velocity", mode.position or mode.velocity),
+            part("acceleration", True), float(motion.yaw), float(motion.yawspeed),
+        )  # fmt: skip
+
+    # ---- commands ----
+
+    def _obey(self, message: Any) -> None:
+        if message.target_system not in (0, self._system.number) or message.target_component not in (0, 1):
+            return
+        command = int(message.command)
+        params = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
+        if command == _SET_NAV_STATE:
+            state = int(params[0]) if math.isfinite(params[0]) else -1
+            main, sub = NAV_STATES.get(state, (255, 0))
+            params, command = (1.0, float(main), float(sub), *params[3:]), _SET_MODE
+        ack = self._system.stack.command(Command(command, params))  # type: ignore[arg-type]
+        answer = empty(self._types, "px4_msgs/msg/VehicleCommandAck")
+        answer.timestamp, answer.command = self._system.view.boot_us, message.command
+        answer.result, answer.result_param1 = int(ack.result), ack.progress
+        answer.target_system, answer.target_component = message.source_system, message.source_component
+        answer.from_external = True
+        self._acks.append(self._types.encode(answer))
