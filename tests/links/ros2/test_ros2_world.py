@@ -9,9 +9,9 @@ import pytest
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
+from qrsim.links.ros2.blank import stamp_of
 from qrsim.links.ros2.messages import Messages
 from qrsim.links.ros2.names import namespaces
-from qrsim.links.ros2.publications import stamp_of
 from qrsim.links.ros2.typestore import Types
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
@@ -21,7 +21,11 @@ CONTENT = {
     "name": "pair",
     "duration": 60.0,
     "site": {"latitude_deg": 51.7, "longitude_deg": -0.2, "height": 40.0},
-    "world": {"wind": {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 270}},
+    "world": {
+        "wind": {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 270},
+        "beacons": [{"name": "mast", "position_ned": [5, 0, -10]}, {"name": "gate", "position_ned": [5, 43, -16]}],
+        "obstacles": [{"type": "cylinder", "x": 15, "y": 40, "radius": 1, "z_min": -60}],
+    },
     "fleets": {
         "uav": {
             "controller": {"type": "cascade", "feed": "truth"},
@@ -35,6 +39,11 @@ CONTENT = {
                     "type": "rangefinder", "noise_std": 0.1, "noise_per_range": 0.01, "range_min": 0.5,
                     "range_max": 60.0, "mount_position_body": [0.2, 0.1, 0.05],
                 },
+                "lidar": {"type": "ideal_scan", "rays": 9, "field_of_view_rad": 2.0 * math.pi},
+                "uwb": {"type": "ideal_ranging"},
+                "others": {"type": "ideal_neighbours", "slots": 2},
+                "flow": {"type": "ideal_optical_flow"},
+                "pitot": {"type": "ideal_airspeed"},
             },
             "vehicles": [
                 {"position_ned": [0, 0, -20], "yaw_deg": 30, "waypoints_ned": [[60, 30, -20]]},
@@ -89,7 +98,8 @@ def test_every_message_is_what_rosbags_writes(flown):
     own = {name.removeprefix("/uav_0/") for name in kinds if name.startswith("/uav_0/")}
     assert own == {
         "fix", "imu/data", "mag", "baro", "baro/height", "range", "battery", "odom", "pose", "velocity", "state",
-        "ground_truth/odom", "ground_truth/wind",
+        "ground_truth/odom", "ground_truth/wind", "scan", "ranging/beacon_0", "ranging/beacon_1", "ranging/uav_1",
+        "neighbours", "optical_flow/flow", "optical_flow/rotation", "airspeed", "airspeed/pressure",
     }  # fmt: skip
 
 
@@ -132,6 +142,45 @@ def test_pressure_and_range(flown):
     assert (distance.min_range, distance.max_range, distance.radiation_type) == (0.5, 60.0, 1)
     assert distance.variance == pytest.approx((0.1 + 0.01 * metres) ** 2, rel=1e-6)
     assert distance.header.frame_id == "uav_0/range"
+
+
+def test_scans_ranges_and_neighbours_are_of_the_sensor_s_axes(flown):
+    """The second vehicle hovers and looks to the north, 10 m south of the axis of a cylinder of radius 1 m."""
+    messages, found, _ = flown
+    said, seen = next((said, seen) for said, seen in found[30:] if "/uav_1/scan" in said)
+    scan = decoded(messages, said, "/uav_1/scan")
+    assert scan.ranges[4] == pytest.approx(9.0, abs=0.3)
+    assert np.isinf(np.delete(scan.ranges, 4)).all()
+    # Nine rays of 40 degrees, the first one to the right.
+    assert math.degrees(scan.angle_min) == pytest.approx(-160.0)
+    assert math.degrees(scan.angle_increment) == pytest.approx(40.0)
+    assert (scan.header.frame_id, scan.range_max) == ("uav_1/scan", 100.0)
+    # From (5, 40, -20) to (5, 43, -16).
+    assert decoded(messages, said, "/uav_1/ranging/beacon_1").range == pytest.approx(5.0, abs=0.3)
+    (pose,) = decoded(messages, said, "/uav_1/neighbours").poses
+    # To the west of it, which is to its left.
+    assert three(pose.position) == pytest.approx([1, -1, -1] * seen["reading"].others.position[1, 0], rel=1e-5)
+    assert pose.position.y == pytest.approx(40.0, abs=2.0)
+    transforms = TYPES.decode(messages.static, "tf2_msgs/msg/TFMessage").transforms
+    place = next(each for each in transforms if each.child_frame_id == "beacon_1").transform.translation
+    assert three(place) == pytest.approx([43.0, 5.0, 16.0])
+
+
+def test_air_and_flow_are_published(flown):
+    messages, found, _ = flown
+    names = {"/uav_0/airspeed", "/uav_0/airspeed/pressure", "/uav_0/optical_flow/flow"}
+    said, seen = next((said, seen) for said, seen in found[30:] if names <= set(said))
+    speed = decoded(messages, said, "/uav_0/airspeed").data
+    assert speed == pytest.approx(float(seen["reading"].pitot.true_airspeed[0]))
+    # Of the standard atmosphere: half its density of 1.22 kg/m^3 at 60 m, times the speed squared.
+    assert decoded(messages, said, "/uav_0/airspeed/pressure").fluid_pressure == pytest.approx(
+        0.61 * speed**2, rel=0.02
+    )
+    flow = decoded(messages, said, "/uav_0/optical_flow/flow").vector
+    reading = seen["reading"].flow
+    assert three(flow) == pytest.approx([float(reading.flow_x[0]), -float(reading.flow_y[0]), 0.0], rel=1e-5)
+    turn = decoded(messages, said, "/uav_0/optical_flow/rotation").vector
+    assert three(turn) == pytest.approx(np.array([1.0, -1.0, -1.0]) * np.asarray(reading.delta_angle)[0], rel=1e-5)
 
 
 def test_a_fix_is_published_when_it_arrives_and_stamped_when_it_was_true(flown):

@@ -13,8 +13,9 @@ from rosbags.rosbag2.errors import WriterError
 
 from qrsim.errors import RunError
 from qrsim.links.ros2 import topics as t
+from qrsim.links.ros2.blank import stamp_of
 from qrsim.links.ros2.profiles import PROFILES
-from qrsim.links.ros2.publications import Publications, stamp_of
+from qrsim.links.ros2.publications import Publications
 from qrsim.links.ros2.recorded import Recorded
 from qrsim.links.ros2.transforms import static_transforms
 from qrsim.links.ros2.typestore import Types

@@ -15,6 +15,14 @@ def empty(types: Types, name: str) -> Any:
     return types[name](**{field: _nothing(types, description) for field, description in types.fields(name)})
 
 
+def stamped(types: Types, name: str, time: float, frame: str = "") -> Any:
+    """Return an empty message with a header of a time [s]."""
+    message = empty(types, name)
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp_of(time)
+    message.header.frame_id = frame
+    return message
+
+
 def _nothing(types: Types, description: Any) -> Any:
     kind, content = description
     if kind == Nodetype.NAME:
@@ -27,3 +35,8 @@ def _nothing(types: Types, description: Any) -> Any:
     if element != Nodetype.BASE or base[0] == "string":
         return [_nothing(types, (element, base)) for _ in range(count)]
     return np.zeros(count, {"char": "uint8", "byte": "uint8"}.get(base[0], base[0]))
+
+
+def stamp_of(time: float) -> tuple[int, int]:
+    """Return seconds and nanoseconds of a simulated time [s]."""
+    return divmod(round(time * 1e9), 1_000_000_000)

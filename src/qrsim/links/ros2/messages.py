@@ -11,7 +11,9 @@ import numpy as np
 
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
-from qrsim.links.ros2.publications import Publications, stamp_of
+from qrsim.links.ros2.blank import stamp_of
+from qrsim.links.ros2.perceived import Perceived
+from qrsim.links.ros2.publications import Publications
 from qrsim.links.ros2.radio import Inboxes, heard_topic
 from qrsim.links.ros2.template import Template
 from qrsim.links.ros2.transforms import static_transforms
@@ -48,6 +50,7 @@ class Messages:
         self.namespaces, self.topics = own.namespaces, own.topics
         self._clock_topic = own.add(t.CLOCK)
         self._states = [own.add(t.Topic(f"/{name}/{t.STATE}", t.STATE_TYPE, "reliable")) for name in self.namespaces]
+        self._perceived = Perceived(types, simulation, self.namespaces, sight, own.add)
         self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
         self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
         self._told: list[tuple[Any, float]] = [(None, -math.inf)] * simulation.size
@@ -72,6 +75,8 @@ class Messages:
         # Estimates of the tick before begin with the first tick: no two may have the same time.
         if simulation.tick or not any(sight.behind):
             yield from self._publications.of_tick(simulation.tick, believed, sight.values, news, true)
+        if simulation.tick:
+            yield from self._perceived.new()
         yield from self._state_messages(modes)
         if self._inboxes is not None:
             for row, message in self._inboxes.new():

@@ -35,3 +35,18 @@ def gnss_link(namespace: str) -> str:
 def range_link(namespace: str) -> str:
     """Return the frame of its rangefinder, whose x axis is the beam."""
     return f"{namespace}/range"
+
+
+def scan_link(namespace: str) -> str:
+    """Return the frame of its lidar: the rays are in the plane of x and y."""
+    return f"{namespace}/scan"
+
+
+def neighbours_link(namespace: str) -> str:
+    """Return the frame of its sensor of neighbours."""
+    return f"{namespace}/neighbours"
+
+
+def beacon(number: int) -> str:
+    """Return the frame of a beacon, by its number in the scenario."""
+    return f"beacon_{number}"

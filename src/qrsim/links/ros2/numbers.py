@@ -26,7 +26,9 @@ POSITION_VARIANCE, TURN_VARIANCE, VELOCITY_VARIANCE = 48, 51, 54
 ODOM_RATES, ODOM_RATES_VARIANCE = 57, 60
 # What a controller asks a quadrotor for: attitude, throttle, rate about the axis that points up.
 ASKED_ORIENTATION, ASKED_THROTTLE, ASKED_YAW_RATE = 63, 67, 68
-WIDTH = 69
+# Of the air, and of an optical flow sensor since its last reading [rad].
+DIFFERENTIAL, AIRSPEED, FLOW, FLOW_TURN = 69, 70, 71, 74
+WIDTH = 77
 _MICRO = 1e-6
 # What the status of a rangefinder says: nearer or farther than it measures.
 _TOO_NEAR, _TOO_FAR = 1.0, 2.0
@@ -55,8 +57,11 @@ def seen(values: Array) -> Array:
     found[:, FIX_STATUS] = np.where(values[:, s.FIX_TYPE] >= _CORRECTED, 2.0, 0.0)
     for column, source in (
         (PRESSURE, s.PRESSURE), (HEIGHT, s.HEIGHT), (RANGE, s.RANGE), (CHARGE, s.CHARGE), (VOLTAGE, s.VOLTAGE),
+        (DIFFERENTIAL, s.DIFFERENTIAL), (AIRSPEED, s.AIRSPEED), (FLOW, s.FLOW),
     ):  # fmt: skip
         found[:, column] = values[:, source]
+    found[:, FLOW + 1], found[:, FLOW + 2] = -values[:, s.FLOW + 1], 0.0
+    found[:, FLOW_TURN : FLOW_TURN + 3] = flu_of(values[:, s.FLOW_TURN : s.FLOW_TURN + 3])
     # By REP-117.
     status = values[:, s.RANGE_STATUS]
     found[status == _TOO_NEAR, RANGE], found[status == _TOO_FAR, RANGE] = -np.inf, np.inf

@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2 import variances
+from qrsim.links.ros2.blank import stamp_of
 from qrsim.links.ros2.names import namespaces
 from qrsim.links.ros2.transforms import Transforms
 from qrsim.links.ros2.typestore import Types
@@ -133,8 +134,3 @@ class Publications:
                 message = publication.message(row, *stamp)
                 if message is not None:
                     yield topic, message
-
-
-def stamp_of(time: float) -> tuple[int, int]:
-    """Return seconds and nanoseconds of a simulated time [s]."""
-    return divmod(round(time * 1e9), 1_000_000_000)

@@ -95,6 +95,8 @@ class Recorded:
         for number, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
             fix = "gnss" in type(sensor).__module__
             vectors, scalars = (s.FIX_VECTORS, s.FIX_SCALARS) if fix else (s.VECTORS, s.SCALARS)
+            if f"{name}.flow_x" in measured:
+                vectors = vectors | {"delta_angle": s.FLOW_TURN}
             fields = {
                 f"{field}.{axis}": column + i for field, column in vectors.items() for i, axis in enumerate("xyz")
             }

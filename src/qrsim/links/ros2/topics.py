@@ -100,6 +100,21 @@ RANGE = Kind(
     "range", "sensor_msgs/msg/Range", "sensor", "range",
     (("range", (n.RANGE,)), ("variance", (n.RANGE_VARIANCE,))), (n.RANGE,), s.RANGE,
 )  # fmt: skip
+AIRSPEED = Kind(
+    "airspeed", "std_msgs/msg/Float64", "sensor", "base_link", (("data", (n.AIRSPEED,)),), (n.AIRSPEED,), s.AIRSPEED
+)
+DIFFERENTIAL = Kind(
+    "airspeed/pressure", "sensor_msgs/msg/FluidPressure", "sensor", "base_link",
+    (("fluid_pressure", (n.DIFFERENTIAL,)),), (n.DIFFERENTIAL,), s.DIFFERENTIAL,
+)  # fmt: skip
+FLOW = Kind(
+    "optical_flow/flow", "geometry_msgs/msg/Vector3Stamped", "sensor", "base_link", _vector("vector", n.FLOW),
+    (n.FLOW,), s.FLOW,
+)  # fmt: skip
+FLOW_TURN = Kind(
+    "optical_flow/rotation", "geometry_msgs/msg/Vector3Stamped", "sensor", "base_link", _vector("vector", n.FLOW_TURN),
+    (n.FLOW_TURN,), s.FLOW_TURN,
+)  # fmt: skip
 BATTERY = Kind(
     "battery", "sensor_msgs/msg/BatteryState", "reliable", "base_link",
     (("voltage", (n.VOLTAGE,)), ("percentage", (n.CHARGE,))), (n.CHARGE,), every=0.5,
@@ -115,7 +130,9 @@ VELOCITY = Kind(
 )  # fmt: skip
 WIND = Kind("wind", "geometry_msgs/msg/Vector3Stamped", "reliable", "map", _vector("vector", n.WIND), (n.WIND,))
 # From the estimates and the readings, in the order in which they go out.
-KINDS = (FIX, IMU, MAG, BARO, HEIGHT, RANGE, BATTERY, ODOM, POSE, VELOCITY, WIND)
+KINDS = (
+    FIX, IMU, MAG, BARO, HEIGHT, RANGE, AIRSPEED, DIFFERENTIAL, FLOW, FLOW_TURN, BATTERY, ODOM, POSE, VELOCITY, WIND,
+)  # fmt: skip
 # From the truth.
 TRUE_KINDS = (
     Kind("ground_truth/odom", "nav_msgs/msg/Odometry", "reliable", "map", _ODOM, _KNOWN_POSE, child=True),

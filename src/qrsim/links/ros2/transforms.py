@@ -8,13 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.interface.arrays import quaternion_of
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.blank import empty
-from qrsim.links.ros2.frames import flu_of
-from qrsim.links.ros2.names import EARTH, MAP, base_link, gnss_link, range_link
+from qrsim.links.ros2.frames import enu_of, flu_of
+from qrsim.links.ros2.names import EARTH, MAP, base_link, beacon, gnss_link, neighbours_link, range_link, scan_link
 from qrsim.links.ros2.template import Put, Template
 from qrsim.links.ros2.typestore import Types
+from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
+from qrsim.models.sensors.ranging import IdealRanging, Ranging
+from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.models.site import Site
 from qrsim.world.state import Fleet, World
 
@@ -79,8 +83,8 @@ def transform(
 
 
 def static_transforms(types: Types, world: World, namespaces: Sequence[str], site: Site) -> Any:
-    """Return the message of /tf_static: the map on the Earth (REP-105), GNSS receivers and rangefinders of vehicles."""
-    found, rest = [on_earth(types, site)], iter(namespaces)
+    """Return the message of /tf_static: the map on the Earth (REP-105), beacons, and some sensors of vehicles."""
+    found, rest = [on_earth(types, site), *_beacons(types, world)], iter(namespaces)
     for fleet in world.fleets:
         for _ in range(fleet.size):
             found += _of_vehicle(types, fleet, next(rest))
@@ -99,6 +103,17 @@ def on_earth(types: Types, site: Site) -> Any:
     return transform(types, EARTH, MAP, site.origin_ecef().tolist(), turn)
 
 
+def _beacons(types: Types, world: World) -> list[Any]:
+    """Return the transforms from the map to beacons that a sensor ranges to."""
+    found: dict[str, Any] = {}
+    for sensor in (each for fleet in world.fleets for each in fleet.sensors):
+        if isinstance(sensor, Ranging | IdealRanging) and sensor.beacon_ned is not None:
+            places = np.stack([np.asarray(axis, np.float64) for axis in sensor.beacon_ned.axes], axis=-1)
+            for number, place in enumerate(enu_of(places).tolist()):
+                found.setdefault(beacon(number), transform(types, MAP, beacon(number), place))
+    return list(found.values())
+
+
 def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:
     found: dict[str, Any] = {}
     for number, sensor in enumerate(fleet.sensors):
@@ -107,9 +122,19 @@ def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:
             child, turn = range_link(name), _LOOKS[sensor.axis]
         elif "gnss" in type(sensor).__module__:
             child = gnss_link(name)
+        elif isinstance(sensor, Scan | IdealScan):
+            child = scan_link(name)
+        elif isinstance(sensor, NeighbourSensor | IdealNeighbours):
+            child = neighbours_link(name)
         else:
             continue
         fitting = fleet.fitting(number)
+        if fitting is not None and fitting.attitude is not None and turn is _LEVEL:
+            angles = np.array(
+                [float(angle) for angle in (fitting.attitude.roll, fitting.attitude.pitch, fitting.attitude.yaw)]
+            )
+            w, x, y, z = quaternion_of(angles).tolist()
+            turn = (x, -y, -z, w)
         place = (0.0, 0.0, 0.0)
         if fitting is not None and fitting.position_body is not None:
             place = tuple(flu_of(np.array([float(axis) for axis in fitting.position_body.axes])).tolist())

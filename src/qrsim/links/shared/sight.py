@@ -25,13 +25,15 @@ HDOP, VDOP, RANGE_STATUS = 47, 48, 60
 # What follows is computed: latitude, longitude [deg] and height [m] of the estimate, its quaternion, the same place of
 # the fix, and the voltage of the battery [V].
 PLACE, QUATERNION, FIX_PLACE, VOLTAGE = 49, 52, 56, 59
-WIDTH = 61
+# Of an optical flow sensor: flow about its x and y axes and rotation about all [rad] since its last reading, quality.
+FLOW, FLOW_TURN, FLOW_QUALITY = 61, 63, 66
+WIDTH = 67
 # Where the fields of readings go; the first sensor that has a field counts.
 VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
 FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
 SCALARS = {
     "height": HEIGHT, "pressure": PRESSURE, "temperature": TEMPERATURE, "differential_pressure": DIFFERENTIAL,
-    "true_airspeed": AIRSPEED, "range": RANGE,
+    "true_airspeed": AIRSPEED, "range": RANGE, "flow_x": FLOW, "flow_y": FLOW + 1, "quality": FLOW_QUALITY,
 }  # fmt: skip
 FIX_SCALARS = {
     "satellites": SATELLITES, "fix_type": FIX_TYPE, "horizontal_accuracy": HORIZONTAL, "vertical_accuracy": VERTICAL,
@@ -113,7 +115,7 @@ class Sight:
         self.fresh: list[bool] = []
         self.fix_time: list[float] = []
         for fleet, number in zip(self._simulation.world.fleets, self._receivers, strict=True):
-            fresh, times = self._delivery(fleet, number)
+            fresh, times = self.delivery(fleet, number)
             self.fresh += fresh
             self.fix_time += times
 
@@ -122,12 +124,13 @@ class Sight:
         fresh: list[bool] = []
         times: list[float] = []
         for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
-            delivered, true = self._delivery(fleet, own.get(column))
+            delivered, true = self.delivery(fleet, own.get(column))
             fresh += delivered
             times += true
         return fresh, times
 
-    def _delivery(self, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
+    def delivery(self, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
+        """Return of a fleet's vehicles whether a sensor, by its number, delivers now, and when that was true [s]."""
         simulation = self._simulation
         if number is None:
             return [False] * fleet.size, [0.0] * fleet.size
@@ -222,6 +225,9 @@ def _of_reading(reading: Any) -> Iterator[tuple[int, Any]]:
             yield from _axes(vectors[name], value)
         elif name in scalars and isinstance(value, int):
             yield scalars[name], value
+        # Of optical flow; an IMU has one too.
+        elif name == "delta_angle" and "flow_x" in vars(reading):
+            yield from _axes(FLOW_TURN, value)
         # Of a rangefinder; others have one that says something else.
         elif name == "status" and "range" in vars(reading) and isinstance(value, int):
             yield RANGE_STATUS, value

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from qrsim.links.mavlink.stack.contracts import Quadruple, Triple
 from qrsim.links.mavlink.view import View
 from qrsim.links.ros2.apis.contracts import Make
-from qrsim.links.ros2.blank import empty
-from qrsim.links.ros2.publications import stamp_of
+from qrsim.links.ros2.blank import empty, stamp_of
 from qrsim.links.ros2.template import Template
 from qrsim.links.ros2.topics import STAMP
 from qrsim.links.ros2.typestore import Types
@@ -53,14 +51,6 @@ def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame:
         return bytes(template.cdr)
 
     return make
-
-
-def stamped(types: Types, name: str, time: float, frame: str = "") -> Any:
-    """Return an empty message with a header of a time [s]."""
-    message = empty(types, name)
-    message.header.stamp.sec, message.header.stamp.nanosec = stamp_of(time)
-    message.header.frame_id = frame
-    return message
 
 
 def enu(ned: Triple) -> Triple:

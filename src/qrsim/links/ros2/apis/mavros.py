@@ -19,6 +19,7 @@ from qrsim.links.ros2.apis import forms as f
 from qrsim.links.ros2.apis.contracts import EACH, Make, Told
 from qrsim.links.ros2.apis.modes import name_of
 from qrsim.links.ros2.apis.texts import Texts
+from qrsim.links.ros2.blank import stamped
 from qrsim.links.ros2.topics import Quality, Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.shared import sight as s
@@ -61,7 +62,7 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
 
     def state(view: View) -> bytes:
         beat = view.stack.heartbeat()
-        message = f.stamped(types, "mavros_msgs/msg/State", view.seen.time)
+        message = stamped(types, "mavros_msgs/msg/State", view.seen.time)
         message.connected, message.armed = True, bool(beat.base_mode & _ARMED)
         message.guided, message.manual_input = bool(beat.base_mode & _GUIDED), bool(beat.base_mode & _MANUAL)
         message.mode, message.system_status = name_of(beat.custom_mode), beat.system_status
@@ -97,7 +98,7 @@ def _text(types: Types, texts: Texts) -> Make:
         if not texts.waiting:
             return None
         severity, text = texts.waiting.popleft()
-        message = f.stamped(types, "mavros_msgs/msg/StatusText", view.seen.time)
+        message = stamped(types, "mavros_msgs/msg/StatusText", view.seen.time)
         message.severity, message.text = severity, text
         return types.encode(message)
 

@@ -1,0 +1,148 @@
+"""What vehicles perceive around them, as topics: scans, ranges by radio, and neighbours.
+
+The number of distances of such a sensor is its own, so these topics are no columns of ``numbers``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.links.ros2.blank import stamped
+from qrsim.links.ros2.frames import flu_of
+from qrsim.links.ros2.names import base_link, beacon, neighbours_link, scan_link
+from qrsim.links.ros2.topics import Topic
+from qrsim.links.ros2.typestore import Types
+from qrsim.links.ros2.variances import own
+from qrsim.links.shared.sight import Sight
+from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
+from qrsim.models.sensors.ranging import IdealRanging, Ranging
+from qrsim.models.sensors.scan import FARTHEST, IdealScan, Scan, ray_angles
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet
+
+Array = np.ndarray[Any, Any]
+SCAN, RANGE, POSES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range", "geometry_msgs/msg/PoseArray"
+# The first sensor of each kind is published.
+_KINDS = (Scan | IdealScan, Ranging | IdealRanging, NeighbourSensor | IdealNeighbours)
+
+
+class Perceived:
+    """The topics of scans, ranges and neighbours of a world.
+
+    Args:
+        types: of the distribution.
+        simulation: reset.
+        namespaces: of the vehicles.
+        sight: of the simulation, which knows when sensors deliver.
+        add: adds a topic, and returns its number.
+    """
+
+    def __init__(
+        self, types: Types, simulation: Simulation, namespaces: Sequence[str], sight: Sight,
+        add: Callable[[Topic], int],
+    ):  # fmt: skip
+        self._types, self._simulation, self._sight = types, simulation, sight
+        self._spaces, self._add = namespaces, add
+        self._parts: list[tuple[Fleet, int, _Part]] = []
+        first = 0
+        for fleet in simulation.world.fleets:
+            for kind, part in zip(_KINDS, (_Scans, _Ranges, _Neighbours), strict=True):
+                found = (i for i, sensor in enumerate(fleet.sensors) if isinstance(sensor, kind))
+                number = next(found, None)
+                if number is not None:
+                    rows = range(first, first + fleet.size)
+                    self._parts.append((fleet, number, part(self, fleet.sensors[number], rows)))
+            first += fleet.size
+
+    def new(self) -> Iterator[tuple[int, bytes]]:
+        """Yield number of the topic and message of the readings that have been delivered at the present tick."""
+        for fleet, number, part in self._parts:
+            fresh, times = self._sight.delivery(fleet, number)
+            if any(fresh):
+                reading = getattr(self._simulation.reading[fleet.name], fleet.sensor_names[number])
+                for own_row, (now, time) in enumerate(zip(fresh, times, strict=True)):
+                    if now:
+                        yield from part.messages(reading, own_row, time)
+
+
+class _Part:
+    """The topics of one kind of sensor of a fleet."""
+
+    def __init__(self, all: Perceived, sensor: Any, rows: range):
+        self.types, self.sensor, self.rows = all._types, sensor, rows
+        self.spaces = [all._spaces[row] for row in rows]
+        self.everybody, self.add = all._spaces, all._add
+        self.begin()
+
+    def begin(self) -> None:
+        """Add the topics."""
+
+    def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
+        """Yield topics and messages of the reading of a vehicle, by its row in the fleet."""
+        raise NotImplementedError
+
+
+class _Scans(_Part):
+    def begin(self) -> None:
+        """Add a topic for each vehicle."""
+        self._topics = [self.add(Topic(f"/{space}/scan", SCAN, "sensor")) for space in self.spaces]
+
+    def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
+        """Yield the scan, from right to left; infinite where nothing came back (REP-117)."""
+        sensor, message = self.sensor, stamped(self.types, SCAN, time, scan_link(self.spaces[row]))
+        angles = ray_angles(sensor.rays, sensor.field_of_view_rad)
+        message.angle_min, message.angle_max = -float(angles[-1]), -float(angles[0])
+        message.angle_increment = sensor.field_of_view_rad / sensor.rays
+        message.scan_time = sensor.period
+        message.range_min, message.range_max = 0.0, FARTHEST
+        if isinstance(sensor, Scan):
+            message.range_min, message.range_max = own(sensor.range_min, row), own(sensor.range_max, row)
+        ranges = np.asarray(reading.range, np.float32)[row, ::-1]
+        message.ranges = np.where(np.isfinite(ranges), ranges, np.float32(np.inf))
+        yield self._topics[row], self.types.encode(message)
+
+
+class _Ranges(_Part):
+    def begin(self) -> None:
+        """Add a topic for each vehicle and each beacon or vehicle that it ranges to."""
+        sensor = self.sensor
+        beacons = 0 if sensor.beacon_ned is None else sensor.beacon_ned.x.shape[0]
+        others = {"none": [], "fleet": self.spaces, "all": list(self.everybody)}[sensor.vehicles]
+        self._topics: list[list[tuple[int, str]]] = []
+        for space in self.spaces:
+            names = [*(beacon(number) for number in range(beacons)), *others]
+            self._topics.append([
+                (-1 if name == space else self.add(Topic(f"/{space}/ranging/{name}", RANGE, "sensor")), name)
+                for name in names
+            ])  # fmt: skip
+
+    def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
+        """Yield the ranges that there are."""
+        parts = [part for part in (reading.beacon_range, reading.vehicle_range) if part is not None]
+        ranges = np.concatenate([np.asarray(part, np.float64)[row] for part in parts])
+        message = stamped(self.types, RANGE, time, base_link(self.spaces[row]))
+        message.field_of_view = 2.0 * np.pi
+        message.max_range = own(self.sensor.range_max, row) if isinstance(self.sensor, Ranging) else FARTHEST
+        message.variance = own(self.sensor.noise_std, row) ** 2 if isinstance(self.sensor, Ranging) else 0.0
+        for (topic, _), distance in zip(self._topics[row], ranges.tolist(), strict=True):
+            if topic >= 0 and distance == distance:
+                message.range = distance
+                yield topic, self.types.encode(message)
+
+
+class _Neighbours(_Part):
+    def begin(self) -> None:
+        """Add a topic for each vehicle."""
+        self._topics = [self.add(Topic(f"/{space}/neighbours", POSES, "sensor")) for space in self.spaces]
+
+    def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
+        """Yield the places of the neighbours that it sees, the nearest first."""
+        places = flu_of(np.asarray(reading.position, np.float64)[row])
+        message = stamped(self.types, POSES, time, neighbours_link(self.spaces[row]))
+        point, turn, pose = (self.types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose"))
+        seen = places[np.isfinite(places).all(axis=1)].tolist()
+        message.poses = [pose(point(*place), turn(0.0, 0.0, 0.0, 1.0)) for place in seen]
+        yield self._topics[row], self.types.encode(message)
