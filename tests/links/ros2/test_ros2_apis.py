@@ -111,6 +111,10 @@ def alive(air, space="/fmu/", **levels):
     air.send(f"{space}in/offboard_control_mode", **(levels or {"position": True}))
 
 
+def vehicle_command(number, system=1, **params):
+    return filled("px4_msgs/msg/VehicleCommand", {"command": number, "target_system": system, **params})
+
+
 def command(air, number, *params, system=1, space="/fmu/"):
     """Send a command, and return the result of its acknowledgement."""
     values = {f"param{i}": value for i, value in enumerate(params, 1)}
@@ -222,6 +226,9 @@ def test_commands_are_for_the_system_that_they_name(px4):
     px4.run(1.0)
     states = [px4.last(f"{space}out/vehicle_status").nav_state for space in ("/fmu/", "/px4_1/fmu/")]
     assert states == [LOITER, TAKES_OFF]
+    response = px4.call("/px4_1/fmu/vehicle_command", request=vehicle_command(400, system=2, param1=0.0))
+    # It flies, so it is not disarmed.
+    assert (response.reply.command, response.reply.result) == (400, REJECTED)
     # Nonsense is refused.
     for params in ((math.nan,), (99.0,)):
         assert command(px4, 100001, *params)[1] != ACCEPTED

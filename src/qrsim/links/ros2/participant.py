@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 from cyclonedds.builtin import (
@@ -23,6 +23,7 @@ from cyclonedds.util import duration
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.ros2.profiles import PROFILES, Profile
+from qrsim.links.ros2.rtps.services import RawService, Request, Services
 from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types, dds_name, other_type, packed
 
@@ -31,9 +32,6 @@ LAST_DOMAIN = 232
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _DISCOVERY = "ros_discovery_info"
 _MOST_AT_ONCE = 32
-# What is before the fields of requests and responses, and where it is in the bytes of a sample.
-_SERVICE_HEADER = {"guid": "uint64", "seq": "int64"}
-_HEADER_AT = slice(4, 20)
 
 
 def checked_domain(domain: int) -> int:
@@ -58,7 +56,7 @@ class Participant:
     """
 
     def __init__(self, types: Types, domain: int, node: str = "qrsim", resend: bool = False):
-        self._types, self._node, self._resend = types, node, resend
+        self._types, self._node, self._resend, self._domain = types, node, resend, domain
         try:
             self._participant = DomainParticipant(checked_domain(domain), qos=Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException:
@@ -68,7 +66,8 @@ class Participant:
             ) from None
         self._writers: list[Writer] = []
         self._readers: list[Reader] = []
-        self._services: list[Service] = []
+        self._services: list[RawService] = []
+        self._rtps: Services | None = None
         # Profiles of the topics that are read and written, by name and type.
         self._read: dict[str, dict[str, Profile]] = {}
         self._written: dict[str, dict[str, Profile]] = {}
@@ -98,20 +97,17 @@ class Participant:
         return reader
 
     def service(self, name: str, kind: str) -> Service:
-        """Return a new service, as rmw_cyclonedds has them."""
-        # By it clients know which reader and writer belong together.
-        identity = Policy.Userdata(f"serviceid={uuid4().hex};".encode())
-        own = []
-        for prefix, suffix, part, make in (
-            ("rq", "Request", "_Request", DataReader), ("rr", "Reply", "_Response", DataWriter),
-        ):  # fmt: skip
-            sample = self._types.sample(f"{kind}{part}", _SERVICE_HEADER)
-            topic: Any = DdsTopic(self._participant, f"{prefix}{name}{suffix}", sample)
-            own.append((make(self._participant, topic, qos=_plain(PROFILES["service"], identity)), sample))
-        (reader, _), (writer, sample) = own
-        made = Service(self._types, kind, reader, Writer(writer, sample))
-        self._services.append(made)
-        return made
+        """Return a new service, for clients of rmw_fastrtps and rmw_cyclonedds."""
+        if self._rtps is None:
+            try:
+                self._rtps = Services(self._domain)
+                # So that clients do not wait for who has left.
+                atexit.register(self._rtps.close)
+            except OSError as error:
+                raise RunError(f"services do not start in domain {self._domain}: {error.strerror or error}") from None
+        raw = self._rtps.service(name, dds_name(f"{kind}_Request"), dds_name(f"{kind}_Response"))
+        self._services.append(raw)
+        return Service(self._types, kind, self._rtps, raw)
 
     def announce(self) -> None:
         """Tell other nodes which readers and writers are this node's."""
@@ -119,12 +115,12 @@ class Participant:
             kind = self._types.sample(_INFO)
             topic: Any = DdsTopic(self._participant, _DISCOVERY, kind)
             self._info = Writer(DataWriter(self._participant, topic, qos=_plain(Profile(True, 1, True))), kind)
-        readers = [*self._readers, *(each.reader for each in self._services)]
-        writers = [*self._writers, *(each.writer for each in self._services)]
+        readers = [*(each.entity.guid.bytes for each in self._readers), *(each.reader for each in self._services)]
+        writers = [*(each.entity.guid.bytes for each in self._writers), *(each.writer for each in self._services)]
         node = self._types["rmw_dds_common/msg/NodeEntitiesInfo"](
-            "/", self._node, [self._gid(each.entity) for each in readers], [self._gid(each.entity) for each in writers]
+            "/", self._node, list(map(self._gid, readers)), list(map(self._gid, writers))
         )
-        info = self._types[_INFO](self._gid(self._participant), [node])
+        info = self._types[_INFO](self._gid(self._participant.guid.bytes), [node])
         self._info.write(self._types.encode(info))
 
     def remarks(self) -> list[str]:
@@ -179,10 +175,10 @@ class Participant:
         known = self._types.hash(name)
         return _plain(profile, *((Policy.Userdata(f"typehash={known};".encode()),) if known else ()))
 
-    def _gid(self, entity: Any) -> Any:
+    def _gid(self, guid: bytes) -> Any:
         kind = "rmw_dds_common/msg/Gid"
         size = self._types.fields(kind)[0][1][1][1]
-        return self._types[kind](np.frombuffer(entity.guid.bytes.ljust(size, b"\0"), np.uint8))
+        return self._types[kind](np.frombuffer(guid.ljust(size, b"\0"), np.uint8))
 
 
 def _is_best_effort(qos: Any) -> bool:
@@ -249,29 +245,27 @@ class Reader:
 
 
 class Service:
-    """A service whose requests and responses begin with a header, as those of rmw_cyclonedds.
+    """Answers requests of a service.
 
-    Source: rmw_cyclonedds_cpp, serdata.hpp (cdds_request_header): an identifier of the client, and a number.
-
-    Attributes:
-        reader, writer: of requests and responses.
+    Args:
+        types: of the distribution.
+        kind: of the service.
+        rtps: participant that has it.
+        raw: the service as bytes.
     """
 
-    def __init__(self, types: Types, kind: str, entity: Any, writer: Writer):
-        self._types, self._kind, self.writer = types, kind, writer
-        self.reader = Reader(types, Topic("", f"{kind}_Request", "service"), entity)
+    def __init__(self, types: Types, kind: str, rtps: Services, raw: RawService):
+        self._types, self._kind, self._rtps, self._raw = types, kind, rtps, raw
 
-    def take(self) -> list[tuple[bytes, Any]]:
-        """Return the requests that have come, oldest first: their header, and the message."""
+    def take(self) -> list[tuple[Request, Any]]:
+        """Return the requests that have come, oldest first."""
+        self._rtps.spin()
         found = []
-        for sample in self.reader.entity.take(_MOST_AT_ONCE):
-            if not isinstance(sample, InvalidSample):
-                cdr = sample.cdr
-                header, message = cdr[_HEADER_AT], cdr[: _HEADER_AT.start] + cdr[_HEADER_AT.stop :]
-                found += [(header, each) for each in self._types.heard([message], f"{self._kind}_Request")]
+        while self._raw.waiting:
+            request, cdr = self._raw.waiting.popleft()
+            found += [(request, each) for each in self._types.heard([cdr], f"{self._kind}_Request")]
         return found
 
-    def reply(self, request: bytes, response: Any) -> None:
+    def reply(self, request: Request, response: Any) -> None:
         """Send the response to a request."""
-        cdr = self._types.encode(response)
-        self.writer.write(cdr[: _HEADER_AT.start] + request + cdr[_HEADER_AT.start :])
+        self._rtps.reply(self._raw, request, self._types.encode(response))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from copy import copy
 from typing import Any
@@ -94,26 +94,23 @@ class Types:
         found: list[tuple[str, Any]] = self.store.fielddefs[name][1]
         return found
 
-    def sample(self, name: str, header: Mapping[str, str] | None = None) -> Any:
+    def sample(self, name: str) -> Any:
         """Return the DDS type of a message: a class whose instances have ``cdr``, XCDR1 bytes.
-
-        ``header``: primitive fields, by name, that are before those of the message.
 
         The library would turn a message into an object of its own field by field; qrsim hands it bytes.
         """
         if name not in self._samples:
-            made = self._struct(name, alone=True, header=header)
+            made = self._struct(name, alone=True)
             made.serialize = _bytes_of
             made.deserialize = classmethod(packed)
             self._samples[name] = made
         return self._samples[name]
 
-    def _struct(self, name: str, alone: bool = False, header: Mapping[str, str] | None = None) -> Any:
+    def _struct(self, name: str, alone: bool = False) -> Any:
         """Return a DDS struct as rmw_cyclonedds describes the type: final, members called as in ROS."""
         if name in self._structs and not alone:
             return self._structs[name]
-        fields = {field: _PRIMITIVES[kind] for field, kind in (header or {}).items()}
-        fields |= {field: self._type(description) for field, description in self.fields(name)}
+        fields = {field: self._type(description) for field, description in self.fields(name)}
         struct = final(make_idl_struct(f"{name.rpartition('/')[2]}_", dds_name(name), fields))
         if not alone:
             self._structs[name] = struct

@@ -100,7 +100,8 @@ class Flown:
     def _px4(self, types: Types, system: System, space: str) -> Interface:
         asked = px4_asked.Asked(types, system, space)
         self._asked.append(asked)
-        return Interface([*px4.published(types, system, space, self._dt), asked.told()], list(asked.heard()))
+        told = [*px4.published(types, system, space, self._dt), asked.told()]
+        return Interface(told, list(asked.heard()), [asked.answered()])
 
     def _every(self, rate: float) -> int:
         """Return after how many ticks a message is due again; 0: at changes alone, or when there is one."""

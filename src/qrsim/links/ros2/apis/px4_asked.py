@@ -16,7 +16,7 @@ from qrsim.links.mavlink.stack.contracts import AttitudeTarget, Command, LocalTa
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.view import View
-from qrsim.links.ros2.apis.contracts import EACH, Heard, Told
+from qrsim.links.ros2.apis.contracts import EACH, Answered, Heard, Told
 from qrsim.links.ros2.apis.modes import NAV_STATES
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.topics import Topic
@@ -145,9 +145,21 @@ class Asked:
 
     # ---- commands ----
 
+    def answered(self) -> Answered:
+        """Return the service of commands, whose response has the acknowledgement."""
+        response = self._types["px4_msgs/srv/VehicleCommand_Response"]
+
+        def answer(request: Any) -> Any:
+            return response(self._acknowledged(request.request))
+
+        return Answered(f"{self._space}vehicle_command", "px4_msgs/srv/VehicleCommand", answer)
+
     def _obey(self, message: Any) -> None:
-        if message.target_system not in (0, self._system.number) or message.target_component not in (0, 1):
-            return
+        if message.target_system in (0, self._system.number) and message.target_component in (0, 1):
+            self._acks.append(self._types.encode(self._acknowledged(message)))
+
+    def _acknowledged(self, message: Any) -> Any:
+        """Obey or refuse a command, and return its acknowledgement."""
         command = int(message.command)
         params = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
         if command == _SET_NAV_STATE:
@@ -160,4 +172,4 @@ class Asked:
         answer.result, answer.result_param1 = int(ack.result), ack.progress
         answer.target_system, answer.target_component = message.source_system, message.source_component
         answer.from_external = True
-        self._acks.append(self._types.encode(answer))
+        return answer

@@ -1,0 +1,88 @@
+"""Reliable reading and writing: which sequence numbers have come, and which are kept to be sent again."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from qrsim.links.ros2.rtps import wire
+
+# Of what is far ahead of what is missing, only so much is remembered.
+_MOST_AHEAD = 1024
+_KEPT = 50
+
+
+class Received:
+    """The sequence numbers of one remote writer."""
+
+    def __init__(self) -> None:
+        self._low = 1
+        self._above: set[int] = set()
+        self._count = 0
+
+    def take(self, sequence: int) -> bool:
+        """Note a sequence number; return whether it is new."""
+        if sequence < self._low or sequence in self._above or len(self._above) >= _MOST_AHEAD:
+            return False
+        self._above.add(sequence)
+        self._advance()
+        return True
+
+    def skip(self, first: int, last: int) -> None:
+        """Note that sequence numbers will not come, or have come before."""
+        for sequence in range(max(first, self._low), min(last, self._low + _MOST_AHEAD) + 1):
+            self._above.add(sequence)
+        self._advance()
+
+    def answer(self, reader: bytes, writer: bytes, first: int, last: int) -> bytes:
+        """Return the ACKNACK for a HEARTBEAT with what is there."""
+        if first > self._low:
+            self._low = first
+            self._above = {each for each in self._above if each >= first}
+            self._advance()
+        self._count += 1
+        near = range(self._low, min(last, self._low + _MOST_AHEAD) + 1)
+        return wire.acknack(reader, writer, self._low, (each for each in near if each not in self._above), self._count)
+
+    def _advance(self) -> None:
+        while self._low in self._above:
+            self._above.remove(self._low)
+            self._low += 1
+
+
+class Kept:
+    """What one writer has written, of which the last messages are kept.
+
+    Attributes:
+        writer: its entity.
+        last: sequence number.
+    """
+
+    def __init__(self, writer: bytes, most: int = _KEPT):
+        self.writer, self.last, self._most = writer, 0, most
+        self._messages: OrderedDict[int, tuple[bytes, bytes]] = OrderedDict()
+        self._count = 0
+
+    def add(self, payload: bytes, inline: bytes = b"") -> int:
+        """Keep a message, and return its sequence number."""
+        self.last += 1
+        self._messages[self.last] = payload, inline
+        while len(self._messages) > self._most:
+            self._messages.popitem(last=False)
+        return self.last
+
+    def message(self, reader: bytes, sequence: int) -> bytes:
+        """Return the submessage of a sequence number: DATA, or GAP where it is not kept."""
+        if sequence not in self._messages:
+            return wire.gap(reader, self.writer, sequence)
+        payload, inline = self._messages[sequence]
+        return wire.data(reader, self.writer, sequence, payload, inline)
+
+    def all(self, reader: bytes) -> list[bytes]:
+        """Return the submessages of all that is kept."""
+        return [self.message(reader, sequence) for sequence in self._messages]
+
+    def heartbeat(self, reader: bytes) -> bytes:
+        """Return the HEARTBEAT with what is there."""
+        self._count += 1
+        first = next(iter(self._messages), self.last + 1)
+        return wire.heartbeat(reader, self.writer, first, self.last, self._count)
