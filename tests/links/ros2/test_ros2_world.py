@@ -13,6 +13,8 @@ from qrsim.links.ros2.blank import stamp_of
 from qrsim.links.ros2.messages import Messages
 from qrsim.links.ros2.names import namespaces
 from qrsim.links.ros2.typestore import Types
+from qrsim.links.shared.around import Around
+from qrsim.links.shared.sight import Sight
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 
@@ -164,6 +166,25 @@ def test_scans_ranges_and_neighbours_are_of_the_sensor_s_axes(flown):
     transforms = TYPES.decode(messages.static, "tf2_msgs/msg/TFMessage").transforms
     place = next(each for each in transforms if each.child_frame_id == "beacon_1").transform.translation
     assert three(place) == pytest.approx([43.0, 5.0, 16.0])
+
+
+def test_what_is_around_a_vehicle_is_for_all_links(flown):
+    """The same readings, for messages of other links (shared/around.py)."""
+    simulation = flown[0]._simulation
+    around, reading = Around(simulation, Sight(simulation)), simulation.reading["uav"]
+    lidar, own, ranges = around.scan(1)
+    assert (type(lidar).__name__, own, around.flow_period(1)) == ("IdealScan", 1, flow_of(simulation).period)
+    np.testing.assert_array_equal(ranges, reading.lidar.range[1])
+    found = around.neighbours(1)
+    np.testing.assert_allclose(found.position, reading.others.position[1, :1])
+    assert found.vehicle.tolist() == [0]
+    # It does not measure how fast they move.
+    assert np.isnan(found.velocity).all()
+
+
+def flow_of(simulation):
+    fleet = simulation.world.fleets[0]
+    return fleet.sensors[fleet.sensor_names.index("flow")]
 
 
 def test_air_and_flow_are_published(flown):

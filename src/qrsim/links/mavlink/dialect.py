@@ -79,6 +79,8 @@ POSITION_TARGET_GLOBAL_INT 87 time_boot_ms:I coordinate_frame:B type_mask:H lat_
   afx:f afy:f afz:f yaw:f yaw_rate:f
 HIGHRES_IMU 105 time_usec:Q xacc:f yacc:f zacc:f xgyro:f ygyro:f zgyro:f xmag:f ymag:f zmag:f abs_pressure:f
   diff_pressure:f pressure_alt:f temperature:f fields_updated:H | id:B
+OPTICAL_FLOW_RAD 106 time_usec:Q sensor_id:B integration_time_us:I integrated_x:f integrated_y:f integrated_xgyro:f
+  integrated_ygyro:f integrated_zgyro:f temperature:h quality:B time_delta_distance_us:I distance:f
 FILE_TRANSFER_PROTOCOL 110 target_network:B target_system:B target_component:B payload:251B
 TIMESYNC 111 tc1:q ts1:q
 HIL_STATE_QUATERNION 115 time_usec:Q attitude_quaternion:4f rollspeed:f pitchspeed:f yawspeed:f lat:i lon:i alt:i
@@ -103,8 +105,12 @@ HOME_POSITION 242 latitude:i longitude:i altitude:i x:f y:f z:f q:4f approach_x:
   time_usec:Q
 MESSAGE_INTERVAL 244 message_id:H interval_us:i
 EXTENDED_SYS_STATE 245 vtol_state:B landed_state:B
+ADSB_VEHICLE 246 ICAO_address:I lat:i lon:i altitude_type:B altitude:i heading:H hor_velocity:H ver_velocity:h
+  callsign:9c emitter_type:B tslc:B flags:H squawk:H
 STATUSTEXT 253 severity:B text:50c | id:H chunk_seq:B
 PROTOCOL_VERSION 300 version:H min_version:H max_version:H spec_version_hash:8B library_version_hash:8B
+OBSTACLE_DISTANCE 330 time_usec:Q sensor_type:B distances:72H increment:B min_distance:H max_distance:H |
+  increment_f:f angle_offset:f frame:B
 ODOMETRY 331 time_usec:Q frame_id:B child_frame_id:B x:f y:f z:f q:4f vx:f vy:f vz:f rollspeed:f pitchspeed:f
   yawspeed:f pose_covariance:21f velocity_covariance:21f | reset_counter:B estimator_type:B quality:b
 PARAM_ERROR 345 target_system:B target_component:B param_id:16c param_index:h error:B

@@ -9,6 +9,7 @@ from typing import Any
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.codes import Sensor
 from qrsim.links.mavlink.stack.contracts import NAN
+from qrsim.links.mavlink.surroundings import adsb_vehicle, obstacle_distance, optical_flow_rad
 from qrsim.links.mavlink.targets import (
     attitude_target,
     gps_global_origin,
@@ -370,7 +371,8 @@ ENCODERS: dict[int, Encoder] = {
         global_position_int, vfr_hud, altitude, highres_imu, scaled_imu, raw_imu, scaled_pressure, distance_sensor,
         odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
         fence_status, position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
-        position_target_global_int, gps_global_origin, protocol_version,
+        position_target_global_int, gps_global_origin, protocol_version, obstacle_distance, optical_flow_rad,
+        adsb_vehicle,
     )
 }  # fmt: skip
 

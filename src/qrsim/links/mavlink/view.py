@@ -9,6 +9,7 @@ import numpy as np
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack, Triple
 from qrsim.links.shared import sight as s
+from qrsim.links.shared.around import Around
 
 
 class View:
@@ -24,6 +25,8 @@ class View:
         unix: when the scenario starts, in seconds since 1970.
         load: share of a tick's time that computing takes, in 1/1000.
         truth: true state, for HIL_STATE_QUATERNION: position, velocity NED, quaternion, rates, force, place; else None.
+        around: what it perceives, by its row ``number`` in the world; None where nothing does.
+        turn: which of the other vehicles that it sees was sent last.
     """
 
     def __init__(self, stack: Stack, unix: float):
@@ -36,6 +39,8 @@ class View:
         self.fix_time = 0.0
         self.load = 0
         self.truth: tuple[float, ...] | None = None
+        self.around: Around | None = None
+        self.number = self.turn = 0
 
     def look(self, numbers: Any) -> None:
         """Take the numbers of another tick (WIDTH,)."""

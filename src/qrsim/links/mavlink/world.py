@@ -17,6 +17,7 @@ from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
 from qrsim.links.mavlink.system import System
+from qrsim.links.shared.around import Around
 from qrsim.links.shared.latches import Latches
 from qrsim.models.site import Site
 from qrsim.scenarios.scenario import Scenario
@@ -74,6 +75,9 @@ class FlownWorld:
             self._rows.append(row)
         self._warm()
         self._sight = StackSight(self.simulation)
+        around = Around(self.simulation, self._sight)
+        for row, system in zip(self._rows, self.systems, strict=True):
+            system.view.around, system.view.number = around, row
         self._busy = 0.0
         self._command()
 

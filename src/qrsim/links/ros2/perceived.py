@@ -16,21 +16,19 @@ from qrsim.links.ros2.names import base_link, beacon, neighbours_link, scan_link
 from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.ros2.variances import own
+from qrsim.links.shared.around import NEIGHBOURS, RANGINGS, SCANS, first_of
 from qrsim.links.shared.sight import Sight
-from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
-from qrsim.models.sensors.ranging import IdealRanging, Ranging
-from qrsim.models.sensors.scan import FARTHEST, IdealScan, Scan, ray_angles
+from qrsim.models.sensors.ranging import Ranging
+from qrsim.models.sensors.scan import FARTHEST, Scan, ray_angles
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
 Array = np.ndarray[Any, Any]
 SCAN, RANGE, POSES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range", "geometry_msgs/msg/PoseArray"
-# The first sensor of each kind is published.
-_KINDS = (Scan | IdealScan, Ranging | IdealRanging, NeighbourSensor | IdealNeighbours)
 
 
 class Perceived:
-    """The topics of scans, ranges and neighbours of a world.
+    """The topics of scans, ranges and neighbours of a world, of the first sensor of each kind.
 
     Args:
         types: of the distribution.
@@ -49,9 +47,8 @@ class Perceived:
         self._parts: list[tuple[Fleet, int, _Part]] = []
         first = 0
         for fleet in simulation.world.fleets:
-            for kind, part in zip(_KINDS, (_Scans, _Ranges, _Neighbours), strict=True):
-                found = (i for i, sensor in enumerate(fleet.sensors) if isinstance(sensor, kind))
-                number = next(found, None)
+            for kinds, part in ((SCANS, _Scans), (RANGINGS, _Ranges), (NEIGHBOURS, _Neighbours)):
+                number = first_of(fleet, kinds)
                 if number is not None:
                     rows = range(first, first + fleet.size)
                     self._parts.append((fleet, number, part(self, fleet.sensors[number], rows)))
