@@ -11,7 +11,7 @@ _NAMES = {
 # px4_msgs, VehicleStatus.NAVIGATION_STATE_*.
 _STATES = {
     (1, 0): 0, (2, 0): 1, (3, 0): 2, (4, 4): 3, (4, 3): 4, (4, 5): 5, (5, 0): 10, (6, 0): 14, (7, 0): 15, (4, 2): 17,
-    (4, 6): 18, (4, 8): 19, (4, 9): 20,
+    (4, 6): 18, (4, 8): 19, (4, 9): 20, (3, 1): 21,
 }  # fmt: skip
 _NUMBERS = {name: main << 16 | sub << 24 for (main, sub), name in _NAMES.items()}
 NAV_STATES = {state: numbers for numbers, state in _STATES.items()}
@@ -25,7 +25,9 @@ def _parts(custom_mode: int) -> tuple[int, int]:
 
 def name_of(custom_mode: int) -> str:
     """Return what mavros calls a custom_mode."""
-    return _NAMES.get(_parts(custom_mode), f"CMODE({custom_mode})")
+    parts = _parts(custom_mode)
+    # A sub mode that it does not know counts for nothing.
+    return _NAMES.get(parts) or _NAMES.get((parts[0], 0)) or f"CMODE({custom_mode})"
 
 
 def number_of(name: str) -> int | None:
