@@ -7,11 +7,11 @@ effort, kept for late readers), and the message definitions of px4_msgs, release
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from qrsim.links.mavlink.stack.codes import Landed, Sensor
-from qrsim.links.mavlink.stack.contracts import NAN
+from qrsim.links.mavlink.stack.contracts import NAN, Triple
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.view import View
 from qrsim.links.ros2.apis import forms as f
@@ -24,7 +24,7 @@ from qrsim.links.shared import sight as s
 PACKAGES = ("px4_msgs",)
 # Of topics whose rate is limited by ``--rate`` alone [Hz].
 MOST = 1e9
-Fields = dict[str, float | Sequence[float] | None]
+Fields = dict[str, float | list[float] | tuple[float, ...]]
 _ARMED, _OFFBOARD = 128, 14
 # VehicleStatus: ARMING_STATE_*, VEHICLE_TYPE_* by MAV_TYPE (1 aeroplane, 10 rover).
 _DISARMED, _IS_ARMED = 1, 2
@@ -118,7 +118,8 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         valid_hpos=True,
         valid_lpos=True,
     )
-    yield told("vehicle_local_position", "VehicleLocalPosition", MOST, _local_position)
+    origin = _Origin()
+    yield told("vehicle_local_position", "VehicleLocalPosition", MOST, lambda view: _local_position(view, origin))
     yield told("vehicle_global_position", "VehicleGlobalPosition", MOST, _global_position)
     yield told("vehicle_attitude", "VehicleAttitude", MOST, _attitude)
     yield told("vehicle_odometry", "VehicleOdometry", MOST, _odometry, pose_frame=_NED, velocity_frame=_NED)
@@ -149,7 +150,10 @@ def _made(
         now.clear()
         now.extend([view.boot_us] * len(times))
         for value in found.values():
-            now.extend(value) if isinstance(value, Sequence) else now.append(value)  # type: ignore[arg-type]
+            if isinstance(value, list | tuple):
+                now.extend(value)
+            else:
+                now.append(value)
         if not made:
             made.append(f.form(types, name, (*times, *found), lambda _: now, **constants))
         return made[0](view)
@@ -193,13 +197,28 @@ def _accuracies(view: View) -> tuple[float, float]:
     return view.seen.horizontal_accuracy, view.seen.vertical_accuracy
 
 
-def _local_position(view: View) -> Fields | None:
+class _Origin:
+    """Where the local frame of a vehicle begins on the Earth, which takes a while to compute."""
+
+    def __init__(self) -> None:
+        self._place: Triple = (NAN, NAN, NAN)
+        self._origin: Triple | None = None
+
+    def of(self, view: View) -> Triple:
+        """Return latitude and longitude [deg], and altitude [m]."""
+        if view.stack.origin != self._origin:
+            self._origin = view.stack.origin
+            self._place = view.stack.place(self._origin)
+        return self._place
+
+
+def _local_position(view: View, origin: _Origin) -> Fields | None:
     seen = view.seen
     if not seen.valid:
         return None
     x, y, z = view.local(seen.position_ned)
     vx, vy, vz = seen.velocity_ned
-    latitude, longitude, altitude = view.stack.place(view.stack.origin)
+    latitude, longitude, altitude = origin.of(view)
     below = view.row[s.RANGE]
     seen_below = math.isfinite(below)
     eph, epv = _accuracies(view)
