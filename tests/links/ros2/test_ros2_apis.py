@@ -374,6 +374,7 @@ def wild(kind, random):
 NUMBERS = [0.0, 1.0, -1.0, 0.7, -40.0, 1e4, -1e30, 3e38, math.nan, math.inf, -math.inf]
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:overflow encountered in cast")
 @pytest.mark.parametrize("api", ["px4", "mavros"])
 def test_wild_messages_end_nothing(world, api):
