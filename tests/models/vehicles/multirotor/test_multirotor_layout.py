@@ -84,6 +84,8 @@ def test_rank_of_canted_rotors() -> None:
     """
     assert rank_of(CANTED, 0.5) == pytest.approx(0.5, rel=1e-9)
     assert rank_of(CANTED[:3], 0.5) == 0.0
+    # Products of numbers that are too large command nothing.
+    assert rank_of([*CANTED[:3], Rotor((1e300, 1e300, 0.0), 1, (1e300, 1e300, -1.0))], 0.5) == 0.0
 
 
 def test_yaw_needs_a_fiftieth_of_the_best_direction() -> None:

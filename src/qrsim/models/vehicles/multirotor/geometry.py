@@ -136,7 +136,11 @@ def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
     """Return how well rotors command thrust and three torques: the least singular value over the largest."""
     sizes = reach([rotor.position for rotor in rotors]) or 1.0
     table = np.array([effects(rotor, torque_ratio) for rotor in rotors], float).T
-    scaled = table / np.array([[1.0], [sizes], [sizes], [torque_ratio]])
+    with np.errstate(all="ignore"):
+        scaled = table / np.array([[1.0], [sizes], [sizes], [torque_ratio]])
+    # Numbers of 1e200 overflow.
+    if not np.isfinite(scaled).all():
+        return 0.0
     values = np.linalg.svd(scaled, compute_uv=False)
     return float(values[3] / values[0]) if len(values) > 3 else 0.0
 
