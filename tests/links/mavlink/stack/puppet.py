@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.codes import MissionState, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN, Ack, Command, Event, Facts, Item, Seen, Text
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.models.site import Site
@@ -122,3 +123,12 @@ class Puppet:
         seen.latitude, seen.longitude = 47.397742 + north * NORTH_DEG, 8.545594 + east * EAST_DEG
         seen.altitude = 488.0 - z
         seen.time = round(seen.time + DT, 6)
+
+
+def flown(items: list, seconds: float = 120.0, **more) -> Puppet:
+    """Return a puppet that has flown a mission."""
+    puppet = Puppet(**more)
+    assert puppet.stack.accept(PlanKind.MISSION, items) == (PlanResult.ACCEPTED, -1)
+    assert puppet.do(300) == 0
+    assert puppet.run(seconds, lambda now: now.stack.mission().state is MissionState.COMPLETE)
+    return puppet

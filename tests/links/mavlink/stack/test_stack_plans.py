@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from puppet import EAST_DEG, NORTH_DEG, SITE, Puppet, item, place
+from puppet import EAST_DEG, NORTH_DEG, SITE, Puppet, flown, item, place
 
 from qrsim.links.mavlink.stack.codes import Landed, MissionState, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN
@@ -26,15 +26,6 @@ def square() -> list:
     """A fence of 100 m round the origin, as a plan."""
     corners = [(-50, -50), (-50, 50), (50, 50), (50, -50)]
     return [item(i, 5001, *corner, 0.0, frame=5, params=(4, 0, 0, 0)) for i, corner in enumerate(corners)]
-
-
-def flown(items: list, seconds: float = 120.0, **more) -> Puppet:
-    """Return a puppet that has flown a mission."""
-    puppet = Puppet(**more)
-    assert puppet.stack.accept(MISSION, items) == (PlanResult.ACCEPTED, -1)
-    assert puppet.do(300) == 0
-    assert puppet.run(seconds, lambda now: now.stack.mission().state is MissionState.COMPLETE)
-    return puppet
 
 
 def test_a_mission_reaches_its_items_in_order_and_ends_landed_and_disarmed():

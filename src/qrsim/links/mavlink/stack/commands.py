@@ -9,7 +9,7 @@ from qrsim.links.mavlink.stack.codes import Result, Severity
 from qrsim.links.mavlink.stack.contracts import Command, Home, Triple
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
 from qrsim.links.mavlink.stack.flight import Flight
-from qrsim.links.mavlink.stack.mission import change_speed
+from qrsim.links.mavlink.stack.mission import change_speed, heading
 from qrsim.links.mavlink.stack.modes import Mode
 
 # Param2 of an arm or disarm command that leaves checks out.
@@ -185,12 +185,10 @@ def _speed(stack: Flight, command: Command) -> Result:
 
 
 def _heading(stack: Flight, command: Command) -> Result:
-    angle, direction, relative = command.params[0], command.params[2], command.params[3]
+    angle, _, direction, relative = command.params[:4]
     if math.isnan(angle):
         return Result.DENIED
-    turn = math.radians(angle) * (-1.0 if _number(relative) and _number(direction) < 0.0 else 1.0)
-    craft = stack.craft
-    craft.turn_to(turn + (craft.yaw if _number(relative) else 0.0))
+    stack.craft.turn_to(heading(stack.craft, angle, direction, relative))
     return Result.ACCEPTED
 
 

@@ -56,8 +56,7 @@ class Flight:
             parameters = Parameters(start)
         self.parameters, self.flavour = parameters, FLAVOURS[flavour]
         self.craft = Craft(facts, self.parameters, Geodesy(site))
-        # ArduPilot keeps home in item 0.
-        self.plan = Mission(1 if flavour == "ardupilot" else 0)
+        self.plan = Mission(flavour)
         self.rally: tuple[Item, ...] = ()
         self.reset()
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
 from qrsim.links.mavlink.stack.codes import MissionState, PlanResult, Severity
-from qrsim.links.mavlink.stack.contracts import Item, MissionStatus, Triple
+from qrsim.links.mavlink.stack.contracts import FlavourName, Item, MissionStatus, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
 
@@ -25,7 +25,7 @@ class Mission:
     """The plan of one vehicle, and how far it is with it.
 
     Args:
-        first: seq of the first item that is flown; those before it say where home was.
+        flavour: "px4" or "ardupilot", which keeps home in item 0 and reads no heading from places.
 
     Attributes:
         items: as accepted.
@@ -37,14 +37,18 @@ class Mission:
         descent: of a landing.
     """
 
-    def __init__(self, first: int = 0) -> None:
-        self._first = first
+    def __init__(self, flavour: FlavourName = "px4") -> None:
+        self._flavour = flavour
+        # Seq of the first item that is flown.
+        self._first = 1 if flavour == "ardupilot" else 0
         self.items: tuple[Item, ...] = ()
         self.current = 0
         self.state = MissionState.NO_MISSION
         self.returns = self.landed = self.rises = self.lands = False
         self._jumps: dict[int, int] = {}
         self._cycles = 0
+        # A heading that a CONDITION_YAW asked for, until the next place is over [rad].
+        self._heading: float | None = None
         self.descent = Descent()
         self._forget()
 
@@ -62,7 +66,7 @@ class Mission:
 
     def accept(self, items: Sequence[Item], craft: Craft) -> tuple[PlanResult, int]:
         """Replace the plan; return the result and the seq of the bad item, else -1."""
-        result, bad = plan.check(items)
+        result, bad = plan.check(items, self._flavour)
         if result is not PlanResult.ACCEPTED:
             return result, bad
         self.items = tuple(items)
@@ -105,26 +109,33 @@ class Mission:
         if self.state is MissionState.COMPLETE and (reset or seq >= 0):
             self.state = MissionState.PAUSED
         if seq >= 0:
-            self.current = min(max(seq, self._first), len(self.items) - 1)
-            self._forget()
+            self._go_to(min(max(seq, self._first), len(self.items) - 1))
         craft.tell("mission")
         return True
 
     def restart(self, craft: Craft) -> None:
         """Begin the plan again, not started."""
-        self.current = min(self._first, max(0, len(self.items) - 1))
-        self._jumps.clear()
-        self._forget()
+        self._start_at(min(self._first, max(0, len(self.items) - 1)))
         self.state = MissionState.NOT_STARTED if self.items else MissionState.NO_MISSION
         craft.tell("mission")
+
+    def _start_at(self, seq: int) -> None:
+        """Begin with an item, with all jumps to come."""
+        self._jumps.clear()
+        self._go_to(seq)
+
+    def _go_to(self, seq: int) -> None:
+        """Fly an item next."""
+        self.current = seq
+        self._heading = None
+        self._forget()
 
     # ---- flight ----
 
     def begin(self, craft: Craft) -> None:
         """Start or go on; a mission that was completed starts again."""
         if self.state is MissionState.COMPLETE or self.current >= len(self.items):
-            self.current = min(self._first, max(0, len(self.items) - 1))
-            self._jumps.clear()
+            self._start_at(min(self._first, max(0, len(self.items) - 1)))
         self._forget()
         self.state, self.returns, self.landed = MissionState.ACTIVE, False, False
         craft.begin_path()
@@ -170,7 +181,9 @@ class Mission:
             self.state = MissionState.COMPLETE
             self.landed = item.command == plan.LAND
         else:
-            before = self._goal
+            if item.command in plan.PLACES:
+                self._heading = None
+            before = self._from if item.command in plan.ON_THE_WAY else self._goal
             self.current = following
             self._forget()
             self._from = before
@@ -190,9 +203,40 @@ class Mission:
             self._arrived = now if self._arrived is None else self._arrived
             wait = params[0] if params[0] > 0.0 else 0.0
             return now - self._arrived >= wait, self._stay(craft)
+        if command in plan.ON_THE_WAY:
+            return self._on_the_way(item, craft)
         if command == plan.CHANGE_SPEED:
             change_speed(craft, params[0], params[1])
+        elif command == plan.SET_HOME:
+            plan.set_home(item, craft)
+        elif command == plan.CONDITION_YAW:
+            self._heading = heading(craft, params[0], params[2], params[3])
         return True, None
+
+    def _on_the_way(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Fly to the next place, until it is near enough or a gate is passed; without a next place, go on at once.
+
+        A gate is the plane through its place across the way from there to the next one, as in PX4's MissionBlock.
+        """
+        following = plan.next_place(self.items[self.current + 1 :])
+        if following is None or not craft.flies:
+            return True, None
+        _, order = self._go(following, craft)
+        here, goal = craft.seen.position_ned, self._goal
+        if self._arrived is not None or goal is None:
+            return True, order
+        if item.command == plan.CONDITION_DISTANCE:
+            return math.dist(here[:2], goal[:2]) < item.params[0], order
+        gate = plan.place_of(item, craft, here)
+        north, east = goal[0] - gate[0], goal[1] - gate[1]
+        return (here[0] - gate[0]) * north + (here[1] - gate[1]) * east >= 0.0, order
+
+    def _turns_to(self, item: Item) -> float:
+        """Return the heading that is asked for on the way to an item [rad], NaN where none is."""
+        if self._heading is not None:
+            return self._heading
+        asks = self._flavour == "px4" and item.command in (plan.WAYPOINT, plan.TAKEOFF)
+        return math.radians(item.params[3]) if asks else math.nan
 
     def _stay(self, craft: Craft) -> Order | None:
         if not craft.flies and craft.seen.on_ground:
@@ -208,8 +252,8 @@ class Mission:
             height = craft.home_z - craft.parameters["MIS_TAKEOFF_ALT"]
             goal = plan.place_of(item, craft, (here[0], here[1], height))
             self._goal = (here[0], here[1], min(goal[2], here[2]))
-        if math.isfinite(item.params[3]) and craft.flies:
-            craft.turn_to(math.radians(item.params[3]))
+        if math.isfinite(turn := self._turns_to(item)) and craft.flies:
+            craft.turn_to(turn)
         level, up, down = craft.speeds()
         order = craft.go(self._goal, (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
         return here[2] - self._goal[2] < HEIGHT_RADIUS, order
@@ -229,8 +273,8 @@ class Mission:
             return False, craft.go((here[0], here[1], top), (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
         radius = item.params[1] if item.command == plan.WAYPOINT and item.params[1] > 0.0 else 0.0
         radius = radius or craft.parameters["NAV_ACC_RAD"]
-        if math.isfinite(item.params[3]) and item.command == plan.WAYPOINT:
-            craft.turn_to(math.radians(item.params[3]))
+        if math.isfinite(turn := self._turns_to(item)):
+            craft.turn_to(turn)
             turns = False
         else:
             turns = self._arrived is None and craft.head_to(goal[0], goal[1], radius)
@@ -254,7 +298,7 @@ class Mission:
     def _hold(item: Item) -> float:
         if item.command == plan.LOITER_UNLIMITED:
             return math.inf
-        timed = item.command in (plan.WAYPOINT, plan.LOITER_TIME)
+        timed = item.command in plan.WAYPOINTS or item.command == plan.LOITER_TIME
         return item.params[0] if timed and item.params[0] > 0.0 else 0.0
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
@@ -300,6 +344,17 @@ class Mission:
 def _turn_radius(item: Item) -> float:
     """Return the radius [m] of a circle, negative for the other way; one that says none has 10 m."""
     return item.params[2] if abs(item.params[2]) > 0.1 else 10.0
+
+
+def heading(craft: Craft, angle: float, direction: float, relative: float) -> float:
+    """Return the heading [rad] that a CONDITION_YAW asks for: an angle [deg], or with ``relative`` 1 a turn.
+
+    A negative ``direction`` turns a relative angle to the left.
+    """
+    turn = math.radians(angle)
+    if not relative > 0.0:
+        return turn
+    return craft.yaw + (-turn if direction < 0.0 else turn)
 
 
 def change_speed(craft: Craft, kind: float, speed: float) -> bool:

@@ -4,30 +4,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from qrsim.links.mavlink.stack.codes import UNSET_INT, PlanResult
-from qrsim.links.mavlink.stack.contracts import Item, Triple
+from qrsim.links.mavlink.stack.contracts import FlavourName, Home, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, MOST_ITEMS, RELATIVE, bad_place
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 LOITER_TO_ALTITUDE, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED = 31, 93, 112, 177, 178
-PLACES = frozenset((WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALTITUDE))
-FLOWN = PLACES | {RETURN, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED}
-# Cameras, gimbals and regions of interest: accepted, told as reached, nothing is done.
-SKIPPED = frozenset((195, 196, 197, 201, 205, 206, 530, 531, 1000, 1001, 2000, 2001, 2500, 2501))
+SPLINE, CONDITION_DISTANCE, CONDITION_YAW, SET_HOME, GATE = 82, 114, 115, 179, 4501
+# A spline is flown as a waypoint: straight, and round the corner where it does not hold.
+WAYPOINTS = frozenset((WAYPOINT, SPLINE))
+PLACES = WAYPOINTS | {LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALTITUDE}
+# Items that are over at some point of the way to the next place, and of which the next item may be that place.
+ON_THE_WAY = frozenset((CONDITION_DISTANCE, GATE))
+# Cameras, gimbals, regions of interest, grippers, winches, relays and markers: reached at once, without an effect.
+SKIPPED = frozenset((
+    80, 187, 189, 195, 196, 197, 200, 201, 203, 204, 205, 206, 211, 212, 214, 260, 530, 531, 532, 534, 1000, 1001,
+    2000, 2001, 2003, 2500, 2501, 2502, 2503, 42600,
+))  # fmt: skip
+# Servos, relays, camera set-up, the switch of the fence and sprayers are items of ArduPilot only.
+_SKIPPED_BY_ARDUPILOT = frozenset((181, 182, 183, 184, 202, 207, 216))
+_FLOWN = PLACES | {RETURN, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED, SET_HOME}
+# Items by flavour: those of PX4's MavlinkMissionManager and FeasibilityChecker, and of ArduPilot's AP_Mission, that a
+# vehicle without a VTOL transition, an engine, a parachute or scripts can do something about.
+ACCEPTED: dict[FlavourName, frozenset[int]] = {
+    "px4": (_FLOWN - {SPLINE}) | SKIPPED | {GATE},
+    "ardupilot": _FLOWN | SKIPPED | _SKIPPED_BY_ARDUPILOT | {SPLINE, CONDITION_DISTANCE, CONDITION_YAW},
+}
 FRAME_MISSION = 2
 LARGEST_ALTITUDE = 1e5
 
 
-def check(items: Sequence[Item]) -> tuple[PlanResult, int]:
+def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]:
     """Return whether a mission can be flown: the result, and the seq of the item that is bad, else -1."""
     if len(items) > MOST_ITEMS:
         return PlanResult.NO_SPACE, MOST_ITEMS
     for index, item in enumerate(items):
-        if item.command not in FLOWN | SKIPPED:
+        if item.command not in ACCEPTED[flavour]:
             return PlanResult.UNSUPPORTED, index
-        bad = _bad_place(item) if item.command in PLACES else None
+        bad = _bad_place(item) if item.command in PLACES or item.command in (SET_HOME, GATE) else None
         if bad is None:
             bad = _bad_numbers(item, len(items))
         if bad is not None:
@@ -36,14 +53,14 @@ def check(items: Sequence[Item]) -> tuple[PlanResult, int]:
 
 
 def _bad_place(item: Item) -> PlanResult | None:
-    if item.frame not in GLOBAL:
+    if item.frame not in GLOBAL and not (item.command == SET_HOME and item.frame == FRAME_MISSION):
         return PlanResult.UNSUPPORTED_FRAME
     if has_place(item):
         bad = bad_place(item)
         if bad is not None:
             return bad
-    # A take-off has a height of its own, and a landing needs none.
-    free = item.command in (TAKEOFF, LAND) and math.isnan(item.z)
+    # A take-off has a height of its own; a landing, a gate and a new home need none.
+    free = item.command in (TAKEOFF, LAND, GATE, SET_HOME) and math.isnan(item.z)
     return None if free or abs(item.z) <= LARGEST_ALTITUDE else PlanResult.INVALID_PARAM7
 
 
@@ -59,6 +76,8 @@ def _bad_numbers(item: Item, total: int) -> PlanResult | None:
         if first not in (0.0, 1.0, 2.0, 3.0):
             return PlanResult.INVALID_PARAM1
         return None if second in (-1.0, -2.0) or second > 0.0 else PlanResult.INVALID_PARAM2
+    if item.command in (CONDITION_YAW, CONDITION_DISTANCE) and math.isnan(first):
+        return PlanResult.INVALID_PARAM1
     if item.command == LOITER_TURNS and not first > 0.0:
         return PlanResult.INVALID_PARAM1
     return PlanResult.INVALID_PARAM3 if item.command == LOITER_TURNS and abs(third) > 1000.0 else None
@@ -88,6 +107,31 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
         north, east, _ = craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, craft.geodesy.height)
         return north, east, z
     return otherwise[0], otherwise[1], z
+
+
+def next_place(items: Sequence[Item]) -> Item | None:
+    """Return the place that the first items lead to; None where they lead to a landing, a return or a jump."""
+    for item in items:
+        if item.command in PLACES - {LAND, TAKEOFF}:
+            return item
+        if item.command in (LAND, TAKEOFF, RETURN, DELAY, JUMP):
+            return None
+    return None
+
+
+def set_home(item: Item, craft: Craft) -> None:
+    """Obey a DO_SET_HOME: home is at its place; where ``param1`` is 1 or it has none, where the vehicle is.
+
+    In the frame of a mission, x and y are degrees times 1e7 too, as ArduPilot takes them, and z is an altitude above
+    mean sea level.
+    """
+    if item.params[0] >= 0.5 or not has_place(item):
+        craft.home_here()
+        return
+    if item.frame == FRAME_MISSION:
+        item = replace(item, frame=AMSL[0])
+    place = place_of(item, craft, craft.seen.position_ned)
+    craft.set_home(Home(*craft.geodesy.to_geodetic(place), place, craft.seen.attitude[2]))
 
 
 def outside(items: Sequence[Item], craft: Craft) -> int | None:

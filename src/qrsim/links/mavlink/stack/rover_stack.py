@@ -86,7 +86,7 @@ class RoverStack(FlightStack):
         super().__init__(facts, site, parameters, flavour, factor)
         base = FLAVOURS[flavour]
         self.flavour = RoverFlavour(base.name, base.autopilot, base.base_mode)
-        self.plan = Drive(1 if flavour == "ardupilot" else 0)
+        self.plan = Drive(flavour)
 
     def reset(self) -> None:
         """Begin again as after a boot."""

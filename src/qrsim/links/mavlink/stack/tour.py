@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import orbits, plan
 from qrsim.links.mavlink.stack.codes import PlanResult, Severity
-from qrsim.links.mavlink.stack.contracts import Item, Triple
+from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.mission import Mission
 
@@ -28,8 +28,8 @@ class Tour(Mission):
         end: the place that was flown to last, NED [m]; None before there was one.
     """
 
-    def __init__(self, first: int = 0) -> None:
-        super().__init__(first)
+    def __init__(self, flavour: FlavourName = "px4") -> None:
+        super().__init__(flavour)
         self.end: Triple | None = None
 
     def _forget(self) -> None:

@@ -64,7 +64,7 @@ class WingStack(FlightStack):
         super().__init__(facts, site, parameters, flavour, factor)
         base = FLAVOURS[flavour]
         self.flavour = WingFlavour(base.name, base.autopilot, base.base_mode)
-        self.plan = Tour(1 if flavour == "ardupilot" else 0)
+        self.plan = Tour(flavour)
 
     def reset(self) -> None:
         """Begin again as after a boot, in the air."""
