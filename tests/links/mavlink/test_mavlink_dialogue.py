@@ -276,8 +276,9 @@ def test_parameters_that_cannot_be_set(wire):
     assert (error.layout.name, error.error, error.param_id) == ("PARAM_ERROR", 1, b"NO_SUCH")
     (error,) = wire.ask("PARAM_REQUEST_READ", target_system=1, param_id=b"NO_SUCH", param_index=-1)
     assert error.error == 1
-    error, value = wire.ask("PARAM_SET", target_system=1, param_id=b"MPC_THR_HOVER", param_value=0.3, param_type=9)
-    assert (error.error, value.param_value) == (5, 0.5)
+    three = struct.unpack("<f", struct.pack("<i", 3))[0]
+    error, value = wire.ask("PARAM_SET", target_system=1, param_id=b"MAV_SYS_ID", param_value=three, param_type=6)
+    assert (error.error, struct.pack("<f", value.param_value)) == (5, struct.pack("<i", 1))
     (value,) = wire.ask("PARAM_SET", target_system=1, param_id=b"GF_ACTION", param_value=3.0, param_type=9)
     assert struct.pack("<f", value.param_value) == struct.pack("<i", 2)
 

@@ -57,13 +57,15 @@ def attitude_target(v: View) -> Payload:
     order = v.order
     if order is None or order.kind != "attitude":
         return None
-    roll, pitch, yaw, thrust = order.numbers
+    roll, pitch, yaw, throttle = order.numbers
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(0.5 * x), math.cos(0.5 * x)) for x in (roll, pitch, yaw))
     quaternion = (
         cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )  # fmt: skip
-    return LAYOUTS["ATTITUDE_TARGET"].payload(time_boot_ms=v.boot_ms, type_mask=_NO_RATES, q=quaternion, thrust=thrust)
+    return LAYOUTS["ATTITUDE_TARGET"].payload(
+        time_boot_ms=v.boot_ms, type_mask=_NO_RATES, q=quaternion, thrust=v.stack.thrust_of(throttle)
+    )
 
 
 def gps_global_origin(v: View) -> Payload:

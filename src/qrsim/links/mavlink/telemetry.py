@@ -168,7 +168,7 @@ def _throttle(v: View) -> int:
         # What an aeroplane's throttle is, its controller knows alone.
         return 0
     if v.order.kind == "attitude":
-        return bounded(v.order.numbers[3], 100.0, 0, 100)
+        return bounded(v.stack.thrust_of(v.order.numbers[3]), 100.0, 0, 100)
     return bounded(v.stack.parameters["MPC_THR_HOVER"], 100.0, 0, 100)
 
 

@@ -277,6 +277,9 @@ def test_inclusions_are_united_and_exclusions_left_out():
     inside = [fence.inside(north, 0.0) for north in (-51.0, -49.0, 14.0, 16.0, 24.0, 26.0, 55.0, 79.0, 81.0)]
     assert inside == [False, True, True, False, False, True, True, True, False]
     assert Fence().inside(1e6, 0.0)
+    # A circle of radius 0 is none, as MAVSDK's example of a fence uploads it.
+    fence, result, bad = Fence.of([circle(0, 5003, 60.0, 0.0)], geodesy)
+    assert (fence.inside(0.0, 0.0), result, bad) == (True, PlanResult.ACCEPTED, -1)
     assert Fence().empty
     assert not in_polygon([(0, 0), (0, 2), (2, 0)], 1.5, 1.5)
     assert in_polygon([(0, 0), (0, 2), (2, 0)], 0.5, 0.5)
@@ -294,7 +297,7 @@ def test_inclusions_are_united_and_exclusions_left_out():
         ({1: {"frame": 1}}, PlanResult.UNSUPPORTED_FRAME, 1),
         ({1: {"x": 2**31 - 1}}, PlanResult.INVALID_PARAM5_X, 1),
         ({0: {"command": 16}}, PlanResult.UNSUPPORTED, 0),
-        ({0: {"command": 5003, "params": (0.0, 0, 0, 0)}}, PlanResult.INVALID_PARAM1, 0),
+        ({0: {"command": 5003, "params": (-1.0, 0, 0, 0)}}, PlanResult.INVALID_PARAM1, 0),
         ({0: {"command": 5003, "params": (NAN, 0, 0, 0)}}, PlanResult.INVALID_PARAM1, 0),
     ],
 )

@@ -139,6 +139,39 @@ def test_attitude_and_thrust_are_handed_on():
     assert puppet.order.numbers == pytest.approx((0.2, -0.1, 0.5, 0.55))
 
 
+@pytest.mark.parametrize(("thrust", "throttle"), [(0.0, 0.0), (0.25, 0.385), (0.5, 0.77), (0.75, 0.885), (1.0, 1.0)])
+def test_half_thrust_carries_every_vehicle(thrust, throttle):
+    puppet = Puppet()
+    object.__setattr__(puppet.stack.facts, "hover_throttle", 0.77)
+    assert puppet.stack.craft.throttle_of(thrust) == pytest.approx(throttle)
+    assert puppet.stack.thrust_of(throttle) == pytest.approx(thrust)
+
+
+@pytest.mark.parametrize("mask", [ATTITUDE, RATES])
+def test_an_attitude_leans_nothing_that_stands(mask):
+    """MAVSDK's example offboard_attitude arms, sends zero thrust and then 70 %; here with a lean from the start."""
+    half = math.sin(0.2), math.cos(0.2)
+    target = AttitudeTarget(mask, (half[1], half[0], 0.0, 0.0), (0.4, 0.0, 0.0), 0.4)
+    puppet = Puppet()
+    assert puppet.do(400, 1) == 0
+    puppet.stack.setpoint(target)
+    assert puppet.stack.set_mode(1, OFFBOARD) == 0
+    puppet.run(2.0, each=keep(target))
+    assert puppet.order.numbers == pytest.approx((0.0, 0.0, 0.0, 0.4))
+    rising, rolls = AttitudeTarget(mask, target.q, target.rates, 0.7), []
+
+    def lift(now: Puppet) -> None:
+        keep(rising)(now)
+        rolls.append(now.order.numbers[0])
+
+    # It leans as it is asked once it is half a metre above the ground.
+    assert puppet.run(2.0, lambda now: now.stack.craft.rose, lift)
+    assert max(rolls) < 0.4
+    assert sorted(rolls) == rolls
+    puppet.run(1.0, each=lift)
+    assert puppet.order.numbers[0] == pytest.approx(0.4, abs=0.05) or mask == RATES
+
+
 def test_rates_add_up():
     target = AttitudeTarget(RATES, (1.0, 0.0, 0.0, 0.0), (0.2, -0.1, 0.4), 0.5)
     puppet = flying(target)

@@ -340,6 +340,9 @@ class Stack(Protocol):
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
         """Return a plan as it was accepted."""
 
+    def thrust_of(self, throttle: float) -> float:
+        """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
+
     def set_current(self, seq: int) -> bool:
         """Go on with another item of the mission; return whether there is one."""
 

@@ -41,6 +41,7 @@ class Craft:
         landed: what it says of itself.
         stood_z: position down where it stood last [m].
         flies: whether it has left the ground since.
+        rose: whether it was half a metre above that place since.
         critical: whether a failsafe is at work.
         terminated: whether its flight was terminated, which holds until a reboot.
     """
@@ -67,7 +68,7 @@ class Craft:
         self.sink: float | None = None
         self.landed = Landed.ON_GROUND
         self.stood_z = 0.0
-        self.flies = self.critical = self.terminated = False
+        self.flies = self.rose = self.critical = self.terminated = False
 
     # ---- what it says ----
 
@@ -108,9 +109,10 @@ class Craft:
         self.seen = seen
         if seen.on_ground:
             self.stood_z = seen.position_ned[2]
-            self.flies = False
+            self.flies = self.rose = False
         elif not self.flies and self.stood_z - seen.position_ned[2] > RISEN:
             self.flies = True
+        self.rose = self.rose or self.stood_z - seen.position_ned[2] > UPRIGHT_UNTIL
 
     def set_home(self, home: Home) -> None:
         """Set where it returns to."""
@@ -200,6 +202,25 @@ class Craft:
         pitch = min(max(pitch / facts.pitch_gain, -most), most)
         return Order(facts.name, "attitude", (roll, pitch, self.yaw, throttle))
 
+    @property
+    def freedom(self) -> float:
+        """How far it may lean: 0 on the ground, 1 once it was half a metre above."""
+        if self.rose or not self.flies:
+            return float(self.flies)
+        risen = self.stood_z - self.seen.position_ned[2]
+        return min(max((risen - RISEN) / (UPRIGHT_UNTIL - RISEN), 0.0), 1.0)
+
+    def throttle_of(self, thrust: float) -> float:
+        """Return the throttle of the vehicle for a normalised thrust, both 0 to 1.
+
+        ``MPC_THR_HOVER`` carries the weight, as in PX4's rescaled throttle curve; 0 and 1 are the ends of both.
+        """
+        return _through(thrust, self.parameters.values["MPC_THR_HOVER"], self.facts.hover_throttle)
+
+    def thrust_of(self, throttle: float) -> float:
+        """Return the normalised thrust of a throttle: the inverse of ``throttle_of``."""
+        return _through(throttle, self.facts.hover_throttle, self.parameters.values["MPC_THR_HOVER"])
+
     def idle(self) -> Order | None:
         """Return the order to stop the motors, or None where that is what it does already."""
         if self._idle is not None:
@@ -236,3 +257,10 @@ class Craft:
         self.look_to(north, east, farther)
         off = math.remainder(self.yaw - self.seen.attitude[2], 2.0 * math.pi)
         return mode == TURN_FIRST and abs(off) > TURNED and math.hypot(vn, ve) < SLOW
+
+
+def _through(value: float, middle: float, image: float) -> float:
+    """Return a number 0 to 1 on the two lines from 0 to 0, from ``middle`` to ``image``, and on to 1."""
+    if value <= middle or middle >= 1.0:
+        return image * value / middle
+    return image + (1.0 - image) * (value - middle) / (1.0 - middle)

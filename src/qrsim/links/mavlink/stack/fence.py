@@ -87,9 +87,12 @@ class Fence:
                 index += count
                 continue
             if item.command in (CIRCLE_INCLUSION, CIRCLE_EXCLUSION):
-                if not 0.0 < item.params[0] < math.inf:
+                radius = item.params[0]
+                if not 0.0 <= radius < math.inf:
                     return fence, PlanResult.INVALID_PARAM1, index
-                fence._circles.append((item.command == CIRCLE_INCLUSION, _point(item, geodesy), item.params[0]))
+                # MAVSDK's way to say that there is no circle: one of radius 0.
+                if radius > 0.0:
+                    fence._circles.append((item.command == CIRCLE_INCLUSION, _point(item, geodesy), radius))
             elif item.command != RETURN_POINT:
                 return fence, PlanResult.UNSUPPORTED, index
             index += 1

@@ -50,7 +50,7 @@ class Flight:
     ):
         self.facts, self.factor = facts, factor
         if parameters is None:
-            start = {"MAV_SYS_ID": facts.system, "MPC_THR_HOVER": facts.hover_throttle}
+            start: dict[str, float] = {"MAV_SYS_ID": facts.system}
             if facts.loiter_radius:
                 start["NAV_LOITER_RAD"] = facts.loiter_radius
             parameters = Parameters(start)

@@ -73,6 +73,10 @@ class FlightStack(Flight):
             self.switch(Mode.OFFBOARD)
         return taken
 
+    def thrust_of(self, throttle: float) -> float:
+        """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
+        return self.craft.thrust_of(throttle)
+
     def heard_ground(self) -> None:
         """Note a heartbeat of a ground station (MAV_TYPE 6)."""
         self.failsafes.heard_ground(self.craft)

@@ -220,8 +220,12 @@ class Offboard:
         return craft.follow((place[0], place[1], place[2]), motion, (push[0], push[1], push[2]))
 
     def _fly_attitude(self, craft: Craft, dt: float) -> Order:
-        rates = self._rates
-        if self._tilt is not None:
+        rates, freedom = self._rates, craft.freedom
+        if not freedom:
+            # What stands and leans tips over.
+            craft.yaw = craft.seen.attitude[2]
+            self._leaning = roll, pitch = 0.0, 0.0
+        elif self._tilt is not None:
             roll, pitch = self._tilt
             craft.yaw = self._yaw
         else:
@@ -231,7 +235,7 @@ class Offboard:
             pitch = min(max(self._leaning[1] + rates[1] * dt, -most), most)
             craft.turn_to(craft.yaw + rates[2] * dt)
         self._leaning = (roll, pitch)
-        return craft.lean(roll, pitch, self._thrust)
+        return craft.lean(freedom * roll, freedom * pitch, craft.throttle_of(self._thrust))
 
 
 def _unmasked(target: LocalTarget | GlobalTarget) -> tuple[Triple, Triple, Triple]:

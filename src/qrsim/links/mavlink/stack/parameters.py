@@ -72,7 +72,7 @@ TABLE: tuple[Parameter, ...] = (
     _real("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "largest horizontal acceleration of the path"),
     _real("MPC_JERK_AUTO", 4.0, 1.0, 80.0, "m/s^3", "largest jerk of the path"),
     _real("MPC_LAND_SPEED", 0.7, 0.3, 1.4, "m/s", "speed of a landing near the ground"),
-    _real("MPC_THR_HOVER", 0.5, 0.1, 0.8, "1", "thrust that carries the weight; read only"),
+    _real("MPC_THR_HOVER", 0.5, 0.1, 0.8, "1", "thrust of set-points that carries the weight"),
     _real("MPC_TKO_SPEED", 1.5, 0.5, 5.0, "m/s", "speed of a take-off"),
     _real("MPC_XY_CRUISE", 5.0, 3.0, 20.0, "m/s", "speed of missions, return and reposition"),
     _real("MPC_XY_VEL_MAX", 12.0, 0.0, 20.0, "m/s", "largest horizontal speed of set-points"),
@@ -89,7 +89,7 @@ TABLE: tuple[Parameter, ...] = (
     _int("SYS_AUTOCONFIG", 0, 0, 2, "kept for clients that look at it"),
     _int("SYS_AUTOSTART", 4001, 0, 9999999, "kept for clients that look at it: a quadrotor x"),
 )  # fmt: skip
-READ_ONLY = frozenset({"MAV_SYS_ID", "MAV_COMP_ID", "MPC_THR_HOVER", "COM_RC_IN_MODE"})
+READ_ONLY = frozenset({"MAV_SYS_ID", "MAV_COMP_ID", "COM_RC_IN_MODE"})
 
 
 class Parameters:
