@@ -15,6 +15,11 @@ FACTOR = 5.0
 STEPS = (
     "took off", "there", "mission flown", "at the position of the set-point", "flies by velocity", "landed", "disarmed",
 )  # fmt: skip
+# What the example of other modes prints.
+MODES = (
+    "fence uploaded", "rises by attitude", "on the circle", "orbits", "in follow-me", "follows", "steered",
+    "landed by sticks",
+)  # fmt: skip
 REQUIREMENTS = {
     "mavsdk3": ("mavsdk==3.17.4",),
     "mavsdk4": ("mavsdk==4.1.0",),
@@ -79,4 +84,4 @@ def fly(python: str, script: str, *arguments: str) -> list[str]:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    return [line for line in done.stdout.splitlines() if line in STEPS]
+    return [line for line in done.stdout.splitlines() if line in STEPS + MODES]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from evidence import _mavlink_clients as clients
-from evidence._mavlink_clients import STEPS, Field, fly
+from evidence._mavlink_clients import MODES, STEPS, Field, fly
 
 pytestmark = pytest.mark.long
 
@@ -61,6 +61,18 @@ def test_mavsdk_3(field):
     python = environment("mavsdk3")
     assert fly(python, "mavsdk_flight.py", f"udpin://127.0.0.1:{field.port}", "50069") == list(STEPS)
     check_log(field.end())
+
+
+@pytest.mark.nightly
+def test_mavsdk_3_in_other_modes():
+    """A fence with a circle of radius 0, attitudes, an orbit, follow-me and sticks, in real time."""
+    python, field = environment("mavsdk3"), Field(factor=1.0)
+    try:
+        assert fly(python, "mavsdk_modes.py", f"udpin://127.0.0.1:{field.port}", "50070") == list(MODES)
+        said = re.findall(r"'field_0': (.*)", field.end())
+    finally:
+        field.process.kill()
+    assert said == ["Armed by external command", "Landing detected", "Disarmed by landing"]
 
 
 def test_mavsdk_4(field):

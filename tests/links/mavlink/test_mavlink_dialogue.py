@@ -16,6 +16,7 @@ from qrsim.links.mavlink.link import Link
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import Facts, Seen, Text
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.streams import GROUND, ONBOARD, Streams
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared import sight
@@ -89,8 +90,8 @@ def test_every_command_has_exactly_one_answer(wire):
 
 
 def test_a_command_as_integers_and_one_that_is_not_known(wire):
-    (ack,) = wire.ask("COMMAND_INT", target_system=1, target_component=1, command=34, frame=6, x=1, y=2, z=3.0)
-    assert (ack.command, ack.result) == (34, 3)
+    (ack,) = wire.ask("COMMAND_INT", target_system=1, target_component=1, command=35, frame=6, x=1, y=2, z=3.0)
+    assert (ack.command, ack.result) == (35, 3)
     assert [answer.result for answer in wire.command(400, 1.0)] == [0]
 
 
@@ -211,6 +212,43 @@ def test_targets_are_those_that_are_flown(wire):
     assert target.lon_int == pytest.approx(ORIGIN[1], abs=1)
     assert target.alt == pytest.approx(ORIGIN[2] / 1e3 + 10.0, abs=0.01)
     assert (target.vx, target.vy, target.vz, target.yaw) == (1.0, 2.0, 3.0, 0.5)
+
+
+def test_sticks_and_targets_of_follow_me_are_taken(wire):
+    heard = []
+    wire.system.stack.sticks = lambda *values: heard.append(values)
+    wire.system.stack.follow_target = lambda target: heard.append(target)
+    # z is 0 to 1000 with 500 in the middle; 32767 is an axis that is not told. Another system's are not taken.
+    wire.ask("MANUAL_CONTROL", target=1, x=500, y=-1000, z=750, r=0x7FFF)
+    wire.ask("MANUAL_CONTROL", target=2, x=1000, z=500)
+    roll, pitch, throttle, yaw = heard.pop()
+    assert (roll, pitch, throttle) == (-1.0, 0.5, 0.5)
+    assert math.isnan(yaw)
+    # RC is not taken but where COM_RC_IN_MODE says so: PX4's simulation has 1, the joystick.
+    pulses = {"chan1_raw": 2000, "chan2_raw": 1000, "chan3_raw": 1500, "chan4_raw": 0xFFFF}
+    wire.ask("RC_CHANNELS_OVERRIDE", target_system=1, target_component=1, **pulses)
+    assert heard == []
+    wire.system.stack.parameters.set("COM_RC_IN_MODE", 2)
+    wire.ask("RC_CHANNELS_OVERRIDE", target_system=1, target_component=1, **pulses)
+    roll, pitch, throttle, yaw = heard.pop()
+    assert (roll, pitch, throttle) == (1.0, 1.0, 0.0)
+    assert math.isnan(yaw)
+    wire.ask("FOLLOW_TARGET", lat=473977420, lon=85455940, alt=480.0, vel=(1.0, 2.0, -0.5))
+    (target,) = heard
+    assert (target.latitude, target.longitude) == pytest.approx((47.397742, 8.545594))
+    assert (target.altitude, target.velocity) == (480.0, (1.0, 2.0, -0.5))
+
+
+def test_an_orbit_is_told_while_it_is_flown(wire):
+    assert [answer.result for answer in wire.command(511, 360.0, 5e5)] == [0]
+    assert [answer.result for answer in wire.command(512, 360.0)] == [3]
+    stack = wire.system.stack
+    stack.orbit.ask(stack.craft, (111.26, 0.0, -10.0), -20.0)
+    stack.mode = Mode.ORBIT
+    ack, status = wire.command(512, 360.0)
+    assert (ack.result, status.radius, status.frame) == (0, -20.0, 5)
+    assert (status.x - ORIGIN[0], status.y) == (pytest.approx(10_000, abs=20), pytest.approx(ORIGIN[1], abs=1))
+    assert status.z == pytest.approx(ORIGIN[2] / 1e3 + 10.0, abs=0.01)
 
 
 def test_wind_and_distance_are_sent_where_they_are_known(wire):

@@ -92,6 +92,8 @@ DISTANCE_SENSOR 132 time_boot_ms:I min_distance:H max_distance:H current_distanc
 SET_ACTUATOR_CONTROL_TARGET 139 time_usec:Q group_mlx:B target_system:B target_component:B controls:8f
 ALTITUDE 141 time_usec:Q altitude_monotonic:f altitude_amsl:f altitude_local:f altitude_relative:f
   altitude_terrain:f bottom_clearance:f
+FOLLOW_TARGET 144 timestamp:Q est_capabilities:B lat:i lon:i alt:f vel:3f acc:3f attitude_q:4f rates:3f
+  position_cov:3f custom_state:Q
 BATTERY_STATUS 147 id:B battery_function:B type:B temperature:h voltages:10H current_battery:h current_consumed:i
   energy_consumed:i battery_remaining:b | time_remaining:i charge_state:B voltages_ext:4H mode:B fault_bitmask:I
 AUTOPILOT_VERSION 148 capabilities:Q flight_sw_version:I middleware_sw_version:I os_sw_version:I board_version:I
@@ -114,6 +116,7 @@ OBSTACLE_DISTANCE 330 time_usec:Q sensor_type:B distances:72H increment:B min_di
 ODOMETRY 331 time_usec:Q frame_id:B child_frame_id:B x:f y:f z:f q:4f vx:f vy:f vz:f rollspeed:f pitchspeed:f
   yawspeed:f pose_covariance:21f velocity_covariance:21f | reset_counter:B estimator_type:B quality:b
 PARAM_ERROR 345 target_system:B target_component:B param_id:16c param_index:h error:B
+ORBIT_EXECUTION_STATUS 360 time_usec:Q radius:f frame:B x:i y:i z:f
 FENCE_STATUS 162 breach_status:B breach_count:H breach_type:B breach_time:I | breach_mitigation:B
 """
 _SIZES = {"c": 1, "B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4, "Q": 8, "q": 8}

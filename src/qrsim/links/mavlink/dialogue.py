@@ -13,9 +13,18 @@ from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
 from qrsim.links.mavlink.frames import Frame
 from qrsim.links.mavlink.link import COMPONENT, Link
 from qrsim.links.mavlink.stack.codes import Result, Severity
-from qrsim.links.mavlink.stack.contracts import Ack, AttitudeTarget, Command, GlobalTarget, LocalTarget, Target, Text
+from qrsim.links.mavlink.stack.contracts import (
+    Ack,
+    AttitudeTarget,
+    Command,
+    FollowTarget,
+    GlobalTarget,
+    LocalTarget,
+    Target,
+    Text,
+)
 from qrsim.links.mavlink.system import System
-from qrsim.links.mavlink.telemetry import ENCODERS, sendable
+from qrsim.links.mavlink.telemetry import ARDUPILOT, ENCODERS, sendable
 
 GROUND_STATION = 6
 # MAV_CMD.
@@ -24,6 +33,8 @@ DO_SET_MODE = 176
 # FILE_TRANSFER_PROTOCOL: a refusal, and why: no such file, or a request that is not known.
 _NAK, _NO_FILE, _UNKNOWN = 129, 10, 7
 _OPENS = (4, 5, 6, 11, 14, 15)
+# An axis and channels that are not told.
+_NO_AXIS, _NO_PULSE = 0x7FFF, (0, 0xFFFF)
 _VERSION, _PROTOCOL = LAYOUTS["AUTOPILOT_VERSION"].number, LAYOUTS["PROTOCOL_VERSION"].number
 Handler = Callable[[System, Link, Frame], None]
 
@@ -62,8 +73,10 @@ def _targets() -> dict[int, tuple[int, int]]:
         for field in layout.fields:
             places[field.name] = at
             at += struct.calcsize(f"<{field.format}")
-        if "target_system" in places:
-            found[number] = places["target_system"], places.get("target_component", -1)
+        # MANUAL_CONTROL calls it otherwise.
+        system = places.get("target_system", places.get("target"))
+        if system is not None:
+            found[number] = system, places.get("target_component", -1)
     return found
 
 
@@ -204,6 +217,34 @@ def _attitude_target(system: System, link: Link, frame: Frame) -> None:
     _take(system, link, AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
 
 
+def _takes_sticks(system: System, by: tuple[int, ...]) -> bool:
+    """Return whether COM_RC_IN_MODE is one of some numbers; ArduPilot has no such choice."""
+    parameters = system.stack.parameters
+    return system.stack.heartbeat().autopilot == ARDUPILOT or int(parameters["COM_RC_IN_MODE"]) in by
+
+
+def _manual(system: System, link: Link, frame: Frame) -> None:
+    """Take MANUAL_CONTROL: x forwards, y right and r right in 1/1000, z 0 to 1000 with 500 in the middle."""
+    m = frame.message()
+    if _takes_sticks(system, (1, 2, 3)):
+        forward, right, up, turn = (math.nan if axis == _NO_AXIS else axis / 1e3 for axis in (m.x, m.y, m.z, m.r))
+        system.stack.sticks(right, forward, 2.0 * up - 1.0, turn)
+
+
+def _override(system: System, link: Link, frame: Frame) -> None:
+    """Take RC_CHANNELS_OVERRIDE: roll, pitch, throttle, yaw in us, 1500 in the middle, a low pitch is forwards."""
+    m = frame.message()
+    if _takes_sticks(system, (0, 2, 3)):
+        raw = (m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw)
+        roll, pitch, up, turn = (math.nan if pulse in _NO_PULSE else (pulse - 1500.0) / 500.0 for pulse in raw)
+        system.stack.sticks(roll, -pitch, up, turn)
+
+
+def _follow(system: System, link: Link, frame: Frame) -> None:
+    m = frame.message()
+    system.stack.follow_target(FollowTarget(m.lat * 1e-7, m.lon * 1e-7, m.alt, m.vel))
+
+
 def _actuators(system: System, link: Link, frame: Frame) -> None:
     system.tell_once("actuators", Text(Severity.WARNING, "SET_ACTUATOR_CONTROL_TARGET is not flown"))
 
@@ -269,6 +310,9 @@ _HANDLERS: dict[str, Handler] = {
     "SET_POSITION_TARGET_GLOBAL_INT": _global_target,
     "SET_ATTITUDE_TARGET": _attitude_target,
     "SET_ACTUATOR_CONTROL_TARGET": _actuators,
+    "MANUAL_CONTROL": _manual,
+    "RC_CHANNELS_OVERRIDE": _override,
+    "FOLLOW_TARGET": _follow,
     "PARAM_REQUEST_LIST": lambda system, link, frame: table.send_all(system, link),
     "PARAM_REQUEST_READ": table.send_one,
     "PARAM_SET": table.set_one,

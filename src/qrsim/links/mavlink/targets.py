@@ -68,6 +68,18 @@ def attitude_target(v: View) -> Payload:
     )
 
 
+def orbit_execution_status(v: View) -> Payload:
+    """ORBIT_EXECUTION_STATUS, while an orbit is flown."""
+    orbit = v.stack.orbiting()
+    if orbit is None:
+        return None
+    latitude, longitude, altitude = v.stack.place(orbit.centre)
+    return LAYOUTS["ORBIT_EXECUTION_STATUS"].payload(
+        time_usec=v.boot_us, radius=orbit.radius, frame=_GLOBAL_INT, x=round(latitude * 1e7),
+        y=round(longitude * 1e7), z=altitude,
+    )  # fmt: skip
+
+
 def gps_global_origin(v: View) -> Payload:
     """GPS_GLOBAL_ORIGIN: the origin of the vehicle's local frame."""
     latitude, longitude, altitude = v.stack.place(v.stack.origin)

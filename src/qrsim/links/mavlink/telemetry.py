@@ -13,6 +13,7 @@ from qrsim.links.mavlink.surroundings import adsb_vehicle, obstacle_distance, op
 from qrsim.links.mavlink.targets import (
     attitude_target,
     gps_global_origin,
+    orbit_execution_status,
     position_target_global_int,
     position_target_local_ned,
     protocol_version,
@@ -371,8 +372,8 @@ ENCODERS: dict[int, Encoder] = {
         global_position_int, vfr_hud, altitude, highres_imu, scaled_imu, raw_imu, scaled_pressure, distance_sensor,
         odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
         fence_status, position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
-        position_target_global_int, gps_global_origin, protocol_version, obstacle_distance, optical_flow_rad,
-        adsb_vehicle,
+        position_target_global_int, gps_global_origin, protocol_version, orbit_execution_status, obstacle_distance,
+        optical_flow_rad, adsb_vehicle,
     )
 }  # fmt: skip
 
@@ -382,7 +383,7 @@ def sendable(number: int, view: View) -> bool:
     if number not in ENCODERS:
         return False
     later: tuple[Any, ...] = (
-        home_position, position_target_local_ned, position_target_global_int, attitude_target,
+        home_position, position_target_local_ned, position_target_global_int, attitude_target, orbit_execution_status,
     )  # fmt: skip
     encoder = ENCODERS[number]
     return encoder in later or encoder(view) is not None

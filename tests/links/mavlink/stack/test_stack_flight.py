@@ -260,13 +260,18 @@ def test_a_take_off_that_is_ordered_first_flies_once_armed():
 def test_modes_that_cannot_be_flown_are_refused():
     puppet = Puppet()
     stack = puppet.stack
-    # No remote control: MANUAL, ALTCTL, POSCTL, ACRO, STABILIZED; no set-points; no mission.
+    # No sticks: MANUAL, ALTCTL, POSCTL, ACRO, STABILIZED; no set-points; no mission.
     for main in (1, 2, 3, 5, 7):
         assert stack.set_mode(1, main << 16) is Result.TEMPORARILY_REJECTED
     assert stack.set_mode(1, OFFBOARD) is Result.TEMPORARILY_REJECTED
     assert stack.set_mode(1, 0x04040000) is Result.TEMPORARILY_REJECTED
     assert puppet.do(300) == TEMPORARILY_REJECTED
-    assert stack.set_mode(1, 0x09040000) is Result.UNSUPPORTED
+    assert puppet.stack.texts()[-1].text == "Mission rejected: no mission"
+    # Precision landing and Acro have names, 77 has none; the answers and texts are those of Commander.
+    for custom, text in ((0x09040000, "Precision Landing"), (0x00050000, "Acro"), (0x004D0000, "")):
+        assert stack.set_mode(1, custom) is Result.TEMPORARILY_REJECTED
+        said = f"Switching to mode '{text}' is currently not possible: not flown here" if text else "Unsupported mode"
+        assert puppet.stack.texts()[-1].text == said
     assert stack.set_mode(0, LOITER) is Result.UNSUPPORTED
     assert puppet.do(176, 1, 4, 3) == ACCEPTED
     assert puppet.do(176, 1, 4, 6) == ACCEPTED
@@ -275,7 +280,7 @@ def test_modes_that_cannot_be_flown_are_refused():
 
 def test_every_command_has_one_answer_and_most_are_not_known():
     puppet = Puppet()
-    known = {20, 21, 22, 176, 178, 179, 185, 192, 224, 246, 300, 400, 410}
+    known = {20, 21, 22, 34, 176, 178, 179, 185, 192, 224, 246, 300, 400, 410}
     for id in range(3001):
         result = puppet.stack.command(command(id)).result
         assert (result is Result.UNSUPPORTED) == (id not in known or id == 176), id

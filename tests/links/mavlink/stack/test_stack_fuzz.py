@@ -12,7 +12,16 @@ from test_stack_rover import Cart
 from test_stack_wing import Glider
 
 from qrsim.links.mavlink.stack.codes import PlanKind, Result
-from qrsim.links.mavlink.stack.contracts import NAN, Ack, AttitudeTarget, Command, GlobalTarget, Item, LocalTarget
+from qrsim.links.mavlink.stack.contracts import (
+    NAN,
+    Ack,
+    AttitudeTarget,
+    Command,
+    FollowTarget,
+    GlobalTarget,
+    Item,
+    LocalTarget,
+)
 
 ODD = (
     NAN,
@@ -33,7 +42,7 @@ ODD = (
     1e-30,
     255.0,
 )
-COMMANDS = (20, 21, 22, 115, 176, 178, 179, 192, 224, 246, 300, 400, 410, 511, 3000)
+COMMANDS = (20, 21, 22, 34, 115, 176, 178, 179, 192, 224, 246, 300, 400, 410, 511, 3000)
 ITEMS = (16, 17, 18, 19, 20, 21, 22, 31, 93, 112, 177, 178, 206, 5001, 5002, 5003, 5004, 5100, 82, 114, 115, 179, 4501)
 PLACES = (0, 473977420, 473979420, 85455940, 85457940, 2**31 - 1, -(2**31), 900000001)
 
@@ -50,7 +59,7 @@ def some_item(draw: random.Random, seq: int) -> Item:
 
 def disturb(draw: random.Random, puppet: Any) -> None:
     """Ask a stack something at random."""
-    stack, what = puppet.stack, draw.randrange(9)
+    stack, what = puppet.stack, draw.randrange(11)
     if what <= 2:
         frame = draw.choice((0, 1, 2, 3, 5, 6, 11, 99))
         ack = stack.command(Command(draw.choice(COMMANDS), numbers(draw, 7), frame, draw.random() < 0.5))
@@ -74,7 +83,12 @@ def disturb(draw: random.Random, puppet: Any) -> None:
     elif what == 6:
         stack.accept(draw.choice(list(PlanKind)), [some_item(draw, seq) for seq in range(draw.randrange(4))])
     elif what == 7:
-        stack.set_mode(draw.randrange(256), draw.choice((draw.randrange(2**32), 0x04040000, 0x00060000, 0x05040000)))
+        custom = (draw.randrange(2**32), draw.randrange(30), 0x04040000, 0x00060000, 0x05040000, 0x00030000, 0x08040000)
+        stack.set_mode(draw.randrange(256), draw.choice(custom))
+    elif what == 8:
+        stack.sticks(*(draw.choice((NAN, -1.0, 0.0, 0.3, 1.0, 1e30)) for _ in range(4)))
+    elif what == 9:
+        stack.follow_target(FollowTarget(*numbers(draw, 3), numbers(draw, 3)))
     else:
         name = draw.choice([one.name for one in stack.parameters])
         stack.parameters.set(name, numbers(draw, 1)[0])

@@ -10,7 +10,7 @@ import pytest
 
 import qrsim
 from qrsim.links.mavlink.stack.codes import MissionState, PlanKind, PlanResult
-from qrsim.links.mavlink.stack.contracts import NAN, Command, Facts, Item, Seen
+from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, Command, Facts, FollowTarget, Item, Seen
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.shared.latches import Latches
@@ -167,6 +167,62 @@ def test_five_missions_at_once_end_on_the_ground():
     assert field.simulation.valid.all(), field.simulation.reasons
     assert all(stack.mission().state is MissionState.COMPLETE for stack in field.stacks)
     assert field.standing.all()
+
+
+def test_attitudes_orbits_follow_me_and_sticks_at_once():
+    """Vehicle 0 flies MAVSDK's example of attitudes, 1 an orbit, 2 follows, 3 and 4 are flown by sticks."""
+    field = Field()
+    simulation, stacks, site = field.simulation, field.stacks, field.simulation.site.height
+    for number in range(1, 5):
+        assert field.do(number, 400, 1) == 0
+        assert field.do(number, 22, *[NAN] * 6, site + 8.0 + 2.0 * number) == 0
+    field.run(12.0)
+    sticks = {3: [0.0, 1.0, 0.0, 0.0], 4: [0.0, 0.5, 0.0, 0.0]}
+    begun = simulation.time
+
+    def fly(seconds: float, thrust: float = 0.0, roll: float = 0.0) -> None:
+        for tick in range(round(seconds / 0.02)):
+            half = 0.5 * math.radians(roll)
+            q = (math.cos(half), math.sin(half), 0.0, 0.0)
+            stacks[0].setpoint(AttitudeTarget(0x07, q, (0.0, 0.0, 0.0), thrust))
+            if tick % 5 == 0:
+                for number, values in sticks.items():
+                    stacks[number].sticks(*values)
+                place = field.place(3.0 * (simulation.time - begun), 50.0)
+                stacks[2].follow_target(FollowTarget(*place, site, (3.0, 0.0, 0.0)))
+            field.run(0.02)
+
+    assert field.do(0, 400, 1) == 0
+    fly(0.1)
+    for number, custom in ((0, 0x00060000), (2, 0x08040000), (3, 0x00030000), (4, 0x00020000)):
+        assert stacks[number].set_mode(1, custom) == 0
+    assert field.do(1, 34, 15.0, 4.0, 0, NAN, *field.place(30.0, 20.0), site + 15.0) == 0
+    # 70 % take off, 60 % carry the vehicle through leans of 30 degrees; that of hover is 50 %.
+    for thrust, roll in ((0.7, 0.0), (0.6, 30.0), (0.6, -30.0), (0.6, 0.0)):
+        fly(2.0, thrust, roll)
+    truth = simulation.truth
+    assert simulation.valid.all(), simulation.reasons
+    assert -truth.position_ned[0, 2] > 20.0
+    # MPC_VEL_MANUAL is 10 m/s, its controller flies 8; ALTITUDE keeps the height, and 15 degrees of tilt.
+    assert truth.velocity_ned[3, 0] == pytest.approx(8.0, abs=1.0)
+    assert truth.position_ned[4, 2] == pytest.approx(-16.0, abs=1.0)
+    assert np.degrees(truth.attitude[4, 1]) == pytest.approx(-35.0 * (0.4 * 4 / 9 + 0.6 * (4 / 9) ** 3), abs=2.0)
+    stacks[0].set_mode(1, 0x03040000)
+    sticks[3] = [0.0, 0.0, 0.0, 0.0]
+    sticks[4] = [0.0, 0.0, -1.0, 0.0]
+    fly(17.0)
+    truth = simulation.truth
+    away = math.hypot(truth.position_ned[1, 0] - 30.0, truth.position_ned[1, 1] - 20.0)
+    # GNSS errs by metres.
+    assert away == pytest.approx(15.0, abs=4.0)
+    assert np.linalg.norm(truth.velocity_ned[1]) == pytest.approx(4.0, abs=1.0)
+    assert truth.velocity_ned[2] == pytest.approx((3.0, 0.0, 0.0), abs=0.7)
+    behind = truth.position_ned[2, 0] - 3.0 * (simulation.time - begun), truth.position_ned[2, 1] - 50.0
+    assert (*behind, truth.position_ned[2, 2]) == pytest.approx((-8.0, 0.0, -8.0), abs=4.0)
+    assert np.linalg.norm(truth.velocity_ned[3]) < 0.5
+    assert field.standing[4]
+    assert not stacks[4].armed
+    assert simulation.valid.all(), simulation.reasons
 
 
 def test_parked_vehicles_fly_twice_and_a_kill_ends_a_flight(tmp_path):

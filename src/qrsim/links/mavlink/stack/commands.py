@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
 
+from qrsim.links.mavlink.stack.circling import Orbit
 from qrsim.links.mavlink.stack.codes import Result, Severity
 from qrsim.links.mavlink.stack.contracts import Command, Home, Triple
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
 from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.stack.mission import change_speed, heading
 from qrsim.links.mavlink.stack.modes import Mode
+from qrsim.links.mavlink.stack.orbits import fits
 
 # Param2 of an arm or disarm command that leaves checks out.
 FORCE = 21196.0
@@ -20,7 +24,7 @@ LARGEST_ALTITUDE = 1e5
 def obey(stack: Flight, command: Command) -> Result:
     """Obey or refuse a command."""
     known = _COMMANDS.get(command.id)
-    if known is None or (command.id == 115 and stack.flavour.name == "px4"):
+    if known is None or _ONLY.get(command.id, stack.flavour.name) != stack.flavour.name:
         return Result.UNSUPPORTED
     if any(map(math.isinf, command.params)):
         stack.craft.say(Severity.WARNING, f"Command {command.id} denied: infinite numbers")
@@ -116,7 +120,7 @@ def _set_mode(stack: Flight, command: Command) -> Result:
         return Result.UNSUPPORTED
     if not 0.0 <= main < 256.0 or not 0.0 <= sub < 256.0:
         return Result.DENIED
-    return stack.request(stack.flavour.mode_of(int(main), int(sub)))
+    return stack.request_number(stack.flavour.custom_of(int(main), int(sub)))
 
 
 def _reposition(stack: Flight, command: Command) -> Result:
@@ -152,6 +156,32 @@ def _reposition(stack: Flight, command: Command) -> Result:
         craft.turn_to(_yaw(stack, params[3]))
     elif stack.mode is Mode.HOLD:
         craft.head_to(goal[0], goal[1], 2.0)
+    return Result.ACCEPTED
+
+
+def _orbit(stack: Flight, command: Command) -> Result:
+    """Obey DO_ORBIT: radius, speed, ORBIT_YAW_BEHAVIOUR, -, place; outside the fence or on the ground it is refused.
+
+    Its altitude is above mean sea level in every frame, as PX4's MavlinkReceiver takes it: MAVSDK gives it one, in the
+    frame of altitudes over home.
+    """
+    craft, params = stack.craft, command.params
+    command = replace(command, frame=AMSL[0])
+    if not craft.seen.valid or craft.home is None:
+        return Result.DENIED
+    if not (stack.armed and craft.flies):
+        craft.say(Severity.CRITICAL, "Orbit command rejected: not in the air")
+        return Result.TEMPORARILY_REJECTED
+    centre = place_in(stack, command)
+    if centre is None:
+        return Result.DENIED
+    orbit = copy(stack.orbit) if stack.mode is Mode.ORBIT else Orbit()
+    orbit.ask(craft, centre, *params[:3])
+    if not craft.allows(centre) or not fits(craft.fence, centre, orbit.radius):
+        craft.say(Severity.CRITICAL, "Orbit command rejected: outside the fence")
+        return Result.DENIED
+    stack.orbit, stack.guided, craft.critical = orbit, False, False
+    stack.switch(Mode.ORBIT)
     return Result.ACCEPTED
 
 
@@ -243,8 +273,9 @@ def _tell_home(stack: Flight, command: Command) -> Result:
 
 
 _COMMANDS: dict[int, Callable[[Flight, Command], Result]] = {
-    20: _return, 21: _land, 22: _take_off, 115: _heading, 176: _set_mode, 178: _speed, 179: _set_home,
+    20: _return, 21: _land, 22: _take_off, 34: _orbit, 115: _heading, 176: _set_mode, 178: _speed, 179: _set_home,
     185: _terminate, 192: _reposition, 224: _set_current, 246: _reboot, 300: _start_mission, 400: _arm,
     410: _tell_home,
 }  # fmt: skip
-KNOWN = frozenset(_COMMANDS)
+# Commands of one flavour.
+_ONLY = {34: "px4", 115: "ardupilot"}

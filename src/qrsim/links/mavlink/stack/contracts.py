@@ -201,6 +201,24 @@ Target = LocalTarget | GlobalTarget | AttitudeTarget
 
 
 @dataclass(frozen=True, slots=True)
+class FollowTarget:
+    """FOLLOW_TARGET: degrees, altitude above mean sea level [m], velocity NED [m/s]."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+    velocity: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitStatus:
+    """What ORBIT_EXECUTION_STATUS says: radius [m], below 0 counterclockwise, and the centre NED [m]."""
+
+    radius: float
+    centre: Triple
+
+
+@dataclass(frozen=True, slots=True)
 class Item:
     """One item of a plan, as in MISSION_ITEM_INT: x and y are degrees times 1e7 in a global frame.
 
@@ -333,6 +351,15 @@ class Stack(Protocol):
 
     def setpoint(self, target: Target) -> bool:
         """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+
+    def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
+        """Take sticks, each -1 to 1, NaN for one that is not told: right, forwards, up, right."""
+
+    def follow_target(self, target: FollowTarget) -> None:
+        """Take where the target of follow-me is."""
+
+    def orbiting(self) -> OrbitStatus | None:
+        """Return the orbit that is flown, None while none is."""
 
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
         """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""

@@ -11,7 +11,7 @@ from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, 
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.parameters import Parameters
-from qrsim.links.mavlink.stack.path import Path
+from qrsim.links.mavlink.stack.path import STANDS, Path
 
 # A vehicle that has risen so far from where it stood flies [m]; until then it goes straight up.
 RISEN, UPRIGHT_UNTIL = 0.1, 0.5
@@ -163,24 +163,25 @@ class Craft:
         """Begin a path at where the vehicle is."""
         self.path.begin(self.seen.position_ned, self.seen.velocity_ned)
 
-    def go(self, goal: Triple, speeds: Triple | None = None, beyond: float = 0.0) -> Order:
+    def go(self, goal: Triple, speeds: Triple | None = None, beyond: float = 0.0, along: Triple = STANDS) -> Order:
         """Move on to a place; straight up first where it has just left the ground.
 
         Args:
             goal: NED [m].
             speeds: largest horizontal, upward and downward one [m/s]; None: those of automatic flight.
             beyond: how far beyond the goal the way goes on [m].
+            along: velocity of the goal itself [m/s].
         """
         seen, path, values = self.seen, self.path, self.parameters.values
         here = seen.position_ned
         low = not self.flies or self.stood_z - here[2] < UPRIGHT_UNTIL
-        if low and goal[2] < here[2]:
+        if low and (goal[2] < here[2] or along[2] < 0.0):
             # Where it stands or has just left the ground, nothing may pull it sideways.
             path.position = (here[0], here[1], path.position[2])
             path.velocity, path.acceleration = (0.0, 0.0, path.velocity[2]), (0.0, 0.0, path.acceleration[2])
-            goal = (here[0], here[1], goal[2])
+            goal, along = (here[0], here[1], goal[2]), (0.0, 0.0, along[2])
         limits = (values["MPC_ACC_HOR"], values["MPC_JERK_AUTO"])
-        path.move(goal, here, speeds or self.speeds(), limits, self.facts.time_step, beyond)
+        path.move(goal, here, speeds or self.speeds(), limits, self.facts.time_step, beyond, along)
         return self.follow(path.position, path.velocity, path.acceleration)
 
     def follow(self, position: Triple, velocity: Triple = ZERO, acceleration: Triple = ZERO) -> Order:

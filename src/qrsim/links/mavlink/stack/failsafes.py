@@ -7,7 +7,7 @@ import math
 from qrsim.links.mavlink.stack.codes import FIXED_WING, Breach, Severity
 from qrsim.links.mavlink.stack.contracts import FenceStatus
 from qrsim.links.mavlink.stack.craft import Craft
-from qrsim.links.mavlink.stack.modes import Mode
+from qrsim.links.mavlink.stack.modes import BY_STICKS, Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.orbits import can_turn
 from qrsim.links.mavlink.stack.path import VERTICAL, braking_way
@@ -80,6 +80,14 @@ class Failsafes:
             craft.say(Severity.CRITICAL, "Failsafe: no offboard set-points")
             asked = max(asked, _OFFBOARD[int(values["COM_OBL_RC_ACT"])])
         return asked
+
+    def look_at_sticks(self, craft: Craft, mode: Mode, fresh: bool) -> int:
+        """Return what a vehicle that is flown by sticks is to do once they are ``fresh`` no more."""
+        if mode not in BY_STICKS or fresh:
+            return NOTHING
+        craft.say(Severity.CRITICAL, "Failsafe: no manual control input")
+        # To fly on without them is no choice.
+        return _LINK.get(int(craft.parameters.values["NAV_RCL_ACT"])) or HOLD
 
     def _look_at_battery(self, craft: Craft) -> int:
         charge, values = craft.seen.charge, craft.parameters.values

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import failsafes as grave
 from qrsim.links.mavlink.stack.arming import ArmingChecks
+from qrsim.links.mavlink.stack.circling import Orbit
 from qrsim.links.mavlink.stack.codes import Landed, MissionState, Result, Severity
 from qrsim.links.mavlink.stack.contracts import Facts, FlavourName, Item, Seen, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.failsafes import Failsafes
+from qrsim.links.mavlink.stack.following import Follow
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.landing import Descent
 from qrsim.links.mavlink.stack.mission import Mission
-from qrsim.links.mavlink.stack.modes import FLAVOURS, Mode
+from qrsim.links.mavlink.stack.modes import BY_STICKS, FLAVOURS, Flavour, Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.parameters import Parameters
 from qrsim.links.mavlink.stack.returning import Return
+from qrsim.links.mavlink.stack.sticks import Sticks
 from qrsim.models.site import Site
 
 # A take-off is done within this height [m].
 TAKEN_OFF = 0.3
+# Sticks hold for so long with ArduPilot's flavour [s].
+RC_OVERRIDE_TIME = 3.0
 
 
 class Flight:
@@ -36,9 +44,12 @@ class Flight:
         mode: what it does.
         armed: whether its motors may turn.
         guided: whether HOLD is ArduPilot's GUIDED.
-        craft, plan, offboard, failsafes, checks: its parts.
+        craft, plan, offboard, orbit, follow, by_sticks, failsafes, checks: its parts.
         rally: points of the rally plan.
     """
+
+    _flavours: ClassVar[Mapping[str, Flavour]] = FLAVOURS
+    _plan: ClassVar[type[Mission]] = Mission
 
     def __init__(
         self,
@@ -54,9 +65,9 @@ class Flight:
             if facts.loiter_radius:
                 start["NAV_LOITER_RAD"] = facts.loiter_radius
             parameters = Parameters(start)
-        self.parameters, self.flavour = parameters, FLAVOURS[flavour]
+        self.parameters, self.flavour = parameters, self._flavours[flavour]
         self.craft = Craft(facts, self.parameters, Geodesy(site))
-        self.plan = Mission(flavour)
+        self.plan: Mission = self._plan(flavour)
         self.rally: tuple[Item, ...] = ()
         self.reset()
 
@@ -65,6 +76,7 @@ class Flight:
         self.craft.reset()
         self.mode, self.armed, self.guided = Mode.HOLD, False, False
         self.offboard, self.failsafes, self.checks = Offboard(), Failsafes(), ArmingChecks()
+        self.orbit, self.follow, self.by_sticks, self._loiters = Orbit(), Follow(), Sticks(), False
         self.offboard.keeps_places = self.flavour.name == "ardupilot"
         self._return, self._descent = Return(), Descent()
         self._goal: Triple | None = None
@@ -90,6 +102,7 @@ class Flight:
             self.disarm("")
             return craft.idle()
         asked = self.failsafes.look(craft, self.mode, self.offboard, self.factor)
+        asked = max(asked, self.failsafes.look_at_sticks(craft, self.mode, self._has_sticks))
         if asked:
             self._fail_over(asked)
         order, landed = self._fly() if self.armed else (craft.idle(), False)
@@ -102,12 +115,18 @@ class Flight:
         if not craft.seen.valid and mode is not Mode.OFFBOARD:
             # Blind: level, and a little less than the weight.
             return craft.lean(0.0, 0.0, 0.95 * self.facts.hover_throttle if craft.flies else 0.0), False
+        if mode in BY_STICKS or self._loiters_by_sticks():
+            return self.by_sticks.fly(craft, mode if mode in BY_STICKS else Mode.POSITION)
         if mode is Mode.HOLD:
             return self._hold(), False
         if mode is Mode.TAKEOFF:
             return self._take_off(), False
         if mode is Mode.MISSION:
             return self._fly_mission()
+        if mode is Mode.ORBIT:
+            return self.orbit.fly(craft), False
+        if mode is Mode.FOLLOW:
+            return self.follow.fly(craft, max(1.0, self.factor)), False
         if mode is Mode.RTL:
             return self._return.fly(craft)
         if mode is Mode.LAND:
@@ -123,6 +142,23 @@ class Flight:
         if self._goal is None:
             self._goal = craft.path.stop(self.parameters["MPC_ACC_HOR"])
         return craft.go(self._goal)
+
+    @property
+    def _has_sticks(self) -> bool:
+        """Whether sticks are told; ArduPilot waits for RC_OVERRIDE_TIME."""
+        limit = RC_OVERRIDE_TIME if self.flavour.name == "ardupilot" else self.parameters["COM_RC_LOSS_T"]
+        return self.by_sticks.fresh(self.craft, limit * max(1.0, self.factor))
+
+    def _loiters_by_sticks(self) -> bool:
+        """Return whether it is in ArduPilot's LOITER, which sticks move while there are any."""
+        before = self._loiters
+        mine = self.mode is Mode.HOLD and not self.guided and self.flavour.name == "ardupilot"
+        self._loiters = mine and self._has_sticks
+        if self._loiters and not before:
+            self.by_sticks.begin(self.craft)
+        elif before and not self._loiters:
+            self._goal = None
+        return self._loiters
 
     def _take_off(self) -> Order | None:
         craft = self.craft
@@ -186,7 +222,10 @@ class Flight:
         """Whether it is coming down to the ground."""
         mode = self.mode
         return (
-            mode is Mode.LAND or (mode is Mode.RTL and self._return.lands) or (mode is Mode.MISSION and self.plan.lands)
+            mode is Mode.LAND
+            or ((mode in BY_STICKS or self._loiters) and self.by_sticks.lands)
+            or (mode is Mode.RTL and self._return.lands)
+            or (mode is Mode.MISSION and self.plan.lands)
         )
 
     # ---- arming ----
@@ -201,6 +240,8 @@ class Flight:
             reasons = []
         if not reasons and self.mode is Mode.OFFBOARD and not self.fresh():
             reasons = ["offboard without set-points"]
+        if not reasons and self.mode in BY_STICKS and not self._has_sticks:
+            reasons = ["no manual control input"]
         if reasons:
             ardupilot = self.flavour.name == "ardupilot"
             if not ardupilot:
@@ -221,6 +262,8 @@ class Flight:
             self.plan.begin(craft)
         elif self.mode is Mode.OFFBOARD:
             self.offboard.begin(craft)
+        elif self.mode in BY_STICKS:
+            self.by_sticks.begin(craft)
         elif self._goal is not None:
             here = craft.seen.position_ned
             self._goal = (here[0], here[1], self._goal[2])
@@ -252,14 +295,20 @@ class Flight:
 
     # ---- modes ----
 
-    def request(self, mode: Mode | None) -> Result:
+    def request_number(self, custom_mode: int) -> Result:
+        """Change to the mode of a custom_mode, or say why not."""
+        mode = self.flavour.mode_of(custom_mode)
+        return self.refuse_mode(custom_mode, "not flown here") if mode is None else self.request(mode)
+
+    def request(self, mode: Mode) -> Result:
         """Change the mode as somebody asks, or say why not."""
         craft = self.craft
-        if mode is None:
-            return Result.UNSUPPORTED
-        if mode is Mode.MANUAL:
-            craft.say(Severity.CRITICAL, "Mode rejected: no remote control")
-            return Result.TEMPORARILY_REJECTED
+        if mode in BY_STICKS and not self._has_sticks:
+            return self.refuse_mode(self.flavour.numbers[mode], "no manual control input")
+        if mode is Mode.ORBIT:
+            if not (self.armed and craft.flies):
+                return self.refuse_mode(self.flavour.numbers[mode], "not in the air")
+            self.orbit = Orbit.ahead(craft)
         if mode is Mode.MISSION and (not self.plan.items or self.plan.why_not(craft)):
             if not self.plan.items:
                 craft.say(Severity.CRITICAL, "Mission rejected: no mission")
@@ -276,11 +325,16 @@ class Flight:
         self.switch(wanted)
         return Result.ACCEPTED
 
+    def refuse_mode(self, custom_mode: int, why: str) -> Result:
+        """Say that a mode cannot be had, as PX4's Commander or ArduPilot's Copter say it, and return the answer."""
+        self.craft.say(Severity.CRITICAL, self.flavour.refusal(custom_mode, why))
+        return Result.TEMPORARILY_REJECTED if self.flavour.name == "px4" else Result.FAILED
+
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
         """Change the mode; ``goal`` [m] is where HOLD and TAKEOFF go."""
         craft, before = self.craft, self.mode
         self.mode, self._goal = mode, goal
-        if self._landed_at is not None and mode in (Mode.TAKEOFF, Mode.MISSION, Mode.OFFBOARD):
+        if self._landed_at is not None and mode in BY_STICKS | {Mode.TAKEOFF, Mode.MISSION, Mode.OFFBOARD, Mode.FOLLOW}:
             # It has landed, and is to fly again.
             self._took_off, self._armed_at, self._landed_at = False, craft.seen.time, None
         if before is Mode.MISSION and mode is not Mode.MISSION:
@@ -292,6 +346,10 @@ class Flight:
             self._return.begin(craft, self.rally)
         elif mode is Mode.OFFBOARD:
             self.offboard.begin(craft)
+        elif mode is Mode.FOLLOW:
+            self.follow.begin(craft)
+        elif mode in BY_STICKS:
+            self.by_sticks.begin(craft)
         else:
             craft.begin_path()
         if mode is Mode.LAND:

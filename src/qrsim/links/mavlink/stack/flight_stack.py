@@ -13,11 +13,13 @@ from qrsim.links.mavlink.stack.contracts import (
     Facts,
     FenceStatus,
     FlavourName,
+    FollowTarget,
     Health,
     Heartbeat,
     Home,
     Item,
     MissionStatus,
+    OrbitStatus,
     Target,
     Text,
     Triple,
@@ -28,6 +30,8 @@ from qrsim.links.mavlink.stack.modes import ARMED_FLAG, Mode
 from qrsim.links.mavlink.stack.parameters import Parameters
 from qrsim.models.site import Site
 
+# Automatic modes, which sticks that move take over from.
+OVERRIDDEN = frozenset((Mode.HOLD, Mode.TAKEOFF, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.FOLLOW))
 # MAV_STATE.
 STANDBY, ACTIVE, CRITICAL, TERMINATION = 3, 4, 5, 8
 
@@ -63,7 +67,7 @@ class FlightStack(Flight):
         """Obey or refuse a SET_MODE message; without the flag of custom modes none is meant."""
         if not base_mode & 1:
             return Result.UNSUPPORTED
-        return self.request(self.flavour.of_custom(custom_mode))
+        return self.request_number(custom_mode)
 
     def setpoint(self, target: Target) -> bool:
         """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
@@ -72,6 +76,23 @@ class FlightStack(Flight):
         if taken and self.guided and (self.mode is Mode.HOLD or (self.mode is Mode.TAKEOFF and self.craft.flies)):
             self.switch(Mode.OFFBOARD)
         return taken
+
+    def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
+        """Take sticks, each -1 to 1, NaN for one that is not told: right, forwards, up, right."""
+        moved = self.by_sticks.take((roll, pitch, throttle, yaw), self.craft)
+        overrides = self.flavour.name == "px4" and int(self.parameters["COM_RC_OVERRIDE"]) & 1
+        automatic = self.armed and self.craft.flies and self.mode in OVERRIDDEN
+        if moved and overrides and automatic and Mode.POSITION in self.flavour.modes:
+            self.craft.say(Severity.INFO, "Pilot took over using sticks")
+            self.switch(Mode.POSITION)
+
+    def follow_target(self, target: FollowTarget) -> None:
+        """Take where the target of follow-me is."""
+        self.follow.take(target, self.craft)
+
+    def orbiting(self) -> OrbitStatus | None:
+        """Return the orbit that is flown, None while none is."""
+        return OrbitStatus(self.orbit.radius, self.orbit.centre) if self.mode is Mode.ORBIT else None
 
     def thrust_of(self, throttle: float) -> float:
         """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
@@ -141,7 +162,7 @@ class FlightStack(Flight):
     def heartbeat(self) -> Heartbeat:
         """Return what HEARTBEAT and EXTENDED_SYS_STATE say."""
         told, craft = self._heartbeat, self.craft
-        told.base_mode = self.flavour.base_mode | (ARMED_FLAG if self.armed else 0)
+        told.base_mode = self.flavour.flags(self.mode) | (ARMED_FLAG if self.armed else 0)
         told.custom_mode = self.flavour.custom_mode(self.mode, self.guided)
         told.landed = craft.landed
         told.system_status = ACTIVE if self.armed else STANDBY

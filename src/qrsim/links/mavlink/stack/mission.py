@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
+from qrsim.links.mavlink.stack.circling import Circle
 from qrsim.links.mavlink.stack.codes import MissionState, PlanResult, Severity
 from qrsim.links.mavlink.stack.contracts import FlavourName, Item, MissionStatus, Triple
 from qrsim.links.mavlink.stack.craft import Craft
@@ -57,7 +58,7 @@ class Mission:
         self._goal: Triple | None = None
         self._from: Triple | None = None
         self._arrived: float | None = None
-        self._turned = self._entry = 0.0
+        self._turns = Circle()
         self._lifted = False
         self.rises = self.lands = False
         self.descent.begin()
@@ -303,28 +304,15 @@ class Mission:
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
         """Fly turns round a place, beginning where the vehicle is; a negative radius is the other way."""
-        here, path, signed = craft.seen.position_ned, craft.path, _turn_radius(item)
-        radius, sign = abs(signed), math.copysign(1.0, signed)
+        radius, turns = _turn_radius(item), self._turns
         if self._arrived is None:
             self._arrived = craft.seen.time
-            self._entry = math.atan2(here[1] - centre[1], here[0] - centre[0])
-        dt, acceleration = craft.facts.time_step, craft.parameters["MPC_ACC_HOR"]
-        speed = min(craft.speeds()[0], math.sqrt(0.5 * acceleration * radius))
-        angle = self._entry + sign * self._turned
-        sine, cosine = math.sin(angle), math.cos(angle)
-        place = (centre[0] + radius * cosine, centre[1] + radius * sine, centre[2])
-        done = self._turned >= 2.0 * math.pi * item.params[0]
-        craft.yaw = math.atan2(sign * cosine, -sign * sine)
-        # The point on the circle waits for the vehicle, as every path does.
-        speed *= min(max(1.0 - (math.dist(here, place) - 2.0) / 3.0, 0.0), 1.0)
-        if speed == 0.0:
-            return False, craft.go(place)
-        self._turned += speed * dt / radius
-        along, inward = sign * speed, -speed * speed / radius
-        path.position = place
-        path.velocity = (-along * sine, along * cosine, 0.0)
-        path.acceleration = (inward * cosine, inward * sine, 0.0)
-        return done, craft.follow(path.position, path.velocity, path.acceleration)
+            turns.begin(craft, centre)
+        done = turns.turned >= 2.0 * math.pi * item.params[0]
+        craft.yaw = turns.tangent(radius)
+        speed = min(craft.speeds()[0], math.sqrt(0.5 * craft.parameters["MPC_ACC_HOR"] * abs(radius)))
+        order, moves = turns.fly(craft, centre, radius, speed)
+        return done and moves, order
 
     def _land(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
         here = craft.seen.position_ned

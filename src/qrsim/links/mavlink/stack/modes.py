@@ -1,15 +1,16 @@
-"""Modes of the stack, and their numbers in PX4's and in ArduPilot's language."""
+"""Modes of the stack, and their numbers and names in PX4's and in ArduPilot's language."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 from qrsim.links.mavlink.stack.contracts import FlavourName
 
 
 class Mode(Enum):
-    """What a vehicle does; MANUAL stands for all modes that need a remote control, which there is none of."""
+    """What a vehicle does; POSITION, ALTITUDE and STABILIZED are flown by sticks."""
 
     HOLD = "hold"
     TAKEOFF = "takeoff"
@@ -18,23 +19,25 @@ class Mode(Enum):
     LAND = "land"
     OFFBOARD = "offboard"
     GUIDED = "guided"
-    MANUAL = "manual"
+    ORBIT = "orbit"
+    FOLLOW = "follow"
+    POSITION = "position"
+    ALTITUDE = "altitude"
+    STABILIZED = "stabilized"
 
 
-# PX4: main mode, and the sub mode of AUTO (4).
-_PX4 = {
-    Mode.TAKEOFF: (4, 2), Mode.HOLD: (4, 3), Mode.MISSION: (4, 4), Mode.RTL: (4, 5), Mode.LAND: (4, 6),
-    Mode.OFFBOARD: (6, 0),
-}  # fmt: skip
-_PX4_OF = {numbers: mode for mode, numbers in _PX4.items()}
-_PX4_MANUAL = frozenset((1, 2, 3, 5, 7, 8))
-# ArduPilot Copter; GUIDED is where scripts take off and send set-points.
-_ARDUPILOT = {
-    Mode.MISSION: 3, Mode.GUIDED: 4, Mode.HOLD: 5, Mode.RTL: 6, Mode.LAND: 9, Mode.TAKEOFF: 4, Mode.OFFBOARD: 4,
-}  # fmt: skip
-_ARDUPILOT_OF = {3: Mode.MISSION, 4: Mode.GUIDED, 5: Mode.HOLD, 6: Mode.RTL, 9: Mode.LAND, 17: Mode.HOLD}
-_ARDUPILOT_MANUAL = frozenset((0, 1, 2, 7, 13, 16))
+BY_STICKS = frozenset((Mode.POSITION, Mode.ALTITUDE, Mode.STABILIZED))
 ARMED_FLAG = 128
+# MAV_MODE_FLAG of a vehicle that is flown by sticks: custom, stabilised, manual input.
+_STICKS_FLAGS = 1 | 16 | 64
+# MAV_STANDARD_MODE, of PX4's modes alone: ArduPilot calls all of its own non-standard.
+STANDARD = {
+    Mode.POSITION: 1, Mode.ORBIT: 2, Mode.ALTITUDE: 4, Mode.RTL: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8,
+}  # fmt: skip
+
+
+def _px4(main: int, sub: int = 0) -> int:
+    return (main << 16) | (sub << 24)
 
 
 @dataclass(frozen=True)
@@ -45,35 +48,103 @@ class Flavour:
         name: "px4" or "ardupilot".
         autopilot: MAV_AUTOPILOT.
         base_mode: MAV_MODE_FLAG without the armed one.
+        modes: those that the vehicle has.
+        numbers: custom_mode of each of them, of PX4 of all modes.
+        names: of custom_modes, also of those that it does not have.
+        aliases: further custom_modes that are taken for a mode.
+        guided: custom_mode of ArduPilot's GUIDED; -1 of PX4.
     """
 
     name: FlavourName
     autopilot: int
     base_mode: int
+    modes: frozenset[Mode]
+    numbers: Mapping[Mode, int]
+    names: Mapping[int, str]
+    aliases: Mapping[int, Mode] = field(default_factory=dict)
+    guided: int = -1
 
     def custom_mode(self, mode: Mode, guided: bool = False) -> int:
         """Return the custom_mode of HEARTBEAT; ``guided``: HOLD is that of ArduPilot's GUIDED."""
-        if self.name == "ardupilot":
-            return 4 if guided and mode is Mode.HOLD else _ARDUPILOT[mode]
-        main, sub = _PX4[mode]
-        return (main << 16) | (sub << 24)
+        return self.guided if guided and mode is Mode.HOLD and self.guided >= 0 else self.numbers[mode]
 
-    def mode_of(self, main: int, sub: int) -> Mode | None:
-        """Return the mode of DO_SET_MODE's numbers (of ArduPilot: the first), None where there is none."""
-        if self.name == "ardupilot":
-            return Mode.MANUAL if main in _ARDUPILOT_MANUAL else _ARDUPILOT_OF.get(main)
-        if main in _PX4_MANUAL:
-            return Mode.MANUAL
-        return _PX4_OF.get((main, sub if main == 4 else 0))
+    def flags(self, mode: Mode) -> int:
+        """Return the base_mode of HEARTBEAT, without the armed flag."""
+        return _STICKS_FLAGS if mode in BY_STICKS and self.name == "px4" else self.base_mode
 
-    def of_custom(self, custom_mode: int) -> Mode | None:
-        """Return the mode of a custom_mode, None where there is none."""
-        if self.name == "ardupilot":
-            return self.mode_of(custom_mode, 0)
-        return self.mode_of((custom_mode >> 16) & 255, (custom_mode >> 24) & 255)
+    def custom_of(self, main: int, sub: int) -> int:
+        """Return the custom_mode of DO_SET_MODE's numbers; of ArduPilot it is the first."""
+        return main if self.name == "ardupilot" else _px4(main, sub)
+
+    def mode_of(self, custom_mode: int) -> Mode | None:
+        """Return the mode of a custom_mode, None where there is none.
+
+        As in PX4's Commander any sub mode of Position is Position, and that of AUTO without one is Mission; an orbit
+        begins by its command alone.
+        """
+        if self.guided >= 0 and custom_mode == self.guided:
+            return Mode.GUIDED
+        if self.name == "px4" and (custom_mode >> 16) & 255 != 4:
+            custom_mode &= 0xFF0000
+        if custom_mode in self.aliases:
+            return self.aliases[custom_mode]
+        return next((mode for mode, number in self.numbers.items() if number == custom_mode), None)
+
+    def refusal(self, custom_mode: int, why: str) -> str:
+        """Return what a vehicle says that cannot have a mode, in the words of PX4's Commander or ArduPilot's Copter."""
+        name = self.names.get(custom_mode)
+        if self.name == "px4":
+            return f"Switching to mode '{name}' is currently not possible: {why}" if name else "Unsupported mode"
+        return f"Mode change to {name} failed: {why}" if name else f"No such mode {custom_mode}"
 
 
-FLAVOURS: dict[str, Flavour] = {
-    "px4": Flavour("px4", 12, 1 + 4 + 8 + 16),
-    "ardupilot": Flavour("ardupilot", 3, 1 + 8 + 16 + 64),
-}
+_PX4_NUMBERS = {
+    Mode.STABILIZED: _px4(7), Mode.ALTITUDE: _px4(2), Mode.POSITION: _px4(3), Mode.ORBIT: _px4(3, 1),
+    Mode.TAKEOFF: _px4(4, 2), Mode.HOLD: _px4(4, 3), Mode.MISSION: _px4(4, 4), Mode.RTL: _px4(4, 5),
+    Mode.LAND: _px4(4, 6), Mode.FOLLOW: _px4(4, 8), Mode.OFFBOARD: _px4(6),
+}  # fmt: skip
+_PX4_NAMES = {
+    _px4(1): "Manual", _px4(2): "Altitude", _px4(3): "Position", _px4(3, 1): "Orbit", _px4(3, 2): "Position Slow",
+    _px4(4, 2): "Takeoff", _px4(4, 3): "Hold", _px4(4, 4): "Mission", _px4(4, 5): "Return", _px4(4, 6): "Land",
+    _px4(4, 8): "Follow Target", _px4(4, 9): "Precision Landing", _px4(4, 10): "VTOL Takeoff", _px4(5): "Acro",
+    _px4(6): "Offboard", _px4(7): "Stabilized",
+}  # fmt: skip
+# A multicopter's Manual is its Stabilized; Mission stands for AUTO without a sub mode.
+_PX4_ALIASES = {_px4(1): Mode.STABILIZED, _px4(4): Mode.MISSION}
+_COPTER = dict(enumerate((
+    "STABILIZE", "ACRO", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "", "LAND", "", "DRIFT", "", "SPORT",
+    "FLIP", "AUTOTUNE", "POSHOLD", "BRAKE", "THROW", "AVOID_ADSB", "GUIDED_NOGPS", "SMART_RTL", "FLOWHOLD", "FOLLOW",
+    "ZIGZAG", "SYSTEMID", "AUTOROTATE", "AUTO_RTL", "TURTLE",
+)))  # fmt: skip
+# GUIDED is where scripts take off and send set-points.
+_COPTER_NUMBERS = {
+    Mode.STABILIZED: 0, Mode.ALTITUDE: 2, Mode.MISSION: 3, Mode.HOLD: 5, Mode.RTL: 6, Mode.ORBIT: 7, Mode.LAND: 9,
+    Mode.POSITION: 16, Mode.TAKEOFF: 4, Mode.OFFBOARD: 4,
+}  # fmt: skip
+_ROVER = {
+    0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE", 8: "DOCK", 9: "CIRCLE",
+    10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED",
+}  # fmt: skip
+_PLANE = {
+    0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB", 7: "CRUISE",
+    8: "AUTOTUNE", 10: "AUTO", 11: "RTL", 12: "LOITER", 13: "TAKEOFF", 15: "GUIDED", 24: "THERMAL",
+}  # fmt: skip
+
+
+def _flavours(
+    own: Mapping[Mode, int], names: Mapping[int, str], guided: int, aliases: Mapping[int, Mode] | None = None
+) -> dict[str, Flavour]:
+    """Return both flavours of a kind of vehicle, by its modes in ArduPilot's numbers."""
+    modes = frozenset(own)
+    return {
+        "px4": Flavour(
+            "px4", 12, 1 + 4 + 8 + 16, modes | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes, _PX4_NUMBERS,
+            _PX4_NAMES, _PX4_ALIASES,
+        ),
+        "ardupilot": Flavour("ardupilot", 3, 1 + 8 + 16 + 64, modes, own, names, aliases or {}, guided),
+    }  # fmt: skip
+
+
+FLAVOURS = _flavours(_COPTER_NUMBERS, _COPTER, 4, {17: Mode.HOLD})
+ROVER_FLAVOURS = _flavours({Mode.HOLD: 4, Mode.MISSION: 10, Mode.RTL: 11, Mode.OFFBOARD: 15}, _ROVER, 15)
+WING_FLAVOURS = _flavours({Mode.HOLD: 12, Mode.MISSION: 10, Mode.RTL: 11}, _PLANE, 15)

@@ -62,7 +62,15 @@ TABLE: tuple[Parameter, ...] = (
     _int("COM_LOW_BAT_ACT", 0, 0, 3, "0 warn; 2 land at critical; 3 return at critical, land at emergency"),
     _int("COM_OBL_RC_ACT", 0, 0, 7, "offboard lost: 0 to 2 and 5 hold, 3 return, 4 land, 6 terminate, 7 disarm"),
     _real("COM_OF_LOSS_T", 1.0, 0.0, 60.0, "s", "time without a set-point until offboard is lost"),
-    _int("COM_RC_IN_MODE", 4, 0, 4, "4: no remote control; there is none"),
+    _int("COM_RC_IN_MODE", 1, 0, 4, "sticks: 0 RC override; 1 MANUAL_CONTROL; 2, 3 both; 4 none; PX4 only"),
+    _real("COM_RC_LOSS_T", 0.5, 0.0, 35.0, "s", "time without sticks until they are lost; PX4 only"),
+    _int("COM_RC_OVERRIDE", 1, 0, 3, "1, 3: sticks that move far take over from automatic modes; PX4 only"),
+    _int("FLW_TGT_ALT_M", 0, 0, 2, "follow-me: 0 and 1 height over home, 2 over the target"),
+    _real("FLW_TGT_DST", 8.0, 1.0, 1000.0, "m", "follow-me: distance to the target"),
+    _real("FLW_TGT_FA", 180.0, -180.0, 180.0, "deg", "follow-me: side of the target; 0 in front, 90 to its right"),
+    _real("FLW_TGT_HT", 8.0, 8.0, 1000.0, "m", "follow-me: height"),
+    _real("FLW_TGT_MAX_VEL", 5.0, 0.0, 20.0, "m/s", "follow-me: largest speed round the target"),
+    _real("FLW_TGT_RS", 0.1, 0.0, 1.0, "1", "kept for clients that set it: the target is taken as told"),
     _int("GF_ACTION", 2, 0, 5, "fence breached: 0 none, 1 warn, 2 hold, 3 return, 4 terminate, 5 land"),
     _real("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0, "m", "largest distance from home; 0: any"),
     _real("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0, "m", "largest height over home; 0: any"),
@@ -72,8 +80,11 @@ TABLE: tuple[Parameter, ...] = (
     _real("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "largest horizontal acceleration of the path"),
     _real("MPC_JERK_AUTO", 4.0, 1.0, 80.0, "m/s^3", "largest jerk of the path"),
     _real("MPC_LAND_SPEED", 0.7, 0.3, 1.4, "m/s", "speed of a landing near the ground"),
+    _real("MPC_MAN_TILT_MAX", 35.0, 1.0, 70.0, "deg", "largest tilt by sticks"),
+    _real("MPC_MAN_Y_MAX", 150.0, 0.0, 400.0, "deg/s", "largest turn by the yaw stick"),
     _real("MPC_THR_HOVER", 0.5, 0.1, 0.8, "1", "thrust of set-points that carries the weight"),
     _real("MPC_TKO_SPEED", 1.5, 0.5, 5.0, "m/s", "speed of a take-off"),
+    _real("MPC_VEL_MANUAL", 10.0, 3.0, 20.0, "m/s", "largest horizontal speed by sticks"),
     _real("MPC_XY_CRUISE", 5.0, 3.0, 20.0, "m/s", "speed of missions, return and reposition"),
     _real("MPC_XY_VEL_MAX", 12.0, 0.0, 20.0, "m/s", "largest horizontal speed of set-points"),
     _int("MPC_YAW_MODE", 0, 0, 4, "heading on the way: 0 to the place, 1 to home, 2 from home, 3 along, 4 turn first"),
@@ -82,6 +93,7 @@ TABLE: tuple[Parameter, ...] = (
     _real("NAV_ACC_RAD", 2.0, 0.05, 200.0, "m", "distance at which an item that gives none counts as reached"),
     _int("NAV_DLL_ACT", 0, 0, 6, "link to the ground lost: 0 none, 1 hold, 2 return, 3 land, 5 terminate, 6 disarm"),
     _real("NAV_LOITER_RAD", 80.0, 25.0, 1000.0, "m", "radius of circles of a fixed wing; default: its controller's"),
+    _int("NAV_RCL_ACT", 2, 0, 6, "sticks lost in a mode that needs them: as NAV_DLL_ACT"),
     _real("RTL_DESCEND_ALT", 10.0, 0.0, 100.0, "m", "height over home from which a return lands slowly"),
     _real("RTL_LAND_DELAY", 0.0, -1.0, 100.0, "s", "time above home before a return lands; below 0: it does not"),
     _real("RTL_MIN_DIST", 10.0, 0.5, 100.0, "m", "distance from home within which a return climbs less"),
@@ -89,7 +101,7 @@ TABLE: tuple[Parameter, ...] = (
     _int("SYS_AUTOCONFIG", 0, 0, 2, "kept for clients that look at it"),
     _int("SYS_AUTOSTART", 4001, 0, 9999999, "kept for clients that look at it: a quadrotor x"),
 )  # fmt: skip
-READ_ONLY = frozenset({"MAV_SYS_ID", "MAV_COMP_ID", "COM_RC_IN_MODE"})
+READ_ONLY = frozenset({"MAV_SYS_ID", "MAV_COMP_ID"})
 
 
 class Parameters:

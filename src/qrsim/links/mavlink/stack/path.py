@@ -16,6 +16,8 @@ BRAKING = 0.6
 WAITS_FROM, WAITS_OVER = 2.0, 3.0
 # Largest vertical acceleration of the point [m/s^2].
 VERTICAL = 2.5
+# Velocity of a goal that stands.
+STANDS: Triple = (0.0, 0.0, 0.0)
 
 
 class Path:
@@ -48,8 +50,9 @@ class Path:
         return self.position[0] + north * ratio, self.position[1] + east * ratio, self.position[2] + fall
 
     def move(
-        self, goal: Triple, here: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float = 0.0
-    ) -> None:
+        self, goal: Triple, here: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float = 0.0,
+        along: Triple = STANDS,
+    ) -> None:  # fmt: skip
         """Move the point on by a step.
 
         Args:
@@ -59,6 +62,7 @@ class Path:
             limits: largest horizontal acceleration [m/s^2] and jerk [m/s^3].
             dt: step [s].
             beyond: how far beyond the goal the way goes on: so much later it brakes [m].
+            along: velocity of the goal itself [m/s].
         """
         px, py, pz = self.position
         vx, vy, vz = self.velocity
@@ -72,11 +76,16 @@ class Path:
         if ratio * dt > 1.0:
             # Never past the goal within a step.
             ratio = 1.0 / dt
-        bx, by = dx * ratio * rate - vx, dy * ratio * rate - vy
+        wx, wy = dx * ratio, dy * ratio
+        if along != STANDS:
+            wx, wy = wx + along[0], wy + along[1]
+            ratio = min(1.0, speeds[0] / max(math.hypot(wx, wy), 1e-9))
+            wx, wy = wx * ratio, wy * ratio
+        bx, by = wx * rate - vx, wy * rate - vy
         size = math.hypot(bx, by)
         ratio = _answer(size, most, jerk) / size if size > 1e-9 else 0.0
         bx, by = bx * ratio, by * ratio
-        bz = math.copysign(approach(abs(dz), BRAKING * VERTICAL), dz)
+        bz = math.copysign(approach(abs(dz), BRAKING * VERTICAL), dz) + along[2]
         bz = min(max(bz, -speeds[1]), speeds[2]) * rate - vz
         bz = math.copysign(_answer(abs(bz), VERTICAL, jerk), bz)
         step = jerk * dt

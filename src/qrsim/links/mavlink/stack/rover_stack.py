@@ -8,40 +8,17 @@ from collections.abc import Sequence
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
 from qrsim.links.mavlink.stack.codes import PlanResult, Result, Severity
-from qrsim.links.mavlink.stack.contracts import Ack, Command, Facts, FlavourName, Item, Seen, Triple
+from qrsim.links.mavlink.stack.contracts import Ack, Command, Item, Seen, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.ground_setpoints import GroundOffboard, stop_at
 from qrsim.links.mavlink.stack.mission import Mission
-from qrsim.links.mavlink.stack.modes import FLAVOURS, Flavour, Mode
-from qrsim.links.mavlink.stack.parameters import Parameters
-from qrsim.models.site import Site
+from qrsim.links.mavlink.stack.modes import ROVER_FLAVOURS, Mode
 
-# Land, take off, turn on the spot.
-REFUSED = frozenset((21, 22, 115))
+# Land, take off, orbit, turn on the spot.
+REFUSED = frozenset((21, 22, 34, 115))
 # Items that need height, or circles.
 UNSUPPORTED = frozenset((plan.LOITER_TURNS, plan.LAND, plan.TAKEOFF, plan.LOITER_TO_ALTITUDE))
-# ArduPilot Rover; GUIDED is where it takes set-points.
-_GUIDED = 15
-_ARDUPILOT = {Mode.HOLD: 4, Mode.MISSION: 10, Mode.RTL: 11, Mode.OFFBOARD: _GUIDED}
-
-
-class RoverFlavour(Flavour):
-    """Numbers of modes as a rover has them."""
-
-    def custom_mode(self, mode: Mode, guided: bool = False) -> int:
-        """Return the custom_mode of HEARTBEAT."""
-        if self.name != "ardupilot":
-            return super().custom_mode(mode, guided)
-        return _GUIDED if guided and mode is Mode.HOLD else _ARDUPILOT[mode]
-
-    def mode_of(self, main: int, sub: int) -> Mode | None:
-        """Return the mode of DO_SET_MODE's numbers, None where there is none."""
-        if self.name != "ardupilot":
-            return super().mode_of(main, sub)
-        if main == _GUIDED:
-            return Mode.GUIDED
-        return next((mode for mode, number in _ARDUPILOT.items() if number == main), None)
 
 
 class Drive(Mission):
@@ -75,18 +52,8 @@ class Drive(Mission):
 class RoverStack(FlightStack):
     """See ``contracts.Stack``; the arguments are those of ``FlightStack``."""
 
-    def __init__(
-        self,
-        facts: Facts,
-        site: Site,
-        parameters: Parameters | None = None,
-        flavour: FlavourName = "px4",
-        factor: float = 1.0,
-    ):
-        super().__init__(facts, site, parameters, flavour, factor)
-        base = FLAVOURS[flavour]
-        self.flavour = RoverFlavour(base.name, base.autopilot, base.base_mode)
-        self.plan = Drive(flavour)
+    _flavours = ROVER_FLAVOURS
+    _plan = Drive
 
     def reset(self) -> None:
         """Begin again as after a boot."""
@@ -158,16 +125,16 @@ class RoverStack(FlightStack):
         self._refuse(f"Command {command.id}", "a rover cannot")
         return Ack(Result.DENIED)
 
-    def request(self, mode: Mode | None) -> Result:
+    def request(self, mode: Mode) -> Result:
         """Change the mode as somebody asks, or say why not."""
-        if mode is None or mode in _ARDUPILOT or mode is Mode.GUIDED:
+        if mode in self.flavour.modes or mode is Mode.GUIDED:
             return super().request(mode)
         self._refuse("Mode", f"a rover has no {mode.value}")
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
         """Change the mode; what ends a flight on the ground has a rover stand."""
-        if mode in _ARDUPILOT:
+        if mode in self.flavour.modes:
             super().switch(mode, goal)
         else:
             super().switch(Mode.HOLD)

@@ -36,7 +36,7 @@ class Tour(Mission):
         super()._forget()
         self._begin: Triple = (0.0, 0.0, 0.0)
         self._centre: Triple | None = None
-        self._angle = 0.0
+        self._angle = self._turned = 0.0
 
     # ---- the plan ----
 

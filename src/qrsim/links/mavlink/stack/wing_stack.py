@@ -3,45 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import orbits
 from qrsim.links.mavlink.stack.codes import Landed, Result, Severity
 from qrsim.links.mavlink.stack.commands import place_in
-from qrsim.links.mavlink.stack.contracts import Ack, Command, Facts, FlavourName, Home, Seen, Target, Triple
+from qrsim.links.mavlink.stack.contracts import Ack, Command, Home, Seen, Target, Triple
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
-from qrsim.links.mavlink.stack.modes import FLAVOURS, Flavour, Mode
-from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.modes import WING_FLAVOURS, Mode
 from qrsim.links.mavlink.stack.plan import place_of
 from qrsim.links.mavlink.stack.tour import NO_RUNWAY, REACH, Tour, why_no_airspeed, why_no_speed
-from qrsim.models.site import Site
 
 # Orders by which a wing is flown.
 FLOWN = frozenset({"track", "control"})
-LAND, TAKE_OFF, TURN, CHANGE_SPEED, REPOSITION = 21, 22, 115, 178, 192
-# ArduPilot Plane: LOITER, AUTO, RTL; GUIDED.
-_ARDUPILOT = {Mode.HOLD: 12, Mode.MISSION: 10, Mode.RTL: 11}
-_GUIDED = 15
+LAND, TAKE_OFF, ORBIT, TURN, CHANGE_SPEED, REPOSITION = 21, 22, 34, 115, 178, 192
 # A set-point that is refused is said once in so long [s].
 SAID_EVERY_S = 5.0
-
-
-class WingFlavour(Flavour):
-    """Numbers of modes as a fixed wing has them."""
-
-    def custom_mode(self, mode: Mode, guided: bool = False) -> int:
-        """Return the custom_mode of HEARTBEAT."""
-        if self.name != "ardupilot":
-            return super().custom_mode(mode, guided)
-        return _GUIDED if guided and mode is Mode.HOLD else _ARDUPILOT[mode]
-
-    def mode_of(self, main: int, sub: int) -> Mode | None:
-        """Return the mode of DO_SET_MODE's numbers, None where there is none."""
-        if self.name != "ardupilot":
-            return super().mode_of(main, sub)
-        if main == _GUIDED:
-            return Mode.GUIDED
-        return next((mode for mode, number in _ARDUPILOT.items() if number == main), None)
 
 
 class WingStack(FlightStack):
@@ -52,19 +30,8 @@ class WingStack(FlightStack):
 
     takes_setpoints = False
     plan: Tour
-
-    def __init__(
-        self,
-        facts: Facts,
-        site: Site,
-        parameters: Parameters | None = None,
-        flavour: FlavourName = "px4",
-        factor: float = 1.0,
-    ):
-        super().__init__(facts, site, parameters, flavour, factor)
-        base = FLAVOURS[flavour]
-        self.flavour = WingFlavour(base.name, base.autopilot, base.base_mode)
-        self.plan = Tour(flavour)
+    _flavours = WING_FLAVOURS
+    _plan = Tour
 
     def reset(self) -> None:
         """Begin again as after a boot, in the air."""
@@ -165,9 +132,9 @@ class WingStack(FlightStack):
 
     # ---- modes and commands ----
 
-    def request(self, mode: Mode | None) -> Result:
+    def request(self, mode: Mode) -> Result:
         """Change the mode as somebody asks, or say why not."""
-        if mode is None or mode in _ARDUPILOT or mode is Mode.GUIDED:
+        if mode in self.flavour.modes or mode is Mode.GUIDED:
             if mode is Mode.HOLD and self._own:
                 self.switch(Mode.HOLD)
             return super().request(mode)
@@ -178,7 +145,7 @@ class WingStack(FlightStack):
         """Change the mode; what would land a vehicle has a wing return, which it does for ever."""
         if mode is Mode.LAND:
             mode = Mode.RTL
-        if mode not in _ARDUPILOT:
+        if mode not in self.flavour.modes:
             mode = Mode.HOLD
         self._own, self._radius = False, math.nan
         super().switch(mode, self._way_home() if mode is Mode.RTL else goal)
@@ -194,7 +161,11 @@ class WingStack(FlightStack):
         return orbits.fitted(craft, high, orbits.usual_radius(craft))
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command."""
+        """Obey or refuse a command; DO_ORBIT is a DO_REPOSITION with a radius, as PX4's navigator takes it."""
+        if command.id == ORBIT and self.flavour.name == "px4":
+            radius = command.params[0]
+            turns = (abs(radius), 1.0 if radius < 0.0 else 0.0)
+            command = replace(command, id=REPOSITION, frame=0, params=(math.nan, 1.0, *turns, *command.params[4:]))
         why = self._why_not(command)
         if why:
             self._refuse(f"Command {command.id}", why)

@@ -1,0 +1,161 @@
+"""Sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE, and the modes that are flown by them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.contracts import Triple
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Touchdown
+from qrsim.links.mavlink.stack.modes import Mode
+
+# PX4's MPC_HOLD_DZ and MPC_XY_MAN_EXPO (of height and heading too): around the middle a stick does nothing, and farther
+# out its cube counts by this share.
+DEAD, CUBIC = 0.1, 0.6
+# A throttle stick that is higher takes off (FlightTaskManualAltitude), and below the second, standing, is idle.
+TAKES_OFF, IDLES = 0.3, -0.9
+# Least thrust in the air (MPC_MANTHR_MIN).
+LEAST = 0.08
+# A stick that moves by more takes over from automatic modes (COM_RC_STICK_OV).
+TAKES_OVER = 0.3
+# The wanted heading is at most so far from that of the vehicle [rad].
+TURNS_AHEAD = 0.8
+# In ALTITUDE: speed per height error [1/s], acceleration per speed error [1/s], and per its integral [1/s^2].
+HEIGHT_GAIN, CLIMB_GAIN, CLIMB_INTEGRAL, MOST_INTEGRAL, GRAVITY = 1.0, 2.5, 1.0, 3.0, 9.80665
+
+
+class Sticks:
+    """The sticks of one vehicle: roll to the right, pitch forwards, throttle up and yaw to the right, each -1 to 1.
+
+    Attributes:
+        heard: when they were told last [s]; None before the first time.
+        lands: whether they ask a vehicle that flies to come down.
+    """
+
+    def __init__(self) -> None:
+        self.heard: float | None = None
+        self.lands = False
+        self._values = [0.0, 0.0, 0.0, 0.0]
+        self._touchdown = Touchdown()
+        self._stood, self._integral = True, 0.0
+
+    def take(self, values: Sequence[float], craft: Craft) -> bool:
+        """Take roll, pitch, throttle and yaw, NaN for one that is not told; return whether one has moved far."""
+        if all(map(math.isnan, values)):
+            return False
+        before = list(self._values)
+        for axis, value in enumerate(values):
+            if not math.isnan(value):
+                self._values[axis] = min(max(value, -1.0), 1.0)
+        known, self.heard = self.heard is not None, craft.seen.time
+        return known and any(abs(a - b) > TAKES_OVER for a, b in zip(before, self._values, strict=True))
+
+    def fresh(self, craft: Craft, limit: float) -> bool:
+        """Return whether they were told in the last ``limit`` seconds."""
+        return self.heard is not None and craft.seen.time - self.heard < limit + 0.01 * craft.facts.time_step
+
+    def begin(self, craft: Craft) -> None:
+        """Begin to fly by them."""
+        craft.begin_path()
+        craft.yaw = craft.seen.attitude[2]
+        self._touchdown.clear()
+        self._stood, self._integral = not craft.flies, 0.0
+
+    def fly(self, craft: Craft, mode: Mode) -> tuple[Order | None, bool]:
+        """Return the order of POSITION, ALTITUDE or STABILIZED, and whether the vehicle has landed."""
+        self._turn(craft)
+        if mode is Mode.STABILIZED:
+            return self._stabilized(craft)
+        here, throttle = craft.seen.position_ned, _shaped(self._values[2])
+        self.lands = craft.flies and throttle < 0.0
+        if not craft.flies and self._values[2] <= TAKES_OFF:
+            self._stood = True
+            return craft.idle(), self._touchdown.seconds(craft, here[2]) >= LANDED_AFTER
+        if self._stood:
+            self._stood, self._integral = False, 0.0
+            craft.path.shift(here)
+        on = self._touchdown.seconds(craft, craft.path.position[2]) if self.lands else 0.0
+        if on >= IDLE_AFTER:
+            return craft.idle(), on >= LANDED_AFTER
+        if not self.lands:
+            self._touchdown.clear()
+        order = self._position(craft, throttle) if mode is Mode.POSITION else self._altitude(craft, throttle)
+        return order, False
+
+    def _turn(self, craft: Craft) -> None:
+        """Turn by the yaw stick; a vehicle that stands keeps its heading."""
+        yaw = craft.seen.attitude[2]
+        if not craft.flies:
+            craft.yaw = yaw
+            return
+        rate = math.radians(craft.parameters["MPC_MAN_Y_MAX"]) * _shaped(self._values[3])
+        ahead = math.remainder(craft.yaw + rate * craft.facts.time_step - yaw, 2.0 * math.pi)
+        craft.turn_to(yaw + min(max(ahead, -TURNS_AHEAD), TURNS_AHEAD) if rate else craft.yaw)
+
+    def _speeds(self, craft: Craft) -> Triple:
+        values, facts = craft.parameters.values, craft.facts
+        return (
+            min(values["MPC_VEL_MANUAL"], facts.speed_limit),
+            min(values["MPC_Z_VEL_MAX_UP"], facts.climb_limit),
+            min(values["MPC_Z_VEL_MAX_DN"], facts.sink_limit),
+        )
+
+    def _position(self, craft: Craft, throttle: float) -> Order:
+        """Fly at the velocity of the sticks, along the heading; with sticks in the middle the place is held."""
+        level, up, down = speeds = self._speeds(craft)
+        right, forward = _in_circle(_shaped(self._values[0]), _shaped(self._values[1]))
+        sine, cosine = math.sin(craft.yaw), math.cos(craft.yaw)
+        along = (
+            level * (forward * cosine - right * sine), level * (forward * sine + right * cosine),
+            -throttle * (up if throttle > 0.0 else down),
+        )  # fmt: skip
+        return craft.go(craft.path.position, speeds, along=along)
+
+    def _altitude(self, craft: Craft, throttle: float) -> Order:
+        """Lean by the sticks at the height of the path; nothing brakes."""
+        seen, path, dt = craft.seen, craft.path, craft.facts.time_step
+        here, speed = seen.position_ned, seen.velocity_ned
+        _, up, down = speeds = self._speeds(craft)
+        path.position = (here[0], here[1], path.position[2])
+        path.velocity, path.acceleration = (speed[0], speed[1], path.velocity[2]), (0.0, 0.0, path.acceleration[2])
+        along = (speed[0], speed[1], -throttle * (up if throttle > 0.0 else down))
+        craft.go(path.position, speeds, along=along)
+        error = speed[2] - path.velocity[2] - HEIGHT_GAIN * (path.position[2] - here[2])
+        self._integral = min(max(self._integral + CLIMB_INTEGRAL * error * dt, -MOST_INTEGRAL), MOST_INTEGRAL)
+        roll, pitch = self._tilt(craft, shaped=True)
+        tilted = math.cos(seen.attitude[0]) * math.cos(seen.attitude[1])
+        lift = max(1.0 + (CLIMB_GAIN * error + self._integral) / GRAVITY, 0.1) / max(tilted, 0.5)
+        return craft.lean(roll, pitch, min(craft.facts.hover_throttle * lift, 1.0))
+
+    def _stabilized(self, craft: Craft) -> tuple[Order | None, bool]:
+        """Lean by the sticks; the throttle stick is the thrust, that of hover in the middle."""
+        self.lands = False
+        throttle = self._values[2]
+        if craft.seen.on_ground and throttle < IDLES:
+            return craft.idle(), self._touchdown.seconds(craft, craft.seen.position_ned[2]) >= LANDED_AFTER
+        self._touchdown.clear()
+        thrust = max(0.5 * (throttle + 1.0), LEAST)
+        hover = craft.facts.hover_throttle
+        lift = hover * 2.0 * thrust if throttle <= 0.0 else hover + (1.0 - hover) * throttle
+        roll, pitch = self._tilt(craft, shaped=False)
+        return craft.lean(roll, pitch, lift), False
+
+    def _tilt(self, craft: Craft, shaped: bool) -> tuple[float, float]:
+        """Return the roll and pitch that the sticks ask for [rad]."""
+        most = math.radians(craft.parameters["MPC_MAN_TILT_MAX"]) * craft.freedom
+        right, forward = (_shaped(value) if shaped else value for value in self._values[:2])
+        right, forward = _in_circle(right, forward)
+        return most * right, -most * forward
+
+
+def _shaped(value: float) -> float:
+    """Return a stick with its dead middle and its cubic share, -1 to 1, as PX4's ``expo_deadzone``."""
+    beyond = math.copysign(max(abs(value) - DEAD, 0.0) / (1.0 - DEAD), value)
+    return (1.0 - CUBIC) * beyond + CUBIC * beyond**3
+
+
+def _in_circle(right: float, forward: float) -> tuple[float, float]:
+    size = math.hypot(right, forward)
+    return (right / size, forward / size) if size > 1.0 else (right, forward)
