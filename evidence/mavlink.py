@@ -6,18 +6,22 @@ import hashlib
 import math
 import random
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from evidence import _mavlink_clients as clients
+from qrsim.links.contracts import Order
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.fleet import prepared
 from qrsim.links.mavlink.frames import Reader, frame
 from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.stack.contracts import Facts, Seen
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.streams import ONBOARD, Streams
 from qrsim.links.mavlink.world import FlownWorld
+from qrsim.models.site import Site
 from qrsim.scenarios.scenario import load_scenario
 
 DOC = "mutated MAVLink frames beside an honest flight, and ten flights in a row of each client"
@@ -32,12 +36,34 @@ PLACE = {"x": 473978000, "y": 85456000, "z": 9.0}
 ITEMS = ({"command": 22, "frame": 6}, {"command": 16, "frame": 6, "param1": 1.0, **PLACE}, {"command": 21, "frame": 6})
 
 
-class Flight:
-    """A world whose first vehicle is flown honestly, by ticks; the second one hears what is mutated."""
+class Replayed(FlightStack):
+    """A stack that repeats orders, one at each tick."""
 
-    def __init__(self) -> None:
+    orders: Iterator[Order | None] = iter(())
+
+    def tick(self, seen: Seen) -> Order | None:
+        """Return the next order."""
+        return next(self.orders, None)
+
+
+class Flight:
+    """A world whose first vehicle is flown honestly, by ticks; the second one hears what is mutated.
+
+    Args:
+        orders: of the second vehicle, which hears nothing then; None: it does as it hears.
+    """
+
+    def __init__(self, orders: Sequence[Order | None] | None = None) -> None:
         scenario = load_scenario("mavlink_field", quiet=True)
-        self.world = FlownWorld(prepared(scenario), FlightStack, seed=1)
+
+        def make(facts: Facts, site: Site) -> FlightStack:
+            if orders is None or facts.system != VICTIM:
+                return FlightStack(facts, site)
+            stack = Replayed(facts, site)
+            stack.orders = iter(orders)
+            return stack
+
+        self.world = FlownWorld(prepared(scenario), make, seed=1)
         self.answers = 0
         for system in self.world.systems[:2]:
             system.links.append(Link(system.number, Streams(ONBOARD, 0.02), self._sent))
@@ -148,18 +174,25 @@ def _number(draw: random.Random, kind: str) -> float | int:
 
 
 def fuzzed(frames: int, ticks: int) -> dict[str, Any]:
-    """Return what became of a flight beside so many mutated frames, against the same flight without them."""
-    alone = Flight()
-    for _ in range(ticks):
-        alone.tick()
+    """Return what became of a flight beside so many mutated frames, against the same flight without them.
+
+    The other vehicle, which heard them, flies by the same orders in both: where it touches the ground, the numbers of
+    all vehicles of its fleet are rounded otherwise.
+    """
     beside, draw, seen = Flight(), random.Random(SEED), []
+    victim = beside.world.systems[VICTIM - 1].view
+    orders = [victim.order]
     each, before = frames // ticks, 0
     for tick in range(ticks):
         for _ in range(each):
             beside.hear(*mutated(draw, seen))
         beside.tick()
+        orders.append(victim.order)
         if tick == ticks // 5:
             before = _resident()
+    alone = Flight(orders)
+    for _ in range(ticks):
+        alone.tick()
     honest = beside.world.systems[0].stack
     for line in sorted(set(beside.errors))[:10]:
         print(line)

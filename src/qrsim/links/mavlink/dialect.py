@@ -115,6 +115,9 @@ OBSTACLE_DISTANCE 330 time_usec:Q sensor_type:B distances:72H increment:B min_di
   increment_f:f angle_offset:f frame:B
 ODOMETRY 331 time_usec:Q frame_id:B child_frame_id:B x:f y:f z:f q:4f vx:f vy:f vz:f rollspeed:f pitchspeed:f
   yawspeed:f pose_covariance:21f velocity_covariance:21f | reset_counter:B estimator_type:B quality:b
+AVAILABLE_MODES 435 number_modes:B mode_index:B standard_mode:B custom_mode:I properties:I mode_name:35c
+CURRENT_MODE 436 standard_mode:B custom_mode:I intended_custom_mode:I
+AVAILABLE_MODES_MONITOR 437 seq:B
 PARAM_ERROR 345 target_system:B target_component:B param_id:16c param_index:h error:B
 ORBIT_EXECUTION_STATUS 360 time_usec:Q radius:f frame:B x:i y:i z:f
 FENCE_STATUS 162 breach_status:B breach_count:H breach_type:B breach_time:I | breach_mitigation:B

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from qrsim.links.mavlink import table
+from qrsim.links.mavlink import requests, table
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
 from qrsim.links.mavlink.frames import Frame
 from qrsim.links.mavlink.link import COMPONENT, Link
@@ -24,18 +24,16 @@ from qrsim.links.mavlink.stack.contracts import (
     Text,
 )
 from qrsim.links.mavlink.system import System
-from qrsim.links.mavlink.telemetry import ARDUPILOT, ENCODERS, sendable
+from qrsim.links.mavlink.telemetry import ARDUPILOT, ENCODERS
 
 GROUND_STATION = 6
 # MAV_CMD.
-GET_INTERVAL, SET_INTERVAL, REQUEST_MESSAGE, REQUEST_PROTOCOL, REQUEST_VERSION = 510, 511, 512, 519, 520
 DO_SET_MODE = 176
 # FILE_TRANSFER_PROTOCOL: a refusal, and why: no such file, or a request that is not known.
 _NAK, _NO_FILE, _UNKNOWN = 129, 10, 7
 _OPENS = (4, 5, 6, 11, 14, 15)
 # An axis and channels that are not told.
 _NO_AXIS, _NO_PULSE = 0x7FFF, (0, 0xFFFF)
-_VERSION, _PROTOCOL = LAYOUTS["AUTOPILOT_VERSION"].number, LAYOUTS["PROTOCOL_VERSION"].number
 Handler = Callable[[System, Link, Frame], None]
 
 
@@ -98,18 +96,15 @@ def _command_int(system: System, link: Link, frame: Frame) -> None:
 
 
 def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
-    own = _OWN.get(command.id)
-    if own is not None:
-        ack, answer = own(system, link, command)
-    else:
-        ack, answer = system.stack.command(command), None
+    answer = requests.answer(system, link, command)
+    ack, payloads = (system.stack.command(command), ()) if answer is None else answer
     acknowledge(link, frame, command.id, ack)
     if ack.result in (Result.DENIED, Result.UNSUPPORTED):
         # Clients repeat what is refused.
         system.note_once(f"command {command.id} of system {frame.system}: {ack.result.name.lower()}")
-    if answer is not None:
-        link.put(*answer)
-        link.flush()
+    for payload in payloads:
+        link.put(*payload)
+    link.flush()
 
 
 def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
@@ -118,62 +113,6 @@ def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
         "COMMAND_ACK", command=command, result=int(ack.result), progress=ack.progress, target_system=frame.system,
         target_component=frame.component,
     )  # fmt: skip
-
-
-Answer = tuple[Ack, tuple[int, bytes] | None]
-
-
-def _number(value: float) -> int:
-    """Return the number of a message that a command names; -1 for what is none."""
-    return int(value) if math.isfinite(value) and abs(value) < 2**24 else -1
-
-
-def _set_interval(system: System, link: Link, command: Command) -> Answer:
-    number, interval = _number(command.params[0]), command.params[1]
-    if not sendable(number, system.view) or not math.isfinite(interval):
-        return Ack(Result.DENIED), None
-    link.streams.set(number, interval, system.tick)
-    return Ack(Result.ACCEPTED), None
-
-
-def _get_interval(system: System, link: Link, command: Command) -> Answer:
-    number = _number(command.params[0])
-    interval = link.streams.interval_us(number) if number in ENCODERS else 0
-    payload = LAYOUTS["MESSAGE_INTERVAL"].payload(message_id=max(number, 0) & 0xFFFF, interval_us=interval)
-    return Ack(Result.ACCEPTED), (LAYOUTS["MESSAGE_INTERVAL"].number, payload)
-
-
-def _request(system: System, link: Link, command: Command) -> Answer:
-    number = _number(command.params[0])
-    payload = ENCODERS[number](system.view) if number in ENCODERS else None
-    if payload is None:
-        return Ack(Result.UNSUPPORTED), None
-    return Ack(Result.ACCEPTED), (number, payload)
-
-
-def _request_version(system: System, link: Link, command: Command) -> Answer:
-    if command.params[0] != 1.0:
-        return Ack(Result.DENIED), None
-    payload = ENCODERS[_VERSION](system.view)
-    assert payload is not None
-    return Ack(Result.ACCEPTED), (_VERSION, payload)
-
-
-def _request_protocol(system: System, link: Link, command: Command) -> Answer:
-    if command.params[0] != 1.0:
-        return Ack(Result.DENIED), None
-    payload = ENCODERS[_PROTOCOL](system.view)
-    assert payload is not None
-    return Ack(Result.ACCEPTED), (_PROTOCOL, payload)
-
-
-_OWN: dict[int, Callable[[System, Link, Command], Answer]] = {
-    SET_INTERVAL: _set_interval,
-    GET_INTERVAL: _get_interval,
-    REQUEST_MESSAGE: _request,
-    REQUEST_VERSION: _request_version,
-    REQUEST_PROTOCOL: _request_protocol,
-}
 
 
 def _set_mode(system: System, link: Link, frame: Frame) -> None:
@@ -333,6 +272,7 @@ _HANDLERS: dict[str, Handler] = {
     "MISSION_WRITE_PARTIAL_LIST": lambda system, link, frame: system.transfers.refuse(
         link, _partner(frame), frame.message()
     ),
+    "REQUEST_DATA_STREAM": requests.data_stream,
     "PING": _ping,
     "TIMESYNC": _timesync,
     "FILE_TRANSFER_PROTOCOL": _file,

@@ -19,8 +19,8 @@ _MOST_TOLD = 4000
 _ATTITUDE = NUMBERS["ATTITUDE"]
 # What clients are told at once when it changes.
 _AT_ONCE = {
-    "mission": "MISSION_CURRENT", "landed": "EXTENDED_SYS_STATE", "mode": "HEARTBEAT", "armed": "HEARTBEAT",
-    "home": "HOME_POSITION", "fence": "FENCE_STATUS",
+    "mission": ("MISSION_CURRENT",), "landed": ("EXTENDED_SYS_STATE",), "mode": ("HEARTBEAT", "CURRENT_MODE"),
+    "armed": ("HEARTBEAT",), "home": ("HOME_POSITION",), "fence": ("FENCE_STATUS",),
 }  # fmt: skip
 
 
@@ -78,8 +78,7 @@ class System:
     def _tell(self, event: Event) -> None:
         if event.kind == "item_reached":
             self._broadcast("MISSION_ITEM_REACHED", LAYOUTS["MISSION_ITEM_REACHED"].payload(seq=event.number))
-        name = _AT_ONCE.get(event.kind)
-        if name is not None:
+        for name in _AT_ONCE.get(event.kind, ()):
             payload = ENCODERS[NUMBERS[name]](self.view)
             if payload is not None:
                 self._broadcast(name, payload)

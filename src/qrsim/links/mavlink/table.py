@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.frames import Frame
@@ -19,10 +20,14 @@ _NUMBER = LAYOUTS["PARAM_VALUE"].number
 DOES_NOT_EXIST, READ_ONLY = 1, 5
 # param_index of a request by name, and of a reply that has no index.
 BY_NAME = -1
+# The hash of all parameters, its MAV_PARAM_TYPE, and its index, for it is in no list.
+HASH, UINT32, NO_INDEX = "_HASH_CHECK", 5, 0xFFFF
 
 
 def send_all(system: System, link: Link) -> None:
     """Answer PARAM_REQUEST_LIST: every parameter, with its number and how many there are."""
+    if _has_hash(system):
+        link.put(_NUMBER, _hash(system))
     for parameter in system.stack.parameters:
         link.put(_NUMBER, _payload(system, parameter))
     link.flush()
@@ -34,7 +39,10 @@ def send_one(system: System, link: Link, frame: Frame) -> None:
     table, index = system.stack.parameters, request.param_index
     name = request.param_id.decode("ascii", "replace")
     parameter = table.parameter(name) if index == BY_NAME else table.at(index)
-    if parameter is None:
+    if index == BY_NAME and name == HASH and _has_hash(system):
+        link.put(_NUMBER, _hash(system))
+        link.flush()
+    elif parameter is None:
         _refuse(link, frame, request.param_id, index, DOES_NOT_EXIST)
     else:
         link.put(_NUMBER, _payload(system, parameter))
@@ -46,6 +54,9 @@ def set_one(system: System, link: Link, frame: Frame) -> None:
     request, table = frame.message(), system.stack.parameters
     name = request.param_id.decode("ascii", "replace")
     parameter = table.parameter(name)
+    if name == HASH and _has_hash(system):
+        # A client that has the table already stops the list by it, which is sent as a whole here.
+        return
     if parameter is None:
         _refuse(link, frame, request.param_id, BY_NAME, DOES_NOT_EXIST)
         return
@@ -59,6 +70,22 @@ def set_one(system: System, link: Link, frame: Frame) -> None:
     for each in told:
         each.put(_NUMBER, payload)
         each.flush()
+
+
+def _has_hash(system: System) -> bool:
+    """Return whether a vehicle has PX4's parameter of the hash of all others."""
+    return system.stack.heartbeat().autopilot != ARDUPILOT
+
+
+def _hash(system: System) -> bytes:
+    """Return the PARAM_VALUE of ``_HASH_CHECK``: names and values of all parameters, as PX4's ``param_hash_check``."""
+    table, state = system.stack.parameters, 0
+    for parameter in table:
+        value = table[parameter.name]
+        raw = _INTEGER.pack(int(value)) if parameter.type == INT32 else _REAL.pack(value)
+        # PX4 begins with 0 and does not invert the end.
+        state = zlib.crc32(parameter.name.encode() + raw, state ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
+    return _VALUE.pack(struct.pack("<I", state), len(table), NO_INDEX, HASH.encode(), UINT32)
 
 
 def _format(system: System, type: int) -> struct.Struct:

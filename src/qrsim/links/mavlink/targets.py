@@ -14,6 +14,8 @@ _PATH, _VELOCITY, _NO_RATES = 0x800, 0x9C7, 0x7
 # Versions of MAVLink, in hundredths, as PX4 states them.
 _VERSION, _OLDEST, _NEWEST = 200, 100, 200
 
+# MAV_AUTOPILOT.
+PX4 = 12
 _STRUCT = {name: layout.struct.pack for name, layout in LAYOUTS.items()}
 Payload = bytes | None
 
@@ -66,6 +68,33 @@ def attitude_target(v: View) -> Payload:
     return LAYOUTS["ATTITUDE_TARGET"].payload(
         time_boot_ms=v.boot_ms, type_mask=_NO_RATES, q=quaternion, thrust=v.stack.thrust_of(throttle)
     )
+
+
+def current_mode(v: View) -> Payload:
+    """CURRENT_MODE, of PX4: the mode that is flown, and the one that was asked for."""
+    flown, intended = v.stack.current_modes()
+    if v.stack.heartbeat().autopilot != PX4:
+        return None
+    return LAYOUTS["CURRENT_MODE"].payload(
+        standard_mode=flown.standard, custom_mode=flown.custom_mode, intended_custom_mode=intended.custom_mode
+    )
+
+
+def available_modes_monitor(v: View) -> Payload:
+    """AVAILABLE_MODES_MONITOR: the modes never change."""
+    return LAYOUTS["AVAILABLE_MODES_MONITOR"].payload(seq=0)
+
+
+def available_modes(v: View, index: int) -> list[bytes]:
+    """Return AVAILABLE_MODES of the mode of a number from 1 on, of all for 0, of none for another number."""
+    modes = v.stack.modes()
+    return [
+        LAYOUTS["AVAILABLE_MODES"].payload(
+            number_modes=len(modes), mode_index=number, standard_mode=mode.standard, custom_mode=mode.custom_mode,
+            properties=mode.properties, mode_name=mode.name.encode(),
+        )
+        for number, mode in enumerate(modes, 1) if index in (0, number)
+    ]  # fmt: skip
 
 
 def orbit_execution_status(v: View) -> Payload:

@@ -12,6 +12,8 @@ from qrsim.links.mavlink.stack.contracts import NAN
 from qrsim.links.mavlink.surroundings import adsb_vehicle, obstacle_distance, optical_flow_rad
 from qrsim.links.mavlink.targets import (
     attitude_target,
+    available_modes_monitor,
+    current_mode,
     gps_global_origin,
     orbit_execution_status,
     position_target_global_int,
@@ -372,8 +374,8 @@ ENCODERS: dict[int, Encoder] = {
         global_position_int, vfr_hud, altitude, highres_imu, scaled_imu, raw_imu, scaled_pressure, distance_sensor,
         odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
         fence_status, position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
-        position_target_global_int, gps_global_origin, protocol_version, orbit_execution_status, obstacle_distance,
-        optical_flow_rad, adsb_vehicle,
+        position_target_global_int, gps_global_origin, protocol_version, orbit_execution_status, current_mode,
+        available_modes_monitor, obstacle_distance, optical_flow_rad, adsb_vehicle,
     )
 }  # fmt: skip
 

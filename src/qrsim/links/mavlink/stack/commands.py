@@ -123,6 +123,11 @@ def _set_mode(stack: Flight, command: Command) -> Result:
     return stack.request_number(stack.flavour.custom_of(int(main), int(sub)))
 
 
+def _set_standard_mode(stack: Flight, command: Command) -> Result:
+    mode = stack.flavour.standard_mode(int(_number(command.params[0], -1.0)))
+    return Result.FAILED if mode is None else stack.request(mode)
+
+
 def _reposition(stack: Flight, command: Command) -> Result:
     craft, params = stack.craft, command.params
     if command.frame not in GLOBAL or not craft.seen.valid or craft.home is None:
@@ -274,8 +279,8 @@ def _tell_home(stack: Flight, command: Command) -> Result:
 
 _COMMANDS: dict[int, Callable[[Flight, Command], Result]] = {
     20: _return, 21: _land, 22: _take_off, 34: _orbit, 115: _heading, 176: _set_mode, 178: _speed, 179: _set_home,
-    185: _terminate, 192: _reposition, 224: _set_current, 246: _reboot, 300: _start_mission, 400: _arm,
-    410: _tell_home,
+    185: _terminate, 192: _reposition, 224: _set_current, 246: _reboot, 262: _set_standard_mode, 300: _start_mission,
+    400: _arm, 410: _tell_home,
 }  # fmt: skip
 # Commands of one flavour.
-_ONLY = {34: "px4", 115: "ardupilot"}
+_ONLY = {34: "px4", 115: "ardupilot", 262: "px4"}

@@ -8,21 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.codes import (
     QUADROTOR,
     UNSET_INT,
-    Breach,
-    Landed,
-    MissionState,
     PlanKind,
     PlanResult,
     Result,
     Severity,
 )
+from qrsim.links.mavlink.stack.statuses import FenceStatus, Health, Heartbeat, MissionStatus, ModeInfo, OrbitStatus
 
 if TYPE_CHECKING:
     from qrsim.links.mavlink.stack.parameters import Parameters
@@ -211,14 +209,6 @@ class FollowTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class OrbitStatus:
-    """What ORBIT_EXECUTION_STATUS says: radius [m], below 0 counterclockwise, and the centre NED [m]."""
-
-    radius: float
-    centre: Triple
-
-
-@dataclass(frozen=True, slots=True)
 class Item:
     """One item of a plan, as in MISSION_ITEM_INT: x and y are degrees times 1e7 in a global frame.
 
@@ -269,48 +259,6 @@ class Event:
     number: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class MissionStatus:
-    """What MISSION_CURRENT says: the item that is flown, how many there are, and whether it is flown."""
-
-    seq: int = 0
-    total: int = 0
-    state: MissionState = MissionState.NO_MISSION
-    in_mode: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class FenceStatus:
-    """What FENCE_STATUS says: whether the fence is breached, how often it was, by what last, and when [s]."""
-
-    breached: bool = False
-    count: int = 0
-    breach: Breach = Breach.NONE
-    time: float = 0.0
-
-
-@dataclass(slots=True)
-class Heartbeat:
-    """What HEARTBEAT and EXTENDED_SYS_STATE say."""
-
-    autopilot: int = 12
-    base_mode: int = 0
-    custom_mode: int = 0
-    system_status: int = 3
-    landed: Landed = Landed.ON_GROUND
-    mav_type: int = QUADROTOR
-
-
-@dataclass
-class Health:
-    """Bits for SYS_STATUS beside those of the sensors in ``Seen``: ``Sensor.PREARM``, GEOFENCE, AHRS, BATTERY."""
-
-    present: int = 0
-    enabled: int = 0
-    healthy: int = 0
-    reasons: list[str] = field(default_factory=list)
-
-
 class Stack(Protocol):
     """The flight stack of one vehicle, as a server uses it (``flight_stack.FlightStack``).
 
@@ -357,6 +305,12 @@ class Stack(Protocol):
 
     def follow_target(self, target: FollowTarget) -> None:
         """Take where the target of follow-me is."""
+
+    def modes(self) -> tuple[ModeInfo, ...]:
+        """Return the modes that clients can ask for, or that it can be in."""
+
+    def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
+        """Return the mode that is flown, and the one that was asked for, which differs in a failsafe."""
 
     def orbiting(self) -> OrbitStatus | None:
         """Return the orbit that is flown, None while none is."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from qrsim.links.mavlink.stack.codes import FIXED_WING, Breach, Severity
-from qrsim.links.mavlink.stack.contracts import FenceStatus
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.modes import BY_STICKS, Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.orbits import can_turn
 from qrsim.links.mavlink.stack.path import VERTICAL, braking_way
+from qrsim.links.mavlink.stack.statuses import FenceStatus
 
 # What a failsafe may ask for, the graver the later; of two the graver counts.
 NOTHING, HOLD, RETURN, LAND, DISARM, TERMINATE = range(6)

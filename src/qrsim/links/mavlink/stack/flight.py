@@ -75,6 +75,8 @@ class Flight:
         """Begin again as after a boot: disarmed, time at zero; parameters and plans stay."""
         self.craft.reset()
         self.mode, self.armed, self.guided = Mode.HOLD, False, False
+        # Mode that was asked for, and whether its HOLD is GUIDED.
+        self._meant = (Mode.HOLD, False)
         self.offboard, self.failsafes, self.checks = Offboard(), Failsafes(), ArmingChecks()
         self.orbit, self.follow, self.by_sticks, self._loiters = Orbit(), Follow(), Sticks(), False
         self.offboard.keeps_places = self.flavour.name == "ardupilot"
@@ -333,7 +335,7 @@ class Flight:
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
         """Change the mode; ``goal`` [m] is where HOLD and TAKEOFF go."""
         craft, before = self.craft, self.mode
-        self.mode, self._goal = mode, goal
+        self.mode, self._goal, self._meant = mode, goal, (mode, self.guided)
         if self._landed_at is not None and mode in BY_STICKS | {Mode.TAKEOFF, Mode.MISSION, Mode.OFFBOARD, Mode.FOLLOW}:
             # It has landed, and is to fly again.
             self._took_off, self._armed_at, self._landed_at = False, craft.seen.time, None
@@ -374,9 +376,10 @@ class Flight:
             self.switch(Mode.HOLD)
         elif asked > grave.GRAVITY_OF.get(self.mode, grave.NOTHING):
             craft.critical, self.guided = True, False
-            mode = grave.MODE_OF[asked]
+            mode, meant = grave.MODE_OF[asked], self._meant
             craft.say(Severity.CRITICAL, f"Failsafe activated: {mode.value}")
             self.switch(mode)
+            self._meant = meant
 
     def terminate(self) -> None:
         """End the flight: motors off until a reboot."""

@@ -11,15 +11,10 @@ from qrsim.links.mavlink.stack.contracts import (
     Command,
     Event,
     Facts,
-    FenceStatus,
     FlavourName,
     FollowTarget,
-    Health,
-    Heartbeat,
     Home,
     Item,
-    MissionStatus,
-    OrbitStatus,
     Target,
     Text,
     Triple,
@@ -28,6 +23,7 @@ from qrsim.links.mavlink.stack.fence import Fence, rally_points
 from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.stack.modes import ARMED_FLAG, Mode
 from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.statuses import FenceStatus, Health, Heartbeat, MissionStatus, ModeInfo, OrbitStatus
 from qrsim.models.site import Site
 
 # Automatic modes, which sticks that move take over from.
@@ -89,6 +85,14 @@ class FlightStack(Flight):
     def follow_target(self, target: FollowTarget) -> None:
         """Take where the target of follow-me is."""
         self.follow.take(target, self.craft)
+
+    def modes(self) -> tuple[ModeInfo, ...]:
+        """Return the modes that clients can ask for, or that it can be in."""
+        return self.flavour.infos()
+
+    def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
+        """Return the mode that is flown, and the one that was asked for, which differs in a failsafe."""
+        return self.flavour.info(self.mode, self.guided), self.flavour.info(*self._meant)
 
     def orbiting(self) -> OrbitStatus | None:
         """Return the orbit that is flown, None while none is."""

@@ -9,9 +9,10 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
 from qrsim.links.mavlink.stack.circling import Circle
 from qrsim.links.mavlink.stack.codes import MissionState, PlanResult, Severity
-from qrsim.links.mavlink.stack.contracts import FlavourName, Item, MissionStatus, Triple
+from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
+from qrsim.links.mavlink.stack.statuses import MissionStatus
 
 # An item's height counts as reached within this [m], as NAV_MC_ALT_RAD.
 HEIGHT_RADIUS = 0.8

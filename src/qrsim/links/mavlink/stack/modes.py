@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from qrsim.links.mavlink.stack.contracts import FlavourName
+from qrsim.links.mavlink.stack.statuses import ModeInfo
 
 
 class Mode(Enum):
@@ -34,6 +35,9 @@ _STICKS_FLAGS = 1 | 16 | 64
 STANDARD = {
     Mode.POSITION: 1, Mode.ORBIT: 2, Mode.ALTITUDE: 4, Mode.RTL: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8,
 }  # fmt: skip
+# MAV_MODE_PROPERTY, and PX4's modes that have the first.
+ADVANCED, NOT_SELECTABLE = 1, 2
+_ADVANCED = frozenset((Mode.STABILIZED, Mode.OFFBOARD, Mode.FOLLOW, Mode.ORBIT))
 
 
 def _px4(main: int, sub: int = 0) -> int:
@@ -89,6 +93,29 @@ class Flavour:
         if custom_mode in self.aliases:
             return self.aliases[custom_mode]
         return next((mode for mode, number in self.numbers.items() if number == custom_mode), None)
+
+    def info(self, mode: Mode, guided: bool = False) -> ModeInfo:
+        """Return what AVAILABLE_MODES and CURRENT_MODE say of a mode."""
+        custom = self.custom_mode(mode, guided)
+        if self.name == "ardupilot":
+            return ModeInfo(custom, name=self.names[custom])
+        standard = STANDARD.get(mode, 0)
+        properties = ADVANCED * (mode in _ADVANCED) | NOT_SELECTABLE * (mode is Mode.ORBIT)
+        # Standard modes have no name of their own.
+        return ModeInfo(custom, standard, properties, "" if standard else self.names[custom])
+
+    def infos(self) -> tuple[ModeInfo, ...]:
+        """Return what AVAILABLE_MODES says of all modes of the vehicle, by their numbers."""
+        found = {info.custom_mode: info for info in map(self.info, self.modes)}
+        if self.guided >= 0:
+            found[self.guided] = ModeInfo(self.guided, name=self.names[self.guided])
+            found |= {custom: ModeInfo(custom, name=self.names[custom]) for custom in self.aliases}
+        return tuple(found[custom] for custom in sorted(found))
+
+    def standard_mode(self, number: int) -> Mode | None:
+        """Return the mode of a MAV_STANDARD_MODE, None where the vehicle has none that can be asked for."""
+        found = next((mode for mode, standard in STANDARD.items() if standard == number), None)
+        return found if found in self.modes and found is not Mode.ORBIT else None
 
     def refusal(self, custom_mode: int, why: str) -> str:
         """Return what a vehicle says that cannot have a mode, in the words of PX4's Commander or ArduPilot's Copter."""
