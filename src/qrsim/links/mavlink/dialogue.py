@@ -278,3 +278,5 @@ _HANDLERS: dict[str, Handler] = {
     "FILE_TRANSFER_PROTOCOL": _file,
     "LOG_REQUEST_LIST": _logs,
 }
+# Messages of clients that are taken.
+HEARD = frozenset(_HANDLERS)

@@ -37,6 +37,11 @@ FRAME_MISSION = 2
 LARGEST_ALTITUDE = 1e5
 
 
+def moves(command: int) -> bool:
+    """Return whether an item that is accepted has an effect."""
+    return command not in SKIPPED | _SKIPPED_BY_ARDUPILOT
+
+
 def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]:
     """Return whether a mission can be flown: the result, and the seq of the item that is bad, else -1."""
     if len(items) > MOST_ITEMS:
