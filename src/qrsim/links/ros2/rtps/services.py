@@ -36,6 +36,8 @@ _HEADER = slice(4, 20)
 _ANNOUNCE_S, _AGAIN_S, _LEASE_S, _SPIN_S = 3.0, 0.25, 60.0, 1e-3
 # So many participants are known, and requests wait, at most.
 _MOST_PEERS, _MOST_WAITING, _MOST_READERS = 256, 256, 256
+# Remote writers whose sequence numbers are remembered, of all participants.
+_MOST_WRITERS = 16 * _MOST_PEERS
 _ROUNDS = 40
 
 
@@ -201,10 +203,13 @@ class Services:
                 received.skip(each, each)
 
     def _of(self, prefix: bytes, writer: bytes) -> Received:
-        """Return what has come of a remote writer of a participant that is known."""
-        if prefix not in self._peers:
-            raise KeyError
-        return self._received.setdefault((prefix, writer), Received())
+        """Return what has come of a remote writer; KeyError if its participant is not known, or has too many."""
+        known = self._received.get((prefix, writer))
+        if known is None:
+            if prefix not in self._peers or len(self._received) >= _MOST_WRITERS:
+                raise KeyError
+            known = self._received[prefix, writer] = Received()
+        return known
 
     def _take_data(self, message: w.Submessage, now: float) -> None:
         reader, writer, sequence = message.body[4:8], message.body[8:12], w.number_at(message, 12)
