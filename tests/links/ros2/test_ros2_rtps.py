@@ -218,10 +218,9 @@ def test_wild_packets_end_nothing(services):
         services._spun = 0.0
         services.spin()
     for writer in range(5000):
-        gap = struct.pack("<iIiII", 0, 1, 0, 9, 0)
-        services._sockets.received = lambda gap=SERVICE_READER + struct.pack("<I", writer) + gap: [
-            packet(FAST, submessage(0x08, 0, gap))
-        ]
+        gap = SERVICE_READER + struct.pack("<I", writer) + struct.pack("<iIiII", 0, 1, 0, 9, 0)
+        cut = packet(FAST, submessage(0x08, 0, gap))
+        services._sockets.received = lambda cut=cut: [cut]
         services._spun = 0.0
         services.spin()
     assert len(services._received) == 4096
