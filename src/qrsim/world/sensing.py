@@ -11,7 +11,7 @@ from jax import Array
 
 from qrsim.control import Estimate
 from qrsim.core.noise import Noise
-from qrsim.core.tree import Record, concatenated, map_tree, replace
+from qrsim.core.tree import Record, concatenated, map_tree, replace, select
 from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
@@ -69,7 +69,7 @@ def sense(
         delivered.append(map_tree(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
     return replace(
         state,
-        belief=_believed(world, fleet, state.belief, tuple(delivered), tuple(fitted), due, after),
+        belief=_believed(world, fleet, state.belief, valid, tuple(delivered), tuple(fitted), due, after),
         fitted=tuple(fitted) if state.fitted else (),
         sensors=tuple(states),
         readings=tuple(delivered),
@@ -152,12 +152,17 @@ def _believed(
     world: World,
     fleet: Fleet,
     belief: Belief | None,
+    valid: Array,
     readings: tuple[Record, ...],
     fitted: tuple[Fitted | None, ...],
     due: Array,
     after: Array,
 ) -> Belief | None:
-    """Return what the controller's own estimator makes of the readings of now; None without one."""
+    """Return what the controller's own estimator makes of the readings of now; None without one.
+
+    Of vehicles that are not ``valid`` (n,) it keeps what it made of their last readings, at rest: without any, an
+    estimator would have them fly on.
+    """
     estimator = fleet.own_estimator
     if estimator is None or belief is None:
         return None
@@ -167,7 +172,16 @@ def _believed(
         name: sensor.fresh(due, dt) if memory is None or memory.transit is None else memory.transit.fresh(after)
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
     }
-    return Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
+    found = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
+    kept = at_rest(belief.estimate)
+    return replace(
+        found, estimate=select(valid, found.estimate, kept), std=select(valid, found.std, belief.std)
+    )  # fmt: skip
+
+
+def at_rest(estimate: Estimate) -> Estimate:
+    """Return an estimate with no velocity."""
+    return replace(estimate, velocity_ned=estimate.velocity_ned.map(jnp.zeros_like))
 
 
 def faulted(

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.tree import replace, select
-from qrsim.core.vectors import Euler, Vec3, body_rates, rotation
+from qrsim.core.vectors import Euler, Rotation, Vec3, body_rates, rotation
 from qrsim.models.scene.area import reason_code
+from qrsim.models.sensors.imu import AT_REST
 from qrsim.models.vehicles.contracts import Check, Pose, VehicleState
 from qrsim.world.state import Fleet, FleetState, World
 
@@ -116,6 +117,11 @@ def _stopping_force(world: World, before: Pose, attitude: Euler, gravity: Array)
     came = rotation(before.attitude).to_ned(before.velocity_body)
     stop = came.map(lambda axis: -axis / world.time_step)
     return rotation(attitude).to_body(replace(stop, z=stop.z - gravity))
+
+
+def lying_force(turned: Rotation) -> Vec3:
+    """Return the specific force (n,) [m/s^2], in body axes, of vehicles at rest in an attitude: their weight alone."""
+    return Vec3(turned.forward.z, turned.right.z, turned.down.z) * AT_REST
 
 
 def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:

@@ -246,7 +246,8 @@ class FleetState:
     gust_ned: Vec3 = quantity(unit="m/s", doc="gusts at the vehicle during the last step, random and discrete")
     gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None where the turbulence gives none")
     estimate: Estimate = quantity(
-        doc="what the controller was last fed with; keeps its last value where a reading is NaN"
+        doc="what the controller was last fed with; keeps its last value where a reading is NaN, and is at rest once a "
+        "vehicle is invalid"
     )
     controller: object = quantity(doc="control loops")
     guidance: RouteState | MissionState = quantity(doc="progress along the route")

@@ -39,8 +39,17 @@ from qrsim.world.episode import (
     surroundings,
 )
 from qrsim.world.radio import exchange, parted, start_radio
-from qrsim.world.sensing import airspeed_of, faulted, inputs_of, scene_of, sense, starting_fitted, with_traffic
-from qrsim.world.standing import ground_checks, over_the_floor, settled, started
+from qrsim.world.sensing import (
+    airspeed_of,
+    at_rest,
+    faulted,
+    inputs_of,
+    scene_of,
+    sense,
+    starting_fitted,
+    with_traffic,
+)
+from qrsim.world.standing import ground_checks, lying_force, over_the_floor, settled, started
 from qrsim.world.state import (
     PROCESS,
     TURBULENCE,
@@ -195,6 +204,8 @@ def _fly(
         return vehicle, low, force, parked, model.shown(command), clipped
 
     vehicle, low, force, parked, command, clipped = by_kind(commands, moved)
+    # From the tick after the one that stopped it on, a vehicle feels its weight alone.
+    force = select(state.violation.code == 0, force, lying_force(direction))
     if flown.shown is not None:
         command = model.shown(flown.shown)
     return replace(
@@ -230,12 +241,13 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
         violation = old.violation.or_else(own.or_else(in_collision))
         stopped = fleet.vehicle.stopped(old.vehicle)
         valid = violation.code == 0
-        # Only the vehicle itself is put back: what else a stopped vehicle computes goes nowhere.
+        # The vehicle itself is put back, and its estimate stays: what else a stopped vehicle computes goes nowhere.
         kept = select(valid, new.vehicle, stopped)
         low = select(valid, new.position_low_ned, old.position_low_ned)
         checked.append(
             replace(
                 new, vehicle=kept, position_low_ned=low, violation=violation,
+                estimate=select(valid, new.estimate, at_rest(old.estimate)),
                 command_clipped=new.command_clipped & valid,
             )
         )  # fmt: skip

@@ -44,6 +44,11 @@ class FleetSight:
             if column not in self._columns:
                 raise UsageError(f"fleet '{fleet.name}' has no {what}, and an autopilot needs one: add a sensor imu")
         self._places = np.array(places)
+        force = state.specific_force
+        self._force, self._codes = (
+            np.array([np.arange(layout.slices[leaf].start, layout.slices[leaf].stop) for leaf in leaves])
+            for leaves in ((force.x, force.y, force.z), (state.violation.code,))
+        )
         origin = self._site.ned_to_geodetic(np.zeros((1, 3)))
         self._origin = tuple(float(np.ravel(part)[0]) for part in origin)
         self._last = [[0.0] * WIDTH for _ in range(fleet.size)]
@@ -52,14 +57,19 @@ class FleetSight:
 
     def look(self) -> tuple[list[Sequence[float]], list[Sensed]]:
         """Return pitch, roll, throttle and yaw rate that are asked of each vehicle, and what each senses."""
-        floats = np.asarray(self._simulation.packed[1][0])
+        floats, integers = (np.asarray(part) for part in self._simulation.packed[1])
+        lies, forces = integers[self._codes[0]] != 0, floats[self._force].T
         asked: list[Sequence[float]] = []
         sensed: list[Sensed] = []
-        for row, values in zip(self._last, floats[self._places].T.tolist(), strict=True):
+        for number, values in enumerate(floats[self._places].T.tolist()):
+            row = self._last[number]
             for column, value in zip(self._columns, values, strict=True):
                 # A sensor without a reading says what it said before.
                 if value == value or column < ATTITUDE:
                     row[column] = value
+            if lies[number]:
+                # A wreck has no readings, and feels its weight alone.
+                row[RATES:FORCE], row[FORCE:HEIGHT] = [0.0, 0.0, 0.0], forces[number].tolist()
             asked.append(row[ASKED:ATTITUDE])
             sensed.append(self._sensed(row))
         return asked, sensed

@@ -1,0 +1,79 @@
+"""Vehicles that have crashed: in every message, and for an autopilot, a wreck lies still."""
+
+import math
+
+import numpy as np
+import pytest
+
+from qrsim.links.autopilot.sensing import FleetSight
+from qrsim.links.mavlink.dialect import NUMBERS
+from qrsim.links.mavlink.fleet import prepared
+from qrsim.links.mavlink.stack.contracts import NAN, Command
+from qrsim.links.mavlink.stack.stacks import stack_of
+from qrsim.links.mavlink.telemetry import ENCODERS
+from qrsim.links.mavlink.world import FlownWorld
+from qrsim.scenarios.scenario import load_scenario
+
+STILL = (
+    "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "VFR_HUD", "ALTITUDE", "ODOMETRY",
+)  # fmt: skip
+EKF = 'fleets.field.estimator={"type": "ekf"}'
+# Of the site of mavlink_field [m].
+GROUND = 488.0
+
+
+class Field:
+    """The scenario mavlink_field."""
+
+    def __init__(self, *overrides, **options):
+        self.lines: list[str] = []
+        scenario = prepared(load_scenario("mavlink_field", overrides))
+        self.world = FlownWorld(scenario, stack_of(), seed=5, log=self.lines.append, **options)
+        self.simulation = self.world.simulation
+        self.autopilot = FleetSight(self.simulation, 0)
+
+    def run(self, seconds):
+        for _ in range(round(seconds / 0.02)):
+            self.world.tick(0.0)
+
+    def command(self, number, id, *params):
+        numbers = (*map(float, params), *[NAN] * (7 - len(params)))
+        return int(self.world.systems[number].stack.command(Command(id, numbers)).result)
+
+    def take_off(self, number, height):
+        assert self.command(number, 400, 1) == 0
+        assert self.command(number, 22, NAN, NAN, NAN, NAN, NAN, NAN, GROUND + height) == 0
+
+    def told(self, number):
+        """Return what the messages of STILL say, without their times."""
+        view = self.world.systems[number].view
+        payloads = {name: ENCODERS[NUMBERS[name]](view) for name in STILL}
+        return {name: payload[8 if name in ("ALTITUDE", "ODOMETRY") else 4 :] for name, payload in payloads.items()}
+
+
+@pytest.mark.parametrize("overrides", [(), pytest.param((EKF,), marks=pytest.mark.long)])
+def test_a_wreck_lies_still_in_every_message_and_for_an_autopilot(overrides):
+    field = Field(*overrides)
+    field.run(2.0)
+    for number in (0, 1):
+        field.take_off(number, 6.0)
+    field.run(6.0)
+    # Its motors stop in the air.
+    assert field.command(0, 400, 0, 21196) == 0
+    field.run(2.0)
+    assert field.simulation.reasons[0].startswith("crashed: impact_speed = ")
+    there = field.told(0)
+    seen = field.world.systems[0].view.seen
+    assert seen.velocity_ned == seen.rates == (0.0, 0.0, 0.0)
+    assert seen.position_ned == pytest.approx(field.simulation.truth.position_ned[0], abs=3.0)
+    field.run(3.0)
+    assert field.told(0) == there
+    _, (sensed, other, *_) = field.autopilot.look()
+    assert list(sensed.velocity_ned) == list(sensed.rates_body) == [0.0, 0.0, 0.0]
+    # It feels its weight, along the Earth's vertical.
+    (roll, pitch, _), force = field.simulation.truth.attitude[0], np.array(sensed.specific_force)
+    down = np.array([-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)])
+    assert force == pytest.approx(-9.81 * down, abs=1e-4)
+    # The other one flies on.
+    assert field.simulation.reasons[1] == ""
+    assert other.place[2] == pytest.approx(GROUND + 6.0, abs=1.0)
