@@ -72,6 +72,8 @@ class Mavlink:
     lockstep: bool = False
     """Begin when every vehicle has a set-point; then have the world wait at every tick, for at most 1 s of wall time,
     until each has one newer than the last ATTITUDE that its client was sent: equal runs are equal to the bit."""
+    respawn: bool = False
+    """Put a vehicle that has crashed or collided back to where it began, 3 s later; without it, a reboot does."""
     truth: bool = False
     """Let clients ask for HIL_STATE_QUATERNION, the true state; without it they get estimates and readings only."""
 
@@ -94,7 +96,8 @@ class Mavlink:
         world = FlownWorld(
             prepared(load_scenario(self.scenario, self.set)),
             stack_of(self.flavour, self.local_origin),  # type: ignore[arg-type]
-            seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, log=say,
+            seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, respawn=self.respawn,
+            log=say,
         )  # fmt: skip
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
         server = Server(world, ports, Wire(self.realtime, HERE, ground, self.stream_time == "sim", self.lockstep), say)

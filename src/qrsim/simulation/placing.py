@@ -23,20 +23,20 @@ FloatArray = np.ndarray[Any, Any]
 WIDTHS = (3, 6, 12, 13)
 
 
-def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> State:
+def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) -> State:
     """Place vehicles in given states, with sensors, controllers and noise restarted there.
 
     That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
-    battery and their way along the route. What is drawn is drawn from the numbers of this tick.
+    way along the route, and their battery unless it is renewed. What is drawn is drawn from the numbers of this tick.
 
     Args:
         world: its parameters.
         given: rows (n, 16) of all vehicles, a thrust of NaN being the weight, the last three what single precision
-            leaves out of the positions; and which of them (n,) are placed.
+            leaves out of the positions; which of them (n,) are placed, and whose battery (n,) is renewed.
         state: of the world; the violations of those that are placed say whether they can be where they were put.
         tick: () int32, now.
     """
-    rows, chosen = given
+    rows, chosen, renewed = given
     world = world.with_drawn(state.drawn)
     spans, first = [], 0
     for fleet in world.fleets:
@@ -51,7 +51,8 @@ def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> Stat
     for fleet, before, keys, mine, put in zip(world.fleets, state.fleets, state.fleet_keys, spans, puts, strict=True):
         low = Vec3(*(rows[mine, i] for i in range(13, 16)))
         fresh = start_fleet(world, fleet, put, keys, tick, state.sky, view, state.field, before, low)
-        fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=before.battery)
+        battery = select(renewed[mine], fresh.battery, before.battery)
+        fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=battery)
         pairs = zip(fleet.sensors, fresh.sensors, before.sensors, strict=True)
         sensors = tuple(sensor.placed(chosen[mine], new, old) for sensor, new, old in pairs)
         rest = select(chosen[mine], replace(fresh, sensors=()), replace(before, sensors=()))

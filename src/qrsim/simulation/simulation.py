@@ -304,19 +304,20 @@ class Simulation(Alone):
         return number
 
     @alone
-    def set_state(self, state: Any) -> Reading:
+    def set_state(self, state: Any, new_battery: bool = False) -> Reading:
         """Place vehicles in given states, flying again if stopped, and return the reading there.
 
         All that belongs to such a vehicle is as at a start at that place: its sensors (GNSS, barometer, attitude, and
         what they deliver later), what its controller is fed with, its control loops, and the gusts around it. It keeps
-        its battery and its way along its route. Time, mean wind, satellites, faults and the other vehicles go on. First
-        errors are drawn from the numbers of this tick, so that the same state set at the same tick of an episode brings
-        the same reading.
+        its way along its route, and its battery. Time, mean wind, satellites, faults and the other vehicles go on.
+        First errors are drawn from the numbers of this tick, so that the same state set at the same tick of an episode
+        brings the same reading.
 
         Args:
             state: (n, 13) position NED [m], roll, pitch, yaw [rad], body velocity [m/s], body rates [rad/s] and thrust
                 [N]; (n, 12) without thrust, which is then the weight; (n, 6) at rest; or (n, 3) level and facing north
                 too. A row of NaN leaves its vehicle as it is.
+            new_battery: give each vehicle that is placed a battery as at the start of an episode.
 
         Raises:
             UsageError: another shape, a row that is partly NaN, or a state beyond area and limits or in collision.
@@ -324,7 +325,7 @@ class Simulation(Alone):
         layout, before = self._running()
         rows, chosen = checked_rows(state, self.vehicle_names, self.dtype)
         with self.precision_context():
-            changed = self._ticks.place(layout, before, self.tick, (rows, chosen))
+            changed = self._ticks.place(layout, before, self.tick, (rows, chosen, chosen & new_battery))
             fleets = layout.unpack(changed).fleets
             refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
             self._state, self._host = changed, None

@@ -1,4 +1,4 @@
-"""Vehicles that have crashed: in every message, and for an autopilot, a wreck lies still."""
+"""Vehicles that have crashed: in every message, and for an autopilot, a wreck lies still; a reboot puts it back."""
 
 import math
 
@@ -44,6 +44,11 @@ class Field:
         assert self.command(number, 400, 1) == 0
         assert self.command(number, 22, NAN, NAN, NAN, NAN, NAN, NAN, GROUND + height) == 0
 
+    def put(self, number, *place):
+        rows = np.full((5, 3), np.nan)
+        rows[number] = place
+        self.simulation.set_state(rows)
+
     def told(self, number):
         """Return what the messages of STILL say, without their times."""
         view = self.world.systems[number].view
@@ -77,3 +82,66 @@ def test_a_wreck_lies_still_in_every_message_and_for_an_autopilot(overrides):
     # The other one flies on.
     assert field.simulation.reasons[1] == ""
     assert other.place[2] == pytest.approx(GROUND + 6.0, abs=1.0)
+
+
+def crashed(**options) -> Field:
+    """Return the field after the first vehicle has fallen, 20 m from where it began, with the second in the air."""
+    field = Field(**options)
+    field.run(2.0)
+    for number in (0, 1):
+        field.take_off(number, 4.0)
+    field.run(5.0)
+    field.put(0, 20.0, 0.0, -4.0)
+    assert field.command(0, 400, 0, 21196) == 0
+    field.run(1.2)
+    assert field.simulation.reasons[0].startswith("crashed")
+    return field
+
+
+def stands(field: Field, number: int) -> None:
+    """A vehicle stands where it began, and says so."""
+    assert field.simulation.reasons[number] == ""
+    assert field.simulation.truth.position_ned[number] == pytest.approx([0.0, 4.0 * number, -0.2], abs=0.01)
+    view = field.world.systems[number].view
+    assert view.local(view.seen.position_ned) == pytest.approx((0.0, 0.0, 0.0), abs=0.5)
+    assert view.local(view.stack.home.position_ned) == pytest.approx((0.0, 0.0, 0.0), abs=0.5)
+    assert view.seen.charge > 0.999
+
+
+def test_a_reboot_puts_a_wreck_back_and_changes_no_bit_of_the_others_flight():
+    field, left = crashed(), crashed()
+    battery = field.world.systems[0].view.seen.charge
+    assert field.command(0, 22) == 1
+    assert field.command(0, 246, 1) == 0
+    for each in (field, left):
+        each.run(3.0)
+    assert left.simulation.reasons[0].startswith("crashed")
+    assert battery < 0.999
+    stands(field, 0)
+    assert field.lines[-1].endswith("'field_0': Started again")
+    np.testing.assert_array_equal(field.simulation.truth.state[1:], left.simulation.truth.state[1:])
+    field.take_off(0, 4.0)
+    field.run(5.0)
+    assert -field.simulation.truth.position_ned[:2, 2] == pytest.approx([4.0, 4.0], abs=1.0)
+    # In the air it is not rebooted, and one that stands reboots where it is.
+    assert field.command(0, 246, 1) == 2
+    assert field.command(1, 246, 1) == 2
+    assert field.command(2, 246, 1) == 0
+    field.run(0.1)
+    assert field.simulation.truth.position_ned[2] == pytest.approx([0.0, 8.0, -0.2], abs=0.01)
+    assert field.lines[-1].endswith("'field_2': Started again")
+
+
+def test_with_respawn_a_wreck_is_put_back_by_itself_unless_somebody_is_in_the_way():
+    field = crashed(respawn=True)
+    fell = field.simulation.time
+    field.put(2, 0.0, 0.5, -0.197)
+    field.run(5.0)
+    assert field.simulation.reasons[0].startswith("crashed")
+    (line,) = (line for line in field.lines if "Not put back" in line)
+    assert "'field_0': Not put back to where it began: collision: distance = 0.5" in line
+    field.put(2, 0.0, 8.0, -0.197)
+    field.run(4.0)
+    stands(field, 0)
+    assert field.simulation.time - fell < 10.0
+    assert field.simulation.reasons == [""] * 5

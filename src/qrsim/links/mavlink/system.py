@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
 from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import Event, Stack, Text
 from qrsim.links.mavlink.telemetry import ENCODERS
 from qrsim.links.mavlink.transfers import Transfers
@@ -38,6 +39,7 @@ class System:
         view: what its messages are made of.
         links: on which it is heard.
         transfers: of plans.
+        reboots: whether it is to start again before the next tick.
     """
 
     def __init__(
@@ -50,6 +52,14 @@ class System:
         self.tick = 0
         self._text = 0
         self.told: set[str] = set()
+        self.reboots = False
+
+    def restart(self) -> None:
+        """Begin again as after a boot; an upload that is on its way is broken off."""
+        self.stack.reset()
+        self.transfers.upload = None
+        self.told.clear()
+        self.text(Text(Severity.INFO, "Started again"))
 
     def publish(self, tick: int, wall: float) -> None:
         """Send what is due at a tick: streams, news and texts."""
@@ -78,6 +88,7 @@ class System:
     def _tell(self, event: Event) -> None:
         if event.kind == "item_reached":
             self._broadcast("MISSION_ITEM_REACHED", LAYOUTS["MISSION_ITEM_REACHED"].payload(seq=event.number))
+        self.reboots |= event.kind == "reboot"
         for name in _AT_ONCE.get(event.kind, ()):
             payload = ENCODERS[NUMBERS[name]](self.view)
             if payload is not None:

@@ -13,6 +13,7 @@ from qrsim.errors import UsageError
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.fleet import systems_of
+from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
@@ -38,6 +39,7 @@ class FlownWorld:
         first_system: MAVLink system id of the first vehicle.
         factor: simulated seconds per second of the wall clock.
         truth: whether vehicles may tell their true state.
+        respawn: whether vehicles that have crashed are put back to where they began, by themselves.
         log: told one line of what clients are told.
 
     Raises:
@@ -57,6 +59,7 @@ class FlownWorld:
         first_system: int = 1,
         factor: float = 1.0,
         truth: bool = False,
+        respawn: bool = False,
         log: Callable[[str], None] = lambda line: None,
     ):
         world, site = scenario.world(), scenario.site
@@ -79,11 +82,14 @@ class FlownWorld:
         for row, system in zip(self._rows, self.systems, strict=True):
             system.view.around, system.view.number = around, row
         self._busy = 0.0
+        systems = list(zip(self._rows, self.systems, strict=True))
+        self._restarts = Restarts(self.simulation, self._latches, systems, respawn)
         self._command()
 
     def _warm(self) -> None:
-        """Compile what is flown."""
+        """Compile what is flown, and what puts a vehicle back."""
         self.simulation.advance(self._latches.actions())
+        self.simulation.set_state(np.full_like(self.simulation.truth.state, np.nan))
         self.simulation.reset()
 
     def tick(self, wall: float) -> None:
@@ -93,6 +99,7 @@ class FlownWorld:
             wall: time of the wall clock [s], of ``time.monotonic``.
         """
         begin = time.perf_counter()
+        self._restarts.look()
         self.simulation.advance(self._latches.actions())
         self._command()
         for system in self.systems:

@@ -124,12 +124,16 @@ def test_pauses_are_those_of_ground_stations():
     assert puppet.do(193, 0) == UNSUPPORTED
 
 
-def test_a_vehicle_whose_flight_has_ended_is_not_rebooted():
+def test_a_vehicle_whose_flight_has_ended_moves_after_a_reboot():
     puppet = Puppet()
     puppet.seen.stopped = "crashed: impact_speed = 9.1"
     puppet.run(0.04)
-    assert puppet.do(246, 1) == DENIED
+    for number in (20, 21, 22, 192, 300):
+        assert puppet.do(number) == REJECTED
     puppet.run(0.02)
-    assert puppet.texts[-1] == (
-        "Reboot denied: flight has ended: crashed: impact_speed = 9.1; start qrsim mavlink again"
-    )
+    assert puppet.texts[-1] == "Command 300 rejected: flight has ended: crashed: impact_speed = 9.1; reboot"
+    assert puppet.do(246, 1) == ACCEPTED
+    # Its world puts it back, and starts it again.
+    assert puppet.stack.events()[-1].kind == "reboot"
+    puppet.seen.stopped = ""
+    puppet.stack.reset()

@@ -111,7 +111,7 @@ def test_an_armed_vehicle_that_does_not_take_off_disarms():
         ("healthy", 0xF - 2, "accelerometer not healthy"),
         ("healthy", 0xF - 4, "magnetometer not healthy"),
         ("healthy", 0xF - 8, "barometer not healthy"),
-        ("stopped", "crashed", "flight has ended: crashed"),
+        ("stopped", "crashed", "flight has ended: crashed; reboot"),
         ("on_ground", False, "not on the ground"),
     ],
 )
@@ -178,6 +178,8 @@ def test_a_terminated_flight_needs_a_reboot():
     assert puppet.do(400, 1) == TEMPORARILY_REJECTED
     assert puppet.do(246, 1) == ACCEPTED
     assert puppet.stack.events()[-1].kind == "reboot"
+    puppet.stack.reset()
+    puppet.run(2.0)
     assert puppet.do(400, 1) == ACCEPTED
 
 

@@ -19,6 +19,8 @@ from qrsim.links.mavlink.stack.orbits import fits
 # Param2 of an arm or disarm command that leaves checks out.
 FORCE = 21196.0
 LARGEST_ALTITUDE = 1e5
+# What has a vehicle move: return, land, take off, reposition, start a mission.
+_MOVES = frozenset((20, 21, 22, 192, 300))
 
 
 def obey(stack: Flight, command: Command) -> Result:
@@ -29,6 +31,10 @@ def obey(stack: Flight, command: Command) -> Result:
     if any(map(math.isinf, command.params)):
         stack.craft.say(Severity.WARNING, f"Command {command.id} denied: infinite numbers")
         return Result.DENIED
+    if command.id in _MOVES and stack.craft.seen.stopped:
+        why = f"flight has ended: {stack.craft.seen.stopped}; reboot"
+        stack.craft.say(Severity.CRITICAL, f"Command {command.id} rejected: {why}")
+        return Result.TEMPORARILY_REJECTED
     return known(stack, command)
 
 
@@ -255,11 +261,6 @@ def _reboot(stack: Flight, command: Command) -> Result:
         return Result.DENIED
     if _number(command.params[0]) not in (1.0, 3.0):
         return Result.ACCEPTED if _number(command.params[0]) == 0.0 else Result.UNSUPPORTED
-    if stack.craft.seen.stopped:
-        why = f"flight has ended: {stack.craft.seen.stopped}; start qrsim mavlink again"
-        stack.craft.say(Severity.CRITICAL, f"Reboot denied: {why}")
-        return Result.DENIED
-    stack.craft.terminated = False
     stack.craft.tell("reboot")
     return Result.ACCEPTED
 
