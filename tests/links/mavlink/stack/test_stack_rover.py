@@ -160,5 +160,7 @@ def test_guided_of_ardupilots_rover_drives_setpoints_at_once():
     cart.run(1.0, LocalTarget(1, VELOCITY, velocity=(1.0, 0.0, 0.0)))
     assert cart.stack.heartbeat().custom_mode == 15
     assert cart.order.numbers[0] == 1.0
-    cart.run(1.1)
+    cart.run(2.9)
+    assert cart.order.numbers[0] == 1.0
+    cart.run(0.2)
     assert (cart.stack.heartbeat().custom_mode, cart.order.numbers[0]) == (15, 0.0)

@@ -77,7 +77,9 @@ class Failsafes:
             craft.say(Severity.CRITICAL if action else Severity.INFO, "Link to the ground lost")
             asked = max(asked, action)
         if mode is Mode.OFFBOARD and not offboard.fresh(craft, values["COM_OF_LOSS_T"] * stretch):
-            craft.say(Severity.CRITICAL, "Failsafe: no offboard set-points")
+            if not offboard.keeps_places:
+                # ArduPilot's GUIDED holds then, which is no failsafe.
+                craft.say(Severity.CRITICAL, "Failsafe: no offboard set-points")
             asked = max(asked, _OFFBOARD[int(values["COM_OBL_RC_ACT"])])
         return asked
 

@@ -28,6 +28,8 @@ from qrsim.models.site import Site
 TAKEN_OFF = 0.3
 # Sticks hold for so long with ArduPilot's flavour [s].
 RC_OVERRIDE_TIME = 3.0
+# GUID_TIMEOUT of ArduPilot, by default: without velocities for so long, GUIDED holds [s] (ArduCopter/Parameters.cpp).
+GUIDED_TIMEOUT = 3.0
 
 
 class Flight:
@@ -62,6 +64,8 @@ class Flight:
         self.facts, self.factor = facts, factor
         if parameters is None:
             start: dict[str, float] = {"MAV_SYS_ID": facts.system}
+            if flavour == "ardupilot":
+                start["COM_OF_LOSS_T"] = GUIDED_TIMEOUT
             if facts.loiter_radius:
                 start["NAV_LOITER_RAD"] = facts.loiter_radius
             parameters = Parameters(start)
