@@ -23,6 +23,7 @@ MODES = (
 REQUIREMENTS = {
     "mavsdk3": ("mavsdk==3.17.4",),
     "mavsdk4": ("mavsdk==4.1.0",),
+    "dronekit": ("dronekit2==3.0.0",),
     "mavproxy": ("MAVProxy==1.8.75", "setuptools<81"),
 }
 

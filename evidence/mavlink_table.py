@@ -72,13 +72,14 @@ ITEMS = _facts("""
     2502:VIDEO_START_STREAMING: 2503:VIDEO_STOP_STREAMING: 3000:DO_VTOL_TRANSITION:p 4501:CONDITION_GATE:p
     42600:DO_WINCH:pa
 """)
-# Messages of clients that one of both does not take, and what is special here.
+# Messages of clients that one of both does not take, and what is special here, of those of vehicles too.
 HEARD_BY_ONE = {
     "MISSION_WRITE_PARTIAL_LIST": "ardupilot", "REQUEST_DATA_STREAM": "ardupilot",
 }  # fmt: skip
 HEARD_BY_NONE = {"MISSION_REQUEST_PARTIAL_LIST", "SET_ACTUATOR_CONTROL_TARGET"}
 SPECIAL = {
-    "FOLLOW_TARGET": "PX4's flavour", "REQUEST_DATA_STREAM": "ArduPilot's flavour", "LOG_REQUEST_LIST": "an empty list",
+    "FOLLOW_TARGET": "PX4's flavour", "REQUEST_DATA_STREAM": "ArduPilot's flavour", "CURRENT_MODE": "PX4's flavour",
+    "EKF_STATUS_REPORT": "ArduPilot's flavour", "LOG_REQUEST_LIST": "an empty list",
     "FILE_TRANSFER_PROTOCOL": "refused", "MISSION_REQUEST_PARTIAL_LIST": "refused",
     "MISSION_WRITE_PARTIAL_LIST": "refused", "SET_ACTUATOR_CONTROL_TARGET": "refused by a STATUSTEXT",
 }  # fmt: skip
@@ -166,7 +167,7 @@ def _messages() -> Iterator[str]:
     yield from _table("message of a vehicle", "PX4", "ArduPilot", "here")
     for name in sorted(["AVAILABLE_MODES", *(BY_NUMBER[number].name for number in ENCODERS)]):
         who = (_yes(name not in SENT_BY_ARDUPILOT), _yes(name not in SENT_BY_PX4))
-        yield _row(f"`{name}`", *who, "PX4's flavour" if name == "CURRENT_MODE" else "yes")
+        yield _row(f"`{name}`", *who, SPECIAL.get(name, "yes"))
 
 
 def _modes() -> Iterator[str]:

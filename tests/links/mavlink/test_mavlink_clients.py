@@ -81,6 +81,17 @@ def test_mavsdk_4(field):
     check_log(field.end())
 
 
+def test_dronekit():
+    """DroneKit speaks the older dialect of missions, and flies to places by MISSION_ITEM."""
+    python = environment("dronekit")
+    field = Field("--flavour", "ardupilot")
+    try:
+        assert fly(python, "dronekit_flight.py", f"udpin:127.0.0.1:{field.port}") == list(STEPS)
+    finally:
+        text = field.end()
+    check_log(text)
+
+
 @pytest.mark.nightly
 def test_mavproxy(field, tmp_path):
     """MAVProxy reads the parameters, arms, takes off, flies a mission from a file, and comes back."""

@@ -315,16 +315,20 @@ def test_an_upload_that_breaks_off_leaves_the_mission_of_before(wire, sent):
     for seq in range(sent):
         wire.ask("MISSION_ITEM_INT", target_system=1, target_component=1, seq=seq, **other[seq])
     # Every quarter of a second it is asked for again, ten times.
-    wall, asked, acks = wire.system.transfers.upload.asked, 0, []
+    wall, asked, acks = wire.system.transfers.upload.asked, [], []
     for _ in range(200):
         wall += 0.1
         wire.run(1, wall)
         if wire.system.transfers.upload is not None:
             wire.system.transfers.upload.asked = min(wire.system.transfers.upload.asked, wall)
-        found = wire.take("MISSION_REQUEST_INT", "MISSION_ACK")
-        asked += sum(message.layout.name == "MISSION_REQUEST_INT" for message in found)
+        found = wire.take("MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ACK")
+        asked += [message.layout.name for message in found if message.layout.name != "MISSION_ACK"]
         acks += [message.type for message in found if message.layout.name == "MISSION_ACK"]
-    assert (asked, acks) == (10, [1])
+    # Every third time it is asked in the older dialect. MAV_MISSION_OPERATION_CANCELLED.
+    by_floats = [name == "MISSION_REQUEST" for name in asked]
+    assert by_floats == [False, True, False, False, True, False, False, True, False, False]
+    assert acks == [15]
+    assert wire.lines[-1].endswith(f"Mission upload timed out at item {sent} of 3; the one of before stays")
     assert [item.command for item in download(wire)] == [22, 16, 20]
 
 
@@ -342,6 +346,75 @@ def test_uploads_that_are_refused(wire):
     # Another item than was asked for: it is asked for once more.
     (again,) = wire.ask("MISSION_ITEM_INT", target_system=1, target_component=1, seq=1, **ITEMS[1])
     assert (again.layout.name, again.seq) == ("MISSION_REQUEST_INT", 0)
+
+
+def a_place(seq, name, **more):
+    """Return the fields of an item that is a place, in one of the two dialects."""
+    place = {"x": 51.7, "y": -0.2} if name == "MISSION_ITEM" else {"x": 517000000, "y": -2000000}
+    return {"target_system": 1, "target_component": 1, "seq": seq, "frame": 3, "command": 16, "z": 9.0, **place, **more}
+
+
+def test_a_client_is_asked_in_the_dialect_that_it_speaks(wire):
+    (first,) = wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=3)
+    assert first.layout.name == "MISSION_REQUEST_INT"
+    # MAV_MISSION_UNSUPPORTED: it wants the other one, as PX4's clients say.
+    (first,) = wire.ask("MISSION_ACK", target_system=1, target_component=1, type=3)
+    assert (first.layout.name, first.seq) == ("MISSION_REQUEST", 0)
+    (second,) = wire.ask("MISSION_ITEM", **a_place(0, "MISSION_ITEM"))
+    assert (second.layout.name, second.seq) == ("MISSION_REQUEST", 1)
+    # The same in the other dialect is passed over, and the next one in it is taken.
+    assert wire.ask("MISSION_ITEM_INT", **a_place(0, "MISSION_ITEM_INT")) == []
+    (third,) = wire.ask("MISSION_ITEM_INT", **a_place(1, "MISSION_ITEM_INT"))
+    assert (third.layout.name, third.seq) == ("MISSION_REQUEST_INT", 2)
+    # Another client's item is denied; that of nobody's upload is an error, but for the last one once more.
+    (ack,) = wire.ask("MISSION_ITEM", sender=(246, 1), **a_place(2, "MISSION_ITEM"))
+    assert ack.type == 14
+    for name in ("MISSION_ITEM", "MISSION_ITEM_INT"):
+        (ack,) = wire.ask(name, **a_place(2, name))
+        assert ack.type == 0
+    for sender, seq in ((CLIENT, 1), ((246, 1), 2)):
+        (ack,) = wire.ask("MISSION_ITEM", sender=sender, **a_place(seq, "MISSION_ITEM"))
+        assert (ack.type, ack.target_system) == (1, sender[0])
+    assert [item.x for item in download(wire)] == [pytest.approx(517000000, abs=10)] * 3
+
+
+def test_uploads_to_ardupilot_and_its_item_0():
+    wire = Wire(flavour="ardupilot")
+    assert wire.take("EKF_STATUS_REPORT")[0].flags == 0x33F
+    # Home can be read without a mission.
+    assert wire.ask("MISSION_REQUEST_LIST", target_system=1, target_component=1)[0].count == 0
+    (home,) = wire.ask("MISSION_REQUEST", target_system=1, target_component=1, seq=0)
+    assert (home.layout.name, home.command, home.frame, home.z) == ("MISSION_ITEM", 16, 0, 40.0)
+    assert (home.x, home.y) == pytest.approx((51.7, -0.2), abs=1e-5)
+    (first,) = wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=2)
+    (second,) = wire.ask("MISSION_ITEM_INT", **a_place(0, "MISSION_ITEM_INT", x=1, y=1))
+    assert [asked.layout.name for asked in (first, second)] == ["MISSION_REQUEST"] * 2
+    assert wire.ask("MISSION_ITEM", **a_place(1, "MISSION_ITEM"))[0].type == 0
+    # Whatever was uploaded as home, home it is.
+    assert [item.x for item in download(wire)] == [517000000, pytest.approx(517000000, abs=10)]
+
+
+def test_a_guided_waypoint_of_ardupilot():
+    """MISSION_ITEM with current = 2 is flown to at once in GUIDED, and answered in any case."""
+    wire = Wire(flavour="ardupilot")
+    # 22 m north of the site.
+    there = a_place(0, "MISSION_ITEM", x=51.7121, y=-0.21052, current=2)
+    # MAV_MISSION_ERROR outside GUIDED, and for a change of the altitude alone MAV_MISSION_UNSUPPORTED.
+    assert [message.type for message in wire.ask("MISSION_ITEM", **there)] == [1]
+    wire.ask("SET_MODE", target_system=1, base_mode=1, custom_mode=4)
+    assert [message.type for message in wire.ask("MISSION_ITEM", **there)] == [1]
+    assert [message.type for message in wire.ask("MISSION_ITEM", **there | {"current": 3})] == [3]
+    wire.run(1)
+    assert "Reposition rejected: not armed" in wire.lines[-1]
+    assert [answer.result for answer in wire.command(400, 1.0)] == [0]
+    wire.seen.on_ground, wire.seen.position_ned = False, (0.0, 0.0, -9.0)
+    wire.run(10)
+    assert [message.type for message in wire.ask("MISSION_ITEM", **there)] == [0]
+    wire.run(100)
+    assert wire.system.view.order.kind == "path"
+    assert wire.system.view.order.numbers[3] > 1.0
+    assert abs(wire.system.view.order.numbers[4]) < 0.1
+    assert wire.system.stack.heartbeat().custom_mode == 4
 
 
 def test_fence_and_rally_are_plans_of_their_own(wire):

@@ -4,7 +4,7 @@ import random
 import struct
 
 import pytest
-from pymavlink.dialects.v20 import common, development
+from pymavlink.dialects.v20 import ardupilotmega, common, development
 
 from qrsim.links.mavlink.checksum import x25
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS
@@ -36,7 +36,8 @@ def test_the_version_of_the_protocol_which_pymavlink_lacks():
 @pytest.mark.parametrize("name", sorted(set(LAYOUTS) - {"PROTOCOL_VERSION"}))
 def test_every_message_is_that_of_pymavlink(name):
     layout = LAYOUTS[name]
-    dialect = common if hasattr(common, f"MAVLink_{name.lower()}_message") else development
+    dialects = (common, ardupilotmega, development)
+    dialect = next(one for one in dialects if hasattr(one, f"MAVLink_{name.lower()}_message"))
     theirs = getattr(dialect, f"MAVLink_{name.lower()}_message")
     assert (layout.number, layout.extra) == (theirs.id, theirs.crc_extra)
     assert [field.name for field in layout.fields] == theirs.ordered_fieldnames

@@ -247,6 +247,38 @@ def test_global_set_points_are_flown_in_their_frames(served, vehicle, frame_of, 
 
 
 @pytest.mark.long
+def test_two_that_are_sent_to_one_local_place_fly_side_by_side(served):
+    """Each from where it stood, as MAVSDK's example flies two; the program of one starts again meanwhile."""
+    clients = [served.client(vehicle) for vehicle in (17, 18)]
+
+    def send(client):
+        client.mav.set_position_target_local_ned_send(
+            0, client.system, 1, 1, 0xDF8, 3.0, 6.0, -5.0, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+
+    def send_all():
+        for client in clients:
+            send(client)
+
+    for client in clients:
+        client.until("SYS_STATUS", lambda s: s.onboard_control_sensors_health & M.MAV_SYS_STATUS_PREARM_CHECK)
+        send_all()
+        assert client.command(176, 1, 6) == ACCEPTED
+        assert client.command(400, 1) == ACCEPTED
+    # Another port, and another system id.
+    clients[1] = Client(f"udpout:{ports.HERE}:{served.ports.onboard + 18}", 19)
+    clients[1].mav.srcSystem = 200
+    there = lambda now: math.dist((now.x, now.y, now.z), (3.0, 6.0, -5.0)) < 0.3  # noqa: E731
+    for client in clients:
+        client.until("LOCAL_POSITION_NED", there, send_all)
+    truth = served.world.simulation.truth.position_ned
+    assert truth[17] == pytest.approx([3.0, 91.0, -5.0], abs=0.5)
+    assert truth[18] == pytest.approx([3.0, 96.0, -5.0], abs=0.5)
+    send_all()
+    assert clients[1].command(21) == ACCEPTED
+
+
+@pytest.mark.long
 def test_an_attitude_with_thrust_is_flown(served):
     client = served.client(8)
     client.mav.param_request_read_send(9, 1, b"MPC_THR_HOVER", -1)

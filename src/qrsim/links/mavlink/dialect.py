@@ -1,8 +1,8 @@
 """Messages of MAVLink that are spoken here: names, numbers and layouts.
 
 The names, types and order of fields are those of the protocol's "common" message set
-(mavlink.io/en/messages/common.html). Layouts and the byte CRC_EXTRA follow from them by the rules of the protocol
-(mavlink.io/en/guide/serialization.html).
+(mavlink.io/en/messages/common.html), of EKF_STATUS_REPORT those of "ardupilotmega". Layouts and the byte CRC_EXTRA
+follow from them by the rules of the protocol (mavlink.io/en/guide/serialization.html).
 """
 
 from __future__ import annotations
@@ -103,6 +103,8 @@ ESTIMATOR_STATUS 230 time_usec:Q flags:H vel_ratio:f pos_horiz_ratio:f pos_vert_
   tas_ratio:f pos_horiz_accuracy:f pos_vert_accuracy:f
 WIND_COV 231 time_usec:Q wind_x:f wind_y:f wind_z:f var_horiz:f var_vert:f wind_alt:f horiz_accuracy:f
   vert_accuracy:f
+EKF_STATUS_REPORT 193 flags:H velocity_variance:f pos_horiz_variance:f pos_vert_variance:f compass_variance:f
+  terrain_alt_variance:f | airspeed_variance:f
 HOME_POSITION 242 latitude:i longitude:i altitude:i x:f y:f z:f q:4f approach_x:f approach_y:f approach_z:f |
   time_usec:Q
 MESSAGE_INTERVAL 244 message_id:H interval_us:i

@@ -12,7 +12,7 @@ from qrsim.links.mavlink import requests, table
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
 from qrsim.links.mavlink.frames import Frame
 from qrsim.links.mavlink.link import COMPONENT, Link
-from qrsim.links.mavlink.stack.codes import Result, Severity
+from qrsim.links.mavlink.stack.codes import ARDUPILOT, Result, Severity
 from qrsim.links.mavlink.stack.contracts import (
     Ack,
     AttitudeTarget,
@@ -24,7 +24,7 @@ from qrsim.links.mavlink.stack.contracts import (
     Text,
 )
 from qrsim.links.mavlink.system import System
-from qrsim.links.mavlink.telemetry import ARDUPILOT, ENCODERS
+from qrsim.links.mavlink.telemetry import ENCODERS
 
 GROUND_STATION = 6
 # MAV_CMD.
@@ -256,8 +256,8 @@ _HANDLERS: dict[str, Handler] = {
     "PARAM_REQUEST_READ": table.send_one,
     "PARAM_SET": table.set_one,
     "MISSION_COUNT": lambda system, link, frame: system.transfers.begin(link, _partner(frame), frame.message()),
-    "MISSION_ITEM": lambda system, link, frame: system.transfers.item(_partner(frame), frame.message()),
-    "MISSION_ITEM_INT": lambda system, link, frame: system.transfers.item(_partner(frame), frame.message()),
+    "MISSION_ITEM": lambda system, link, frame: system.transfers.item(link, _partner(frame), frame.message()),
+    "MISSION_ITEM_INT": lambda system, link, frame: system.transfers.item(link, _partner(frame), frame.message()),
     "MISSION_REQUEST_LIST": lambda system, link, frame: system.transfers.count(link, _partner(frame), frame.message()),
     "MISSION_REQUEST_INT": lambda system, link, frame: system.transfers.send(
         link, _partner(frame), frame.message(), True

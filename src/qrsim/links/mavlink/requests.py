@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
 from qrsim.links.mavlink.frames import Frame
 from qrsim.links.mavlink.link import Link
-from qrsim.links.mavlink.stack.codes import Result
+from qrsim.links.mavlink.stack.codes import ARDUPILOT, Result
 from qrsim.links.mavlink.stack.contracts import Ack, Command
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.targets import available_modes
-from qrsim.links.mavlink.telemetry import ARDUPILOT, ENCODERS, sendable
+from qrsim.links.mavlink.telemetry import ENCODERS, sendable
 
 # MAV_CMD.
 GET_INTERVAL, SET_INTERVAL, REQUEST_MESSAGE, REQUEST_PROTOCOL, REQUEST_VERSION = 510, 511, 512, 519, 520
@@ -24,7 +24,7 @@ GROUPS: dict[int, tuple[str, ...]] = {
     6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
     10: ("ATTITUDE",),
     11: ("VFR_HUD",),
-    12: ("SYSTEM_TIME", "BATTERY_STATUS", "DISTANCE_SENSOR"),
+    12: ("SYSTEM_TIME", "BATTERY_STATUS", "DISTANCE_SENSOR", "EKF_STATUS_REPORT"),
 }
 # An ack, and the messages that follow it.
 Answer = tuple[Ack, Sequence[tuple[int, bytes]]]

@@ -48,7 +48,7 @@ class System:
         self.stack, self.name, self.number, self._log = stack, name, number, log
         self.view = View(stack, unix)
         self.links: list[Link] = []
-        self.transfers = Transfers(stack)
+        self.transfers = Transfers(stack, self.text)
         self.tick = 0
         self._text = 0
         self.told: set[str] = set()

@@ -8,9 +8,9 @@ import zlib
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.frames import Frame
 from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.stack.codes import ARDUPILOT
 from qrsim.links.mavlink.stack.parameters import INT32, Outcome, Parameter
 from qrsim.links.mavlink.system import System
-from qrsim.links.mavlink.telemetry import ARDUPILOT
 
 # The value as its four bytes: an integer may look like a float that is no number, which a float would not keep.
 _VALUE = struct.Struct("<4sHH16sB")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from qrsim.links.mavlink.dialect import LAYOUTS
+from qrsim.links.mavlink.stack.codes import ARDUPILOT
 from qrsim.links.mavlink.view import View
 
 # MAV_FRAME of local NED, and of latitude and longitude with altitudes above mean sea level.
@@ -13,6 +14,14 @@ _LOCAL_NED, _GLOBAL_INT = 1, 5
 _PATH, _VELOCITY, _NO_RATES = 0x800, 0x9C7, 0x7
 # Versions of MAVLink, in hundredths, as PX4 states them.
 _VERSION, _OLDEST, _NEWEST = 200, 100, 200
+# MAV_PROTOCOL_CAPABILITY: floats and integers of missions and commands, bytewise parameters, set-points local, global
+# and of attitude, MAVLink 2, fence, rally; termination. No files.
+CAPABILITIES = 0x1 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x100 | 0x800 | 0x2000 | 0x4000 | 0x8000
+# How integer parameters travel: as their bytes, or, of ArduPilot, as a float of the same value.
+BYTEWISE, CAST = 0x10, 0x20000
+ARDUPILOT_VERSION = 4 << 24 | 5 << 16 | 0 << 8 | 255
+# A PX4 of 1.15.0, whose modes and parameters these are, as a released version.
+FLIGHT_VERSION = 1 << 24 | 15 << 16 | 0 << 8 | 255
 
 # MAV_AUTOPILOT.
 PX4 = 12
@@ -116,6 +125,16 @@ def gps_global_origin(v: View) -> Payload:
         latitude=round(latitude * 1e7), longitude=round(longitude * 1e7), altitude=round(altitude * 1e3),
         time_usec=v.boot_us,
     )  # fmt: skip
+
+
+def autopilot_version(v: View) -> Payload:
+    """AUTOPILOT_VERSION; the uid is the system id."""
+    cast = v.stack.heartbeat().autopilot == ARDUPILOT
+    return LAYOUTS["AUTOPILOT_VERSION"].payload(
+        capabilities=CAPABILITIES & ~BYTEWISE | CAST if cast else CAPABILITIES,
+        flight_sw_version=ARDUPILOT_VERSION if cast else FLIGHT_VERSION,
+        uid=int(v.stack.parameters["MAV_SYS_ID"]),
+    )
 
 
 def protocol_version(v: View) -> Payload:

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from qrsim.links.mavlink.dialect import LAYOUTS
-from qrsim.links.mavlink.stack.codes import Sensor
+from qrsim.links.mavlink.stack.codes import ARDUPILOT, Sensor
 from qrsim.links.mavlink.stack.contracts import NAN
 from qrsim.links.mavlink.surroundings import adsb_vehicle, obstacle_distance, optical_flow_rad
 from qrsim.links.mavlink.targets import (
     attitude_target,
+    autopilot_version,
     available_modes_monitor,
     current_mode,
     gps_global_origin,
@@ -26,16 +27,9 @@ from qrsim.links.shared import sight as s
 # MAVLink 2.
 PROTOCOL = 3
 GRAVITY = 9.80665
-# MAV_PROTOCOL_CAPABILITY: floats and integers of missions and commands, bytewise parameters, set-points local, global
-# and of attitude, MAVLink 2, fence, rally; termination. No files.
-CAPABILITIES = 0x1 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x100 | 0x800 | 0x2000 | 0x4000 | 0x8000
-# How integer parameters travel: as their bytes, or, of ArduPilot (MAV_AUTOPILOT 3), as a float of the same value.
-BYTEWISE, CAST, ARDUPILOT = 0x10, 0x20000, 3
-ARDUPILOT_VERSION = 4 << 24 | 5 << 16 | 0 << 8 | 255
-# A PX4 of 1.15.0, whose modes and parameters these are, as a released version.
-FLIGHT_VERSION = 1 << 24 | 15 << 16 | 0 << 8 | 255
 # ESTIMATOR_STATUS: attitude, both velocities, positions horizontal relative and absolute and vertical absolute.
-_ESTIMATES = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200
+# EKF_UNINITIALIZED of the other one.
+_ESTIMATES, _NO_ESTIMATE = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x400
 # MAV_ODOM and MAV_ESTIMATOR_TYPE of a filter with GNSS; frames local NED and body FRD.
 _LOCAL_NED, _BODY_FRD, _GPS_INS = 1, 12, 5
 _UINT16, _INT16 = 0xFFFF, 0x7FFF
@@ -305,6 +299,13 @@ def estimator_status(v: View) -> Payload:
     )  # fmt: skip
 
 
+def ekf_status_report(v: View) -> Payload:
+    """EKF_STATUS_REPORT, of ArduPilot's flavour: its flags are those of ESTIMATOR_STATUS; no variance is known, 0."""
+    if v.stack.heartbeat().autopilot != ARDUPILOT:
+        return None
+    return LAYOUTS["EKF_STATUS_REPORT"].payload(flags=_ESTIMATES if v.seen.valid else _NO_ESTIMATE)
+
+
 def wind_cov(v: View) -> Payload:
     """WIND_COV, of an estimator that estimates the wind."""
     north, east = v.row[s.WIND_NORTH], v.row[s.WIND_EAST]
@@ -343,16 +344,6 @@ def mission_current(v: View) -> Payload:
     return _STRUCT["MISSION_CURRENT"](status.seq, status.total, int(status.state), 1 if status.in_mode else 2)
 
 
-def autopilot_version(v: View) -> Payload:
-    """AUTOPILOT_VERSION; the uid is the system id."""
-    cast = v.stack.heartbeat().autopilot == ARDUPILOT
-    return LAYOUTS["AUTOPILOT_VERSION"].payload(
-        capabilities=CAPABILITIES & ~BYTEWISE | CAST if cast else CAPABILITIES,
-        flight_sw_version=ARDUPILOT_VERSION if cast else FLIGHT_VERSION,
-        uid=int(v.stack.parameters["MAV_SYS_ID"]),
-    )
-
-
 def hil_state_quaternion(v: View) -> Payload:
     """HIL_STATE_QUATERNION: the truth, where the server was asked to send it."""
     if v.truth is None:
@@ -375,7 +366,7 @@ ENCODERS: dict[int, Encoder] = {
         odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
         fence_status, position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
         position_target_global_int, gps_global_origin, protocol_version, orbit_execution_status, current_mode,
-        available_modes_monitor, obstacle_distance, optical_flow_rad, adsb_vehicle,
+        available_modes_monitor, obstacle_distance, optical_flow_rad, adsb_vehicle, ekf_status_report,
     )
 }  # fmt: skip
 

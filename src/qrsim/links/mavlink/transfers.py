@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from qrsim.links.mavlink.dialect import Message
 from qrsim.links.mavlink.link import Link
-from qrsim.links.mavlink.stack.codes import UNSET_INT, PlanKind, PlanResult
-from qrsim.links.mavlink.stack.contracts import Item, Stack
+from qrsim.links.mavlink.stack.codes import ARDUPILOT, UNSET_INT, PlanKind, PlanResult, Severity
+from qrsim.links.mavlink.stack.contracts import Item, Stack, Text
 
-# An item that does not come is asked for again after so long [s, wall clock], so many times.
-ASK_AGAIN_S, MOST_ASKS = 0.25, 10
+# An item that does not come is asked for again after so long [s, wall clock], so many times; every third time in the
+# other of the two dialects.
+ASK_AGAIN_S, MOST_ASKS, OTHER_DIALECT = 0.25, 10, 3
+# ``current`` of a MISSION_ITEM of ArduPilot that is no part of a mission: go there; change the altitude.
+GO_THERE, ALTITUDE_ONLY = 2, 3
 MOST_ITEMS = 1000
 ALL_KINDS = 255
 # MAV_FRAMEs whose x and y are metres, sent as 1e-4 of them, and the one where they are plain numbers.
@@ -25,12 +29,17 @@ Partner = tuple[int, int]
 
 @dataclass
 class Upload:
-    """A plan that is on its way to the vehicle."""
+    """A plan that is on its way to the vehicle.
+
+    Attributes:
+        integers: it is asked for by MISSION_REQUEST_INT, else by MISSION_REQUEST, which older clients speak alone.
+    """
 
     link: Link
     partner: Partner
     kind: PlanKind
     count: int
+    integers: bool
     items: list[Item] = field(default_factory=list)
     asked: float = 0.0
     asks: int = 0
@@ -41,14 +50,18 @@ class Transfers:
 
     Args:
         stack: whose plans these are.
+        say: tells all clients a text.
 
     Attributes:
         upload: what is on its way; None while there is nothing.
     """
 
-    def __init__(self, stack: Stack):
-        self._stack = stack
+    def __init__(self, stack: Stack, say: Callable[[Text], None]):
+        self._stack, self._say = stack, say
+        self._ardupilot = stack.heartbeat().autopilot == ARDUPILOT
         self.upload: Upload | None = None
+        # Partner, kind and seq of the last item of the last upload.
+        self._last: tuple[Partner, int, int] | None = None
 
     # ---- upload ----
 
@@ -64,20 +77,33 @@ class Transfers:
         if message.count > MOST_ITEMS:
             self._ack(link, partner, PlanResult.NO_SPACE, kind)
             return
-        self.upload = Upload(link, partner, kind, message.count)
+        # ArduPilot asks by MISSION_REQUEST alone (MissionItemProtocol::queued_request_send).
+        self.upload = Upload(link, partner, kind, message.count, not self._ardupilot)
         self._go_on()
 
-    def item(self, partner: Partner, message: Message) -> None:
+    def item(self, link: Link, partner: Partner, message: Message) -> None:
         """Take MISSION_ITEM or MISSION_ITEM_INT; what was not asked for is asked for again."""
-        upload = self.upload
-        if upload is None or upload.partner != partner or message.mission_type != upload.kind:
-            return
-        if message.seq == len(upload.items):
-            upload.items.append(item_of(message))
-            upload.asks = 0
-        elif message.seq < len(upload.items):
-            return  # the same once more
-        self._go_on()
+        upload, kind = self.upload, message.mission_type
+        if self._ardupilot and kind == PlanKind.MISSION and message.current in (GO_THERE, ALTITUDE_ONLY):
+            self._ack(link, partner, self._guided(message), kind)
+        elif upload is None or kind != upload.kind:
+            # Where the last acknowledgement was lost, the last item comes again, as PX4 takes it.
+            again = self._last == (partner, kind, message.seq)
+            self._ack(link, partner, PlanResult.ACCEPTED if again else PlanResult.ERROR, kind)
+        elif upload.partner != partner:
+            self._ack(link, partner, PlanResult.DENIED, kind)
+        elif message.seq >= len(upload.items):
+            if message.seq == len(upload.items):
+                upload.items.append(item_of(message))
+                upload.asks = 0
+                # PX4 asks in the dialect of the answer.
+                upload.integers = not self._ardupilot and message.layout.name == "MISSION_ITEM_INT"
+            self._go_on()
+
+    def _guided(self, message: Message) -> PlanResult:
+        if message.current == ALTITUDE_ONLY:
+            return PlanResult.UNSUPPORTED
+        return PlanResult.ACCEPTED if self._stack.go_to(item_of(message)) else PlanResult.ERROR
 
     def _go_on(self) -> None:
         upload = self.upload
@@ -85,11 +111,15 @@ class Transfers:
         if len(upload.items) == upload.count:
             self.upload = None
             result, _ = self._stack.accept(upload.kind, upload.items)
+            last = upload.partner, int(upload.kind), upload.count - 1
+            self._last = last if result is PlanResult.ACCEPTED else None
             self._ack(upload.link, upload.partner, result, upload.kind)
             return
         upload.asked = time.monotonic()
         upload.asks += 1
-        upload.link.say("MISSION_REQUEST_INT", **_to(upload.partner), seq=len(upload.items), mission_type=upload.kind)
+        integers = upload.integers is not (upload.asks % OTHER_DIALECT == 0)
+        name = "MISSION_REQUEST_INT" if integers else "MISSION_REQUEST"
+        upload.link.say(name, **_to(upload.partner), seq=len(upload.items), mission_type=upload.kind)
 
     def ask_again(self, wall: float) -> None:
         """Ask for an item that has not come, or give up; the plan of before stays."""
@@ -97,10 +127,15 @@ class Transfers:
         if upload is None or wall - upload.asked < ASK_AGAIN_S:
             return
         if upload.asks > MOST_ASKS:
-            self.upload = None
-            self._ack(upload.link, upload.partner, PlanResult.ERROR, upload.kind)
+            self._give_up(upload)
             return
         self._go_on()
+
+    def _give_up(self, upload: Upload) -> None:
+        self.upload = None
+        self._ack(upload.link, upload.partner, PlanResult.CANCELLED, upload.kind)
+        what = f"{upload.kind.name.capitalize()} upload timed out at item {len(upload.items)} of {upload.count}"
+        self._say(Text(Severity.WARNING, f"{what}; the one of before stays"))
 
     def clear(self, link: Link, partner: Partner, message: Message) -> None:
         """Answer MISSION_CLEAR_ALL."""
@@ -113,9 +148,17 @@ class Transfers:
         self._ack(link, partner, result, message.mission_type)
 
     def heard_ack(self, partner: Partner, message: Message) -> None:
-        """Take MISSION_ACK: a client that breaks an upload off says so by it."""
-        if self.upload is not None and self.upload.partner == partner and message.type != PlanResult.ACCEPTED:
+        """Take MISSION_ACK: by it a client breaks an upload off, or wants to be asked in the other dialect."""
+        upload = self.upload
+        if upload is None or upload.partner != partner or message.type == PlanResult.ACCEPTED:
+            return
+        if message.type != PlanResult.UNSUPPORTED:
             self.upload = None
+        elif upload.asks > MOST_ASKS:
+            self._give_up(upload)
+        else:
+            upload.integers = not upload.integers
+            self._go_on()
 
     def forget(self, link: Link) -> None:
         """Break off what comes over a link that has gone; the plan of before stays."""
@@ -136,10 +179,11 @@ class Transfers:
         """Answer MISSION_REQUEST_INT, or MISSION_REQUEST with floats."""
         kind = _kind(message.mission_type)
         items = () if kind is None else self._stack.items(kind)
-        if kind is None or message.seq >= len(items):
+        home = self._stack.home_item() if kind is PlanKind.MISSION and message.seq == 0 else None
+        if kind is None or (message.seq >= len(items) and home is None):
             self._ack(link, partner, PlanResult.INVALID_SEQUENCE, message.mission_type)
             return
-        item = items[message.seq]
+        item = home or items[message.seq]
         x, y = (item.x, item.y) if integers else (_as_float(item.frame, axis) for axis in (item.x, item.y))
         current = kind is PlanKind.MISSION and self._stack.mission().seq == item.seq
         values: dict[str, Any] = dict(zip(("param1", "param2", "param3", "param4"), item.params, strict=True))

@@ -306,6 +306,10 @@ def guided(target) -> Puppet:
 
 def test_a_place_is_kept_in_guided_where_it_is_said_once():
     puppet = guided(position(20.0, 0.0, -6.0))
+    # At the speed that is asked for.
+    assert puppet.do(178, 1, 2, -1) == 0
+    puppet.run(5.0)
+    assert math.hypot(*puppet.seen.velocity_ned[:2]) == pytest.approx(2.0, abs=0.1)
     puppet.run(15.0)
     assert puppet.seen.position_ned == pytest.approx((20.0, 0.0, -6.0), abs=0.1)
     assert puppet.stack.heartbeat().custom_mode == 4

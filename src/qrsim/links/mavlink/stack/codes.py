@@ -6,6 +6,8 @@ from enum import IntEnum, IntFlag
 
 # MAV_TYPE.
 FIXED_WING, QUADROTOR, GROUND_ROVER, HEXAROTOR, OCTOROTOR = 1, 2, 10, 13, 14
+# MAV_AUTOPILOT.
+ARDUPILOT, PX4 = 3, 12
 # x or y of an integer message that is not set.
 UNSET_INT = 2**31 - 1
 
@@ -40,6 +42,7 @@ class PlanResult(IntEnum):
     INVALID_PARAM7 = 12
     INVALID_SEQUENCE = 13
     DENIED = 14
+    CANCELLED = 15
 
 
 class PlanKind(IntEnum):

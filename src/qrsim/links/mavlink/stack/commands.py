@@ -18,9 +18,10 @@ from qrsim.links.mavlink.stack.orbits import fits
 
 # Param2 of an arm or disarm command that leaves checks out.
 FORCE = 21196.0
+REPOSITION = 192
 LARGEST_ALTITUDE = 1e5
-# What has a vehicle move: return, land, take off, reposition, start a mission.
-_MOVES = frozenset((20, 21, 22, 192, 300))
+# What has a vehicle move: return, land, take off, orbit, reposition, start a mission.
+_MOVES = frozenset((20, 21, 22, 34, REPOSITION, 300))
 
 
 def obey(stack: Flight, command: Command) -> Result:
@@ -280,8 +281,8 @@ def _tell_home(stack: Flight, command: Command) -> Result:
 
 _COMMANDS: dict[int, Callable[[Flight, Command], Result]] = {
     20: _return, 21: _land, 22: _take_off, 34: _orbit, 115: _heading, 176: _set_mode, 178: _speed, 179: _set_home,
-    185: _terminate, 192: _reposition, 224: _set_current, 246: _reboot, 262: _set_standard_mode, 300: _start_mission,
-    400: _arm, 410: _tell_home,
+    185: _terminate, REPOSITION: _reposition, 224: _set_current, 246: _reboot, 262: _set_standard_mode,
+    300: _start_mission, 400: _arm, 410: _tell_home,
 }  # fmt: skip
 # Commands of one flavour.
 _ONLY = {34: "px4", 115: "ardupilot", 262: "px4"}

@@ -315,6 +315,9 @@ class Stack(Protocol):
     def orbiting(self) -> OrbitStatus | None:
         """Return the orbit that is flown, None while none is."""
 
+    def go_to(self, item: Item) -> bool:
+        """Fly to the place of a waypoint at once, in ArduPilot's GUIDED; return whether it does."""
+
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
         """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""
 
@@ -323,6 +326,9 @@ class Stack(Protocol):
 
     def thrust_of(self, throttle: float) -> float:
         """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
+
+    def home_item(self) -> Item | None:
+        """Return the item 0 of ArduPilot, which is home and can be read without a mission; None without one."""
 
     def set_current(self, seq: int) -> bool:
         """Go on with another item of the mission; return whether there is one."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from qrsim.links.mavlink.stack.codes import PlanKind, PlanResult, Result, Sensor, Severity
-from qrsim.links.mavlink.stack.commands import obey
+from qrsim.links.mavlink.stack.commands import REPOSITION, obey
 from qrsim.links.mavlink.stack.contracts import (
+    NAN,
     Ack,
     Command,
     Event,
@@ -23,6 +24,7 @@ from qrsim.links.mavlink.stack.fence import Fence, rally_points
 from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.stack.modes import ARMED_FLAG, Mode
 from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.plan import WAYPOINT
 from qrsim.links.mavlink.stack.statuses import FenceStatus, Health, Heartbeat, MissionStatus, ModeInfo, OrbitStatus
 from qrsim.models.site import Site
 
@@ -102,6 +104,14 @@ class FlightStack(Flight):
         """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
         return self.craft.thrust_of(throttle)
 
+    def go_to(self, item: Item) -> bool:
+        """Fly to the place of a waypoint at once, in ArduPilot's GUIDED; return whether it does."""
+        if item.command != WAYPOINT or not self.guided:
+            self.craft.say(Severity.WARNING, "Guided item rejected: a waypoint, in GUIDED, is needed")
+            return False
+        place = Command.of_int(REPOSITION, item.frame, (-1.0, 1.0, NAN, NAN), item.x, item.y, item.z)
+        return self.command(place).result is Result.ACCEPTED
+
     def heard_ground(self) -> None:
         """Note a heartbeat of a ground station (MAV_TYPE 6)."""
         self.failsafes.heard_ground(self.craft)
@@ -136,6 +146,15 @@ class FlightStack(Flight):
         return {
             PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally
         }[kind]  # fmt: skip
+
+    def home_item(self) -> Item | None:
+        """Return the item 0 of ArduPilot, which is home and can be read without a mission; None without one."""
+        home = self.craft.home
+        if self.flavour.name != "ardupilot" or home is None:
+            return None
+        # In ArduPilot's frame of it, above mean sea level.
+        place = round(home.latitude * 1e7), round(home.longitude * 1e7)
+        return Item(0, 0, WAYPOINT, (0.0, 0.0, 0.0, 0.0), *place, home.altitude)
 
     def set_current(self, seq: int) -> bool:
         """Go on with another item of the mission; return whether there is one."""

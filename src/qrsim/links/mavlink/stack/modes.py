@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from qrsim.links.mavlink.stack.codes import ARDUPILOT, PX4
 from qrsim.links.mavlink.stack.contracts import FlavourName
 from qrsim.links.mavlink.stack.statuses import ModeInfo
 
@@ -165,10 +166,10 @@ def _flavours(
     modes = frozenset(own)
     return {
         "px4": Flavour(
-            "px4", 12, 1 + 4 + 8 + 16, modes | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes, _PX4_NUMBERS,
+            "px4", PX4, 1 + 4 + 8 + 16, modes | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes, _PX4_NUMBERS,
             _PX4_NAMES, _PX4_ALIASES,
         ),
-        "ardupilot": Flavour("ardupilot", 3, 1 + 8 + 16 + 64, modes, own, names, aliases or {}, guided),
+        "ardupilot": Flavour("ardupilot", ARDUPILOT, 1 + 8 + 16 + 64, modes, own, names, aliases or {}, guided),
     }  # fmt: skip
 
 

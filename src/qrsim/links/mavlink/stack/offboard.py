@@ -202,6 +202,9 @@ class Offboard:
             if not self._went:
                 craft.begin_path()
                 self._went = True
+            if self.keeps_places and craft.cruise is not None:
+                # In ArduPilot's GUIDED the speed of DO_CHANGE_SPEED counts for places.
+                level = min(level, craft.cruise)
             return craft.go(position, (level, up, down))
         self._went = False
         if all(moves) and not any(map(math.isfinite, (*position, *acceleration))):
