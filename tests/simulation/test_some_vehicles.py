@@ -52,6 +52,17 @@ def test_who_is_commanded_flies_so_and_nobody_else(world: Any, guided: Any) -> N
     assert np.abs(state[1, :3] - guided[0][1, :3]).max() > 0.3
 
 
+def test_who_flies_a_command_of_its_own_knows_where_it_is_too(world: Any) -> None:
+    """The controllers are fed with the truth here, which is that of the tick before."""
+    sim = Simulation(world, seed=3)
+    sim.reset()
+    sim.step({"vehicles_1": TILTED}, ticks=60)
+    before = sim.truth.position_ned
+    sim.step({"vehicles_1": TILTED})
+    believed = sim.state.fleets[0].estimate.position_ned
+    np.testing.assert_allclose(np.stack([believed.x, believed.y, believed.z], axis=-1), before, atol=1e-4)
+
+
 def test_kinds_differ_from_vehicle_to_vehicle(world: Any, guided: Any) -> None:
     state, setpoint = after(world, {"vehicles_2": AWAY, "vehicles_0": np.array([TILTED]), "vehicles_1": None})
     for vehicle, everybody in [(0, after(world, [TILTED] * 3)), (1, guided), (2, after(world, EVERYBODY_AWAY))]:

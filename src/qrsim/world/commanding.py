@@ -72,12 +72,13 @@ def _command_some(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, some: Some, believed: Estimate | None
 ) -> Commanded:
     """Command a fleet of which a user commands some vehicles."""
+    # Vehicles that fly commands of their own keep the estimate of the controllers: it goes on.
     found = command_fleet(world, whole, fleet, state, tick, None, believed)
     for which, action in some.parts:
         theirs = command_fleet(world, whole, fleet, state, tick, action, believed)
         found = Commanded(
             select(which, theirs.guidance, found.guidance), select(which, theirs.setpoint, found.setpoint),
-            select(which, theirs.controller, found.controller), select(which, theirs.estimate, found.estimate),
+            select(which, theirs.controller, found.controller), found.estimate,
             _joined(found.commands, which, theirs.commands[0][1]),
         )  # fmt: skip
     return found
