@@ -57,7 +57,7 @@ class System:
     def restart(self) -> None:
         """Begin again as after a boot; an upload that is on its way is broken off."""
         self.stack.reset()
-        self.transfers.upload = None
+        self.transfers.cancel()
         self.told.clear()
         self.text(Text(Severity.INFO, "Started again"))
 

@@ -131,9 +131,14 @@ class Transfers:
             return
         self._go_on()
 
+    def cancel(self) -> None:
+        """Break off an upload, and tell its client; the plan of before stays."""
+        if self.upload is not None:
+            upload, self.upload = self.upload, None
+            self._ack(upload.link, upload.partner, PlanResult.CANCELLED, upload.kind)
+
     def _give_up(self, upload: Upload) -> None:
-        self.upload = None
-        self._ack(upload.link, upload.partner, PlanResult.CANCELLED, upload.kind)
+        self.cancel()
         what = f"{upload.kind.name.capitalize()} upload timed out at item {len(upload.items)} of {upload.count}"
         self._say(Text(Severity.WARNING, f"{what}; the one of before stays"))
 
