@@ -44,7 +44,7 @@ class Field:
             self.lines.append(line.rstrip())
             if line.startswith("TCP: "):
                 break
-        found = re.search(r"UDP (\d+)", "\n".join(self.lines))
+        found = re.search(r"programs: UDP (\d+)", "\n".join(self.lines))
         assert found, self.lines
         self.port = int(found[1])
         self.tcp = int(self.lines[-1].split()[1])

@@ -1,4 +1,4 @@
-"""Vehicles that start again while the world flies on: those that reboot; wrecks return to where they began."""
+"""Restarts of single vehicles while the world flies on: after a reboot, and of wrecks, at their start."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from qrsim.links.mavlink.system import System
 from qrsim.links.shared.latches import Latches
 from qrsim.simulation.simulation import Simulation
 
-# A wreck lies for so long before it is put back by itself, and again where it could not be [s].
+# Time from a crash to a respawn, and between two attempts [s].
 LIES_FOR_S = 3.0
 
 
 class Restarts:
-    """Starts vehicles again.
+    """Restarts vehicles.
 
     Args:
-        simulation: reset; what it is told now is where vehicles begin.
-        latches: of the orders that they fly by.
+        simulation: reset; the present states are those that wrecks are put back to.
+        latches: orders of the vehicles.
         systems: row in the world and system of each vehicle.
-        respawn: whether wrecks are put back without a reboot.
+        respawn: put wrecks back without a reboot.
     """
 
     def __init__(self, simulation: Simulation, latches: Latches, systems: Sequence[tuple[int, System]], respawn: bool):
@@ -34,32 +34,39 @@ class Restarts:
         self._due: dict[int, float] = {}
 
     def look(self) -> None:
-        """Start again who is to, between two ticks."""
+        """Restart the vehicles that are due; to be called between two ticks."""
         for row, system in self._systems:
-            seen = system.view.seen
-            if seen.stopped and self._respawn:
-                due = self._due.setdefault(row, seen.time + LIES_FOR_S)
-                if seen.time >= due:
-                    self._due[row] = seen.time + LIES_FOR_S
-                    system.reboots = True
-            if system.reboots:
-                system.reboots = False
-                if not seen.stopped or self._put_back(row, system):
-                    self._due.pop(row, None)
-                    system.restart()
+            asked, system.reboots = system.reboots, False
+            stopped = bool(system.view.seen.stopped)
+            if not (asked or (stopped and self._is_due(row, system))):
+                continue
+            why = self._put_back(row, system) if stopped else ""
+            if not why:
+                self._due.pop(row, None)
+                system.restart()
+            elif asked:
+                system.text(Text(Severity.WARNING, why))
+            else:
+                system.tell_once("way", Text(Severity.WARNING, why))
 
-    def _put_back(self, row: int, system: System) -> bool:
-        """Put a wreck back to where it began, with a new battery; return whether nothing is in the way there."""
+    def _is_due(self, row: int, system: System) -> bool:
+        """Return whether it is time to put a wreck back without a reboot."""
+        now = system.view.seen.time
+        if not self._respawn or now < self._due.setdefault(row, now + LIES_FOR_S):
+            return False
+        self._due[row] = now + LIES_FOR_S
+        return True
+
+    def _put_back(self, row: int, system: System) -> str:
+        """Put a wreck back to its start, with a new battery; return why not, "" where it is done."""
         rows = np.full_like(self._begins, np.nan)
         rows[row] = self._begins[row]
         try:
             self._simulation.set_state(rows, new_battery=True)
         except UsageError as error:
-            why = str(error).partition("invalid: ")[2] or str(error)
-            system.tell_once("way", Text(Severity.WARNING, f"Not put back to where it began: {why}"))
-            return False
-        if system.view.stack.heartbeat().mav_type == FIXED_WING:
-            # In the air at once, it goes by its guidance.
+            return f"Not put back to where it began: {str(error).partition('invalid: ')[2] or error}"
+        if system.stack.heartbeat().mav_type == FIXED_WING:
+            # It is in the air at once, and flies by its guidance.
             self._latches.clear(system.name)
         system.view.order = None
-        return True
+        return ""
