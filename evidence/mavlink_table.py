@@ -85,8 +85,8 @@ SPECIAL = {
 }  # fmt: skip
 # Messages of vehicles that one of both does not send; HIL_STATE_QUATERNION is that of PX4's own simulation.
 SENT_BY_PX4 = {
-    "ALTITUDE", "CURRENT_MODE", "ESTIMATOR_STATUS", "HIGHRES_IMU", "HIL_STATE_QUATERNION", "ODOMETRY",
-    "ORBIT_EXECUTION_STATUS", "PROTOCOL_VERSION", "WIND_COV",
+    "ALTITUDE", "CURRENT_MODE", "ESTIMATOR_STATUS", "HIGHRES_IMU", "HIL_STATE_QUATERNION", "OBSTACLE_DISTANCE",
+    "ODOMETRY", "OPTICAL_FLOW_RAD", "ORBIT_EXECUTION_STATUS", "PROTOCOL_VERSION", "WIND_COV",
 }  # fmt: skip
 SENT_BY_ARDUPILOT = {"EKF_STATUS_REPORT", "FENCE_STATUS"}
 # What ArduPilot calls a parameter that does about the same.
