@@ -39,7 +39,7 @@ class RowsSpec(Strict):
         if self.waypoints_ned and self.legs:
             raise ValueError("gives both 'waypoints_ned' and 'legs'; give one")
         for number, leg in enumerate(self.legs):
-            if getattr(leg, "to_geodetic", None) is not None:
+            if vars(leg).get("to_geodetic") is not None:
                 raise ValueError(f"legs.{number}.to_geodetic: rows are shifted in metres; give to_ned")
         return self
 
