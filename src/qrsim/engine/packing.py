@@ -162,9 +162,9 @@ def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
     manifest = _manifest(path, archive, first)
     if manifest["machine"] != machine_name():
         raise UsageError(
-            f"{path}: packed on another processor or with another compiler.\n"
-            f"  packed on:    {_processor(str(manifest['machine']))}\n"
-            f"  this machine: {_processor(machine_name())}"
+            f"{path}: packed on another processor or with another compiler.",
+            f"  packed on:    {_processor(str(manifest['machine']))}",
+            f"  this machine: {_processor(machine_name())}",
         )
     entries: dict[str, bytes] = {}
     left = LARGEST_BYTES

@@ -132,5 +132,7 @@ def check_workers(client: Any, address: str) -> None:
         elif found != mine:
             wrong.append(f"{worker}: {'; '.join(differences(mine, found))}")
     if wrong:
-        lines = "".join(f"\n  {line}" for line in wrong)
-        raise RunError(f"--scheduler {address}: {len(wrong)} of {len(theirs)} workers have other versions{lines}")
+        raise RunError(
+            f"--scheduler {address}: {len(wrong)} of {len(theirs)} workers have other versions",
+            *(f"  {line}" for line in wrong),
+        )

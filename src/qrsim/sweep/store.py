@@ -236,16 +236,17 @@ def _refuse_other(path: Path, plan: Plan) -> None:
         mine = json.loads(json.dumps(study.settings, default=str))
         different = list(_differing(mine, settings))
         more = len(different) - MOST_DIFFERENCES
-        lines = "".join(f"\n  {line}" for line in different[:MOST_DIFFERENCES])
         raise UsageError(
             f"{path}: this is a store of another study, '{there['name']}', not of '{study.spec.name}' as it is now; "
-            f"choose another --out{lines}" + (f"\n  ... and {more} more" if more > 0 else "")
+            "choose another --out",
+            *(f"  {line}" for line in different[:MOST_DIFFERENCES]),
+            *([f"  ... and {more} more"] if more > 0 else []),
         )
     other = differences(versions(), there["versions"])  # type: ignore[arg-type]
     if other:
         raise UsageError(
-            f"{path}: it was begun with other versions, and its results would not go together; choose another --out"
-            + "".join(f"\n  {line}" for line in other)
+            f"{path}: it was begun with other versions, and its results would not go together; choose another --out",
+            *(f"  {line}" for line in other),
         )
 
 
