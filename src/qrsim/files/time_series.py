@@ -5,8 +5,10 @@ from __future__ import annotations
 import array
 import csv
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,6 +18,7 @@ from qrsim.files.csv_rows import CsvRows
 from qrsim.files.user_files import LARGEST_TABLE, open_text
 
 TIME = "time"
+_WITH_UNIT = re.compile(r"(.*?)\s*\[\s*(.*?)\s*\]")
 # A row every simulation step at the smallest step; in single precision rows much closer would coincide.
 SHORTEST_INTERVAL_S = 1e-4
 # Whole seconds are kept as int32.
@@ -23,21 +26,21 @@ LARGEST_TIME_S = 2e9
 
 
 def read_series(
-    path: Path, columns: Sequence[str], max_gap: float, optional: Sequence[str] = ()
+    path: Path, columns: Mapping[str, str], max_gap: float, optional: Mapping[str, str] = MappingProxyType({})
 ) -> tuple[np.ndarray[Any, Any], dict[str, np.ndarray[Any, Any]]]:
     """Return times (K,) [s] and columns (K,) by name of a CSV file, K at least 2.
 
-    Columns are found by name; others than those asked for are ignored.
+    Columns are found by name, alone or with its unit: ``north`` or ``north [m/s]``. Others are ignored.
 
     Args:
         path: the file.
-        columns: names that it must have, beside ``time``.
+        columns: names that it must have, beside ``time``, with their units.
         max_gap: longest interval allowed between two rows [s].
-        optional: names that it may have.
+        optional: names that it may have, with their units.
 
     Raises:
-        UsageError: no such file, not CSV, a missing column, a field that is no finite number, times that do not
-            increase, a gap; names the line and the column.
+        UsageError: no such file, not CSV, a missing column, another unit, a field that is no finite number, times that
+            do not increase, a gap; names the line and the column.
     """
     rows, before = array.array("d"), None
     reader: CsvRows | None = None
@@ -45,7 +48,7 @@ def read_series(
     try:
         with open_text(path, LARGEST_TABLE) as file:
             reader = CsvRows(file)
-            header = reader.header
+            header = _without_units(path, reader.header, {TIME: "s", **columns, **optional})
             names = [TIME, *columns, *(name for name in optional if name in header)]
             places = _places(path, header, names)
             for fields in reader:
@@ -80,6 +83,20 @@ def check_covers(what: str, times: np.ndarray[Any, Any], duration: float) -> Non
         raise UsageError(
             f"{what} goes from {times[0]:g} s to {times[-1]:g} s, which does not cover the run, 0 s to {duration:g} s"
         )
+
+
+def _without_units(path: Path, header: list[str], units: Mapping[str, str]) -> list[str]:
+    """Return the names of a header; of the columns of ``units`` without ``[unit]``."""
+    names = []
+    for written in header:
+        found = _WITH_UNIT.fullmatch(written)
+        if found is None or found[1] not in units:
+            names.append(written)
+        elif found[2] == units[found[1]]:
+            names.append(found[1])
+        else:
+            _fail(path, 1, f"column '{found[1]}' is in {found[2]}; expected {units[found[1]]}")
+    return names
 
 
 def _places(path: Path, header: list[str], names: Sequence[str]) -> dict[str, int]:

@@ -79,7 +79,7 @@ def test_series_is_the_same_at_all_heights_and_holds_its_ends(tmp_path: Path) ->
 
 def test_columns_in_any_order_beside_others(tmp_path: Path) -> None:
     path = tmp_path / "anemometer.csv"
-    path.write_text("\ufeffdown, east ,note,time,north\n0.5,2,calm,0,1\n0.5,4,,2.5,3\n", encoding="utf-8")
+    path.write_text("\ufeffdown [m/s], east ,note,time[s],north\n0.5,2,calm,0,1\n0.5,4,,2.5,3\n", encoding="utf-8")
     series = WindFile(str(path)).at(2.5)
     np.testing.assert_allclose(look_up(series, np.array([1.25]), "float64"), [[2.0, 3.0, 0.5]])
 
@@ -97,6 +97,10 @@ BAD = {
     "text": (GOOD + "2,0,0,1_0\n", ["line 4", "'down'", "'1_0' is not a finite number"]),
     "short row": (GOOD + "2,0,0\n", ["line 4", "3 fields, the header has 4"]),
     "empty row": (GOOD + "\n2,0,0,0\n", ["line 4", "0 fields"]),
+    "another unit": (
+        "time [s],north [km/h],east,down\n0,1,2,3\n",
+        ["line 1", "column 'north' is in km/h; expected m/s"],
+    ),
     "missing column": ("time,nort,east,down\n0,1,2,3\n", ["line 1", "no column 'north'", "did you mean 'nort'?"]),
     "no header": ("0,1,2,3\n1,1,2,3\n", ["line 1", "no column 'time'"]),
     "column twice": ("time,north,east,down,north\n", ["line 1", "'north' is there 2 times"]),

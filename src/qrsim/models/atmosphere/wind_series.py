@@ -98,7 +98,7 @@ def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndar
     Raises:
         UsageError: as ``read_series``.
     """
-    times, columns = read_series(path, COLUMNS, max_gap)
+    times, columns = read_series(path, dict.fromkeys(COLUMNS, "m/s"), max_gap)
     return times, np.column_stack([columns[name] for name in COLUMNS])
 
 

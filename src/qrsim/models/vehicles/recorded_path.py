@@ -40,7 +40,7 @@ class PathFile:
         Raises:
             UsageError: the file is missing, is no such table, has a gap, or does not cover the run.
         """
-        times, columns = read_series(Path(str(self.file)), AXES, self.max_gap, (HEADING,))
+        times, columns = read_series(Path(str(self.file)), dict.fromkeys(AXES, "m"), self.max_gap, {HEADING: "deg"})
         check_covers(f"{self.file}: the path", times, duration)
         # Imported here, because few flights need it.
         from scipy.interpolate import CubicSpline
