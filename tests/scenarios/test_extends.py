@@ -81,6 +81,15 @@ def test_an_angle_replaces_that_in_the_other_unit(key: str, value: float, tmp_pa
     assert math.isclose(spec.world.wind.wind_from_rad, 1.0)
 
 
+def test_a_wind_at_a_height_replaces_that_at_20_ft(tmp_path: Path) -> None:
+    # 6 m/s at 6.096 m, which is 20 ft.
+    spec = child_of_base(tmp_path, "world: {wind: {speed: 6.0, at_height: 6.096}}\n").spec
+    assert math.isclose(spec.world.wind.speed_20ft, 6.0, rel_tol=1e-6)
+    with pytest.raises(ScenarioError, match="gives both 'speed' and 'speed_20ft'"):
+        child_of_base(tmp_path, "world: {wind: {speed: 6.0, speed_20ft: 5.0}}\n")
+    assert load_scenario("hover", ["world.wind.speed=6"]).spec.world.wind.speed_20ft < 6.0
+
+
 def test_null_takes_out_what_the_parent_has(tmp_path: Path) -> None:
     text = "world: {turbulence: null}\nfleets: {scouts: {sensors: {gyro: null}}}\n"
     spec = child_of_base(tmp_path, text).spec

@@ -148,14 +148,15 @@ def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
     """Merge two mappings recursively; the child's values take precedence.
 
     A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
-    in one unit that in the other, and null takes out what the parent has.
+    in one unit that in the other, a wind's ``speed`` its ``speed_20ft``, and null takes out what the parent has.
     """
     if ("type" in child and child["type"] != parent.get("type")) or "plan" in child:
         return copy.deepcopy(child)
     result = dict(parent)
     for key, value in child.items():
         # In Python a key can be anything, which the check of the whole finds.
-        _drop_twin(result, str(key))
+        if not set(_OF_ONE_WIND.get(str(key), ())) & set(child):
+            _drop_twin(result, str(key))
         before = result.get(key)
         if value is None and key in parent:
             result.pop(key, None)
@@ -245,11 +246,17 @@ def _without_a_space(value: Any) -> str | None:
     return next(crowded, None) or _without_a_space(list(value.values()))
 
 
+# The speed of a wind by the height it is given at.
+_OF_ONE_WIND = {"speed": ("speed_20ft",), "speed_20ft": ("speed", "at_height", "gust")}
+
+
 def _drop_twin(target: dict[str, Any], name: str) -> None:
-    """An angle that is overridden in one unit must not stay in the other."""
+    """An angle that is overridden in one unit must not stay in the other, nor a wind at one height at the other."""
     for unit, other in (("_rad", "_deg"), ("_deg", "_rad")):
         if name.endswith(unit):
             target.pop(name.removesuffix(unit) + other, None)
+    for twin in _OF_ONE_WIND.get(name, ()):
+        target.pop(twin, None)
 
 
 def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
