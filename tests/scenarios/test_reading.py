@@ -185,6 +185,17 @@ def test_a_component_is_replaced_by_the_name_of_its_type(override: str, slot: st
     assert value.type == kind
 
 
+def test_a_type_alone_names_a_component_in_a_file_too(tmp_path: Path) -> None:
+    text = "extends: hover\nworld: {wind: calm, turbulence: still}\nfleets: {pelicans: {controller: %s}}\n"
+    (tmp_path / "short.yaml").write_text(text % "waypoint")
+    spec = load_scenario(tmp_path / "short.yaml").spec
+    found = (spec.world.wind.type, spec.world.turbulence.type, spec.fleets["pelicans"].controller.type)
+    assert found == ("calm", "still", "waypoint")
+    (tmp_path / "short.yaml").write_text(text % "waypont")
+    with pytest.raises(ScenarioError, match=r"controller\.type: no such type 'waypont'; did you mean 'waypoint'"):
+        load_scenario(tmp_path / "short.yaml")
+
+
 def test_a_replaced_component_keeps_nothing_of_the_old_one() -> None:
     before = patrol().world.sky.errors
     after = patrol("world.sky.errors=ou").world.sky.errors

@@ -152,11 +152,11 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ),
     ("world.wind.type", REMOVED, "world.wind.type: missing; it names what this is: calm, log_shear"),
     ("fleets.alpha.vehicle", {"mass": "heavy"}, "fleets.alpha.vehicle.mass: 'heavy' is not a number"),
-    ("world.wind", "calm", "world.wind: expected keys and values such as {type: calm}, found 'calm'"),
+    ("world.wind", 4.0, "world.wind: expected keys and values, found 4.0"),
     (
         "fleets.alpha.vehicle",
         "drone",
-        "fleets.alpha.vehicle: expected keys and values such as {type: pelican}, found 'drone'",
+        "fleets.alpha.vehicle.type: no such type 'drone'; did you mean 'rover'?",
     ),
     # out of bounds
     ("world.wind.speed_20ft", -1.0, "world.wind.speed_20ft: -1.0 is out of range; allowed: 0 to 50 ("),

@@ -170,12 +170,13 @@ def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
 def anchor_files(content: dict[str, Any], folder: Path) -> None:
     """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
 
-    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``. A name that is not there but is one of the
-    public recordings means the recording.
+    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, and ``wind: calm`` becomes ``wind: {type:
+    calm}``, as of every component. A name that is not there but is one of the public recordings means the recording.
     """
     for part in _with_plans(content):
         if isinstance(part, dict) and isinstance(part.get("plan"), str):
             part["plan"] = {"file": part["plan"]}
+    _spell_out(content, [])
     _anchor(content, folder)
 
 
@@ -186,6 +187,16 @@ def _with_plans(content: dict[str, Any]) -> Iterator[Any]:
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
         vehicles = fleet.get("vehicles") if isinstance(fleet, dict) else None
         yield from vehicles if isinstance(vehicles, list) else ()
+
+
+def _spell_out(content: dict[str, Any], path: list[str]) -> None:
+    """Make each component that is named by its type alone a mapping, in place."""
+    for key, value in content.items():
+        inside = [*path, str(key)]
+        if isinstance(value, dict):
+            _spell_out(value, inside)
+        elif isinstance(value, str) and component_types(ScenarioSpec, inside):
+            content[key] = {"type": value}
 
 
 def _anchor(content: Any, folder: Path) -> None:
