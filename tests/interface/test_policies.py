@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,6 +191,7 @@ class TestEstimators:
         ("answer", "message"),
         [
             (np.zeros((2, 9)), "estimator .*: estimate: expected a qrsim.Estimate"),
+            (None, "estimator .*: estimate: expected a qrsim.Estimate, found None"),
             (Estimate.of(*(np.zeros((3, 3)),) * 3), r"expected shape \(2,\), found shape \(3,\)"),
         ],
     )
@@ -276,6 +278,7 @@ class TestWhatIsWrong:
             fly(Broken(init=fails))
         for found in (lock_step, compiled, at_the_start):
             assert isinstance(found.value.__cause__, KeyError)
+            assert re.search(r" \(\S*test_policies\.py, line \d+\)$", str(found.value))
 
     def test_readings_that_are_not_there(self, fly):
         with pytest.raises(RunError, match="no sensor is called 'gns'; did you mean 'gnss'"):

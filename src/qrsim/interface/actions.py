@@ -91,13 +91,17 @@ class ActionChecker:
         whole = self._checked(command, self.names, self.fleets, flying)
         return tuple(self._cut(whole))
 
-    def estimates(self, estimate: object) -> tuple[Estimate | None, ...]:
+    def estimates(self, estimate: object, needed: bool = False) -> tuple[Estimate | None, ...]:
         """Check estimates and split them by fleet; None for a fleet that uses its own ``feed``.
+
+        Args:
+            estimate: of all vehicles, or None.
+            needed: whether None is an error, as of an estimator that forgot to return something.
 
         Raises:
             UsageError: no Estimate, or arrays of another shape.
         """
-        if estimate is None:
+        if estimate is None and not needed:
             return (None,) * len(self.fleets)
         if not isinstance(estimate, Estimate):
             raise UsageError(f"estimate: expected a qrsim.Estimate, found {estimate!r}")

@@ -21,10 +21,12 @@ what it did before, as with sensors that have nothing to say. Both see readings 
 from __future__ import annotations
 
 import inspect
+import traceback
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import jax
@@ -68,6 +70,18 @@ class Compiled(Protocol):
         ...
 
 
+_PACKAGE = str(Path(__file__).parents[1])
+
+
+def _line_at_fault(error: BaseException) -> str:
+    """Return " (FILE, line N)" of the innermost frame that is of the user, "" if there is none."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        name = frame.filename
+        if not name.startswith((_PACKAGE, "<frozen")) and "site-packages" not in name:
+            return f" ({name}, line {frame.lineno})"
+    return ""
+
+
 @dataclass(frozen=True)
 class UserFunction:
     """A policy or an estimator; equal if made of the same object with the same attributes.
@@ -105,7 +119,8 @@ class UserFunction:
         except QrsimError:
             raise
         except Exception as error:
-            raise RunError(f"{self.what} {self.name}{where}: {type(error).__name__}: {error}") from error
+            raised = f"{type(error).__name__}: {error}{_line_at_fault(error)}"
+            raise RunError(f"{self.what} {self.name}{where}: {raised}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return user_function, (self.what, self.given)

@@ -154,7 +154,9 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: Any)
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
         result, memory = call_compiled(function, reading, memory)
-        return (checker.actions if function.what == "policy" else checker.estimates)(result), memory
+        if function.what == "policy":
+            return checker.actions(result), memory
+        return checker.estimates(result, needed=True), memory
 
 
 def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tuple[Any, Any]:

@@ -229,7 +229,7 @@ class LockStep:
             if self.estimator is not None:
                 with self.estimator.blamed(where):
                     estimate = self._asked(self.estimator, reading, world)
-                    estimates.append(self.engine.checker.estimates(estimate))
+                    estimates.append(self.engine.checker.estimates(estimate, needed=True))
         radios.over = True
         return self._stack(self.policy, self.actions, count), self._stack(self.estimator, estimates, count)
 

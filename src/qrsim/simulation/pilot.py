@@ -95,7 +95,7 @@ class Pilot:
             if function is self.policy:
                 self._checker.actions(result, lambda: simulation.valid)
             else:
-                self._checker.estimates(result)
+                self._checker.estimates(result, needed=True)
             return result
 
     def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[Any, Any]:
