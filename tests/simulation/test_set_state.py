@@ -112,7 +112,8 @@ def test_the_others_go_on_to_the_bit_and_the_draws_are_those_of_the_tick(outdoor
 @pytest.mark.long
 def test_machine_code_and_xla_place_alike(outdoors, monkeypatch):
     layout, state = outdoors.packed
-    given = checked_rows(elsewhere(outdoors), outdoors.vehicle_names, outdoors.dtype)
+    rows, chosen = checked_rows(elsewhere(outdoors), outdoors.vehicle_names, outdoors.dtype)
+    given = rows, chosen, np.zeros_like(chosen)
     before = [np.array(part) for part in state]
     native = layout.unpack(outdoors._ticks.place(layout, state, outdoors.tick, given))
     monkeypatch.setenv("QRSIM_COMPILER", "xla")
