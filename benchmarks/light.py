@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import _common
-from startup import run_timed
+from startup import QRSIM, run_timed
 
 IMPORT_JAX = "python -c 'import jax'"
 HEADINGS = {
@@ -41,7 +41,7 @@ def compile_seconds(scenario: str, rounds: int, folder: str) -> list[float]:
         here = Path(folder) / f"{scenario}-{number}"
         # Of a run too short for its sensors, which is meant.
         environment = {**os.environ, "QRSIM_CACHE_DIR": str(here / "cache"), "PYTHONWARNINGS": "ignore::UserWarning"}
-        command = [sys.executable, "-m", "qrsim.cli", "run", scenario, "--duration", "0.02", "--no-figure", "--json"]
+        command = [QRSIM, "run", scenario, "--duration", "0.02", "--no-figure", "--json"]
         cold, warm = (run_timed([*command, "--out", str(here / name)], environment)[1] for name in ("cold", "warm"))
         found.append(cold - warm)
     return found
@@ -52,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = _common.options(__doc__.splitlines()[0], arguments)
     on = _common.machine()
     rounds, runs = (1, RUNS[:1]) if chosen.quick else (7, RUNS)
-    commands = {IMPORT_JAX: ["-c", "import jax"]}
-    commands |= {what: ["-m", "qrsim.cli", "run", *words, "--json", "--out"] for what, words in runs}
+    commands = {IMPORT_JAX: [sys.executable, "-c", "import jax"]}
+    commands |= {what: [QRSIM, "run", *words, "--json", "--out"] for what, words in runs}
     cpu: dict[str, list[float]] = {what: [] for what in commands}
     factors: dict[str, list[float]] = {what: [] for what in commands}
     with tempfile.TemporaryDirectory() as folder:
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for number in range(rounds + 1):
             for place, (what, command) in enumerate(commands.items()):
                 out = [f"{folder}/{number}-{place}"] if place else []
-                _, seconds, printed = run_timed([sys.executable, *command, *out], os.environ)
+                _, seconds, printed = run_timed([*command, *out], os.environ)
                 if number:
                     cpu[what].append(seconds)
                     factors[what] += [json.loads(printed)["real_time_factor"]] if place else []
