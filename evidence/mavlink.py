@@ -174,7 +174,7 @@ def _number(draw: random.Random, kind: str) -> float | int:
 
 
 def fuzzed(frames: int, ticks: int) -> dict[str, Any]:
-    """Return what became of a flight beside so many mutated frames, against the same flight without them.
+    """Compare a flight that is sent mutated frames with the same flight without them.
 
     The other vehicle, which heard them, flies by the same orders in both: where it touches the ground, the numbers of
     all vehicles of its fleet are rounded otherwise.

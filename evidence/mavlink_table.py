@@ -1,4 +1,4 @@
-"""Write what qrsim's MAVLink vehicles take beside PX4 and ArduPilot: ``python -m evidence.mavlink_table [--write]``.
+"""Tables of the MAVLink that qrsim, PX4 and ArduPilot take: ``python -m evidence.mavlink_table [--write]``.
 
 The column "here" is asked of the code: every command is given to a vehicle of each flavour, every plan item uploaded.
 The others are written down below, from the sources of both (PX4 1.15: Commander, MavlinkReceiver,
@@ -121,7 +121,7 @@ def _takers(who: str) -> tuple[str, str]:
 
 
 def _here(taken: Sequence[bool]) -> str:
-    """Return who of both flavours takes something."""
+    """Return the table cell that names the flavours that take something."""
     return {(True, True): "yes", (True, False): "PX4's flavour", (False, True): "ArduPilot's flavour"}.get(
         (taken[0], taken[1]), NONE
     )

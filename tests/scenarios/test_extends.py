@@ -79,6 +79,8 @@ def test_a_component_of_another_type_replaces_the_parents_wholly(tmp_path: Path)
 def test_an_angle_replaces_that_in_the_other_unit(key: str, value: float, tmp_path: Path) -> None:
     spec = child_of_base(tmp_path, f"world: {{wind: {{{key}: {value}}}}}\n").spec
     assert math.isclose(spec.world.wind.wind_from_rad, 1.0)
+    with pytest.raises(ScenarioError, match="gives both 'wind_from_rad' and 'wind_from_deg'"):
+        child_of_base(tmp_path, "world: {wind: {wind_from_rad: 1.0, wind_from_deg: 57.3}}\n")
 
 
 def test_a_wind_at_a_height_replaces_that_at_20_ft(tmp_path: Path) -> None:
@@ -88,6 +90,9 @@ def test_a_wind_at_a_height_replaces_that_at_20_ft(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="gives both 'speed' and 'speed_20ft'"):
         child_of_base(tmp_path, "world: {wind: {speed: 6.0, speed_20ft: 5.0}}\n")
     assert load_scenario("hover", ["world.wind.speed=6"]).spec.world.wind.speed_20ft < 6.0
+    # A gust is lost with the speed that it belongs to, and never alone.
+    with pytest.raises(ScenarioError, match="speed: missing; expected the mean speed"):
+        load_scenario("hover", ["world.wind.gust=9", "world.wind.speed_20ft=5"])
 
 
 def test_null_takes_out_what_the_parent_has(tmp_path: Path) -> None:

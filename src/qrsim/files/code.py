@@ -18,6 +18,7 @@ from qrsim.files.user_files import check_file
 
 # Modules of files have names of their own, so that a file hides no installed package.
 PREFIX = "qrsim_file_"
+_PACKAGE = str(Path(__file__).parents[1])
 Way = tuple[Callable[[str, str], object], str, str]
 FileModules = dict[str, tuple[str, tuple[Way, ...]]]
 _TAKEN_IN: dict[str, list[Way]] = {}
@@ -114,14 +115,21 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def where_raised(error: BaseException, files: Sequence[str]) -> str:
-    """Return "FILE, line N" of the innermost traceback line in the given files, "" if there is none."""
+def where_raised(error: BaseException, files: Sequence[str] | None = None) -> str:
+    """Return "FILE, line N" of the innermost traceback line in the given files, "" if there is none.
+
+    Without files, of the innermost line that is neither of qrsim nor of an installed package.
+    """
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}, line {error.lineno}"
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if frame.filename in files:
+        if _is_of_user(frame.filename) if files is None else frame.filename in files:
             return f"{frame.filename}, line {frame.lineno}"
     return ""
+
+
+def _is_of_user(file: str) -> bool:
+    return not file.startswith((_PACKAGE, "<frozen")) and "site-packages" not in file
 
 
 def in_one_line(error: BaseException) -> str:

@@ -10,13 +10,20 @@ from itertools import chain
 # Tabs and semicolons are what spreadsheets separate fields by where the decimal mark is a comma.
 OTHER_DELIMITERS = (";", "\t")
 _QUOTED = re.compile(r'"[^"]*"')
+_WITH_UNIT = re.compile(r"\s*(\w+)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def delimiter_of(header: str) -> str:
-    """Return what separates the names of a header: a comma, or the semicolon or tab that occurs more often."""
+    """Return the delimiter of a header: a comma, or the semicolon or tab that occurs more often."""
     bare = _QUOTED.sub("", header)
     return max((",", *OTHER_DELIMITERS), key=bare.count)
+
+
+def name_and_unit(column: str) -> tuple[str, str | None]:
+    """Return the name and the unit of a column such as ``roll [deg]`` or ``roll (deg)``; no unit is None."""
+    found = _WITH_UNIT.fullmatch(column)
+    return (found[1], found[2]) if found else (column, None)
 
 
 class CsvRows:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import array
 import csv
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -14,11 +13,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
-from qrsim.files.csv_rows import CsvRows
+from qrsim.files.csv_rows import CsvRows, name_and_unit
 from qrsim.files.user_files import LARGEST_TABLE, open_text
 
 TIME = "time"
-_WITH_UNIT = re.compile(r"(.*?)\s*\[\s*(.*?)\s*\]")
 # A row every simulation step at the smallest step; in single precision rows much closer would coincide.
 SHORTEST_INTERVAL_S = 1e-4
 # Whole seconds are kept as int32.
@@ -34,7 +32,7 @@ def read_series(
 
     Args:
         path: the file.
-        columns: names that it must have, beside ``time``, with their units.
+        columns: required names other than ``time``, with their units.
         max_gap: longest interval allowed between two rows [s].
         optional: names that it may have, with their units.
 
@@ -89,13 +87,13 @@ def _without_units(path: Path, header: list[str], units: Mapping[str, str]) -> l
     """Return the names of a header; of the columns of ``units`` without ``[unit]``."""
     names = []
     for written in header:
-        found = _WITH_UNIT.fullmatch(written)
-        if found is None or found[1] not in units:
+        name, unit = name_and_unit(written)
+        if unit is None or name not in units:
             names.append(written)
-        elif found[2] == units[found[1]]:
-            names.append(found[1])
+        elif unit == units[name]:
+            names.append(name)
         else:
-            _fail(path, 1, f"column '{found[1]}' is in {found[2]}; expected {units[found[1]]}")
+            _fail(path, 1, f"column '{name}' is in {unit}; expected {units[name]}")
     return names
 
 

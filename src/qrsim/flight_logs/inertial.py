@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from qrsim.errors import LogError, UsageError, did_you_mean, did_you_mean_file
-from qrsim.files.csv_rows import CsvRows
+from qrsim.files.csv_rows import CsvRows, name_and_unit
 from qrsim.files.user_files import open_text
 from qrsim.flight_logs.signals import Floats
 from qrsim.flight_logs.ulog_messages import open_ulog
@@ -25,7 +24,6 @@ UNITS = {
 }
 KINDS = ("gyroscope", "accelerometer")
 COLUMNS = ("time", *(f"{kind}_{axis}" for kind in KINDS for axis in "xyz"))
-_COLUMN = re.compile(r"^\s*(\w+)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _ULOG = b"ULog\x01\x12\x35"
 # Part of the readings that may be missing or late; beyond it there is no one rate.
 UNEVEN = 0.05
@@ -93,15 +91,14 @@ def _wanted(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
     """Return place and factor to SI of each column by its name."""
     found: dict[str, tuple[int, float]] = {}
     for place, text in enumerate(header):
-        match = _COLUMN.match(text)
-        name = match[1] if match else text
+        name, unit = name_and_unit(text)
         if name not in COLUMNS:
             continue
         units = UNITS[name.partition("_")[0]]
-        if match is None or match[2] not in units:
+        if unit not in units:
             first = f"'{name} [{next(iter(units))}]'"
             raise LogError(f"{path}: line 1: '{text}': expected a unit, {first} or one of {', '.join(units)}")
-        found[name] = place, units[match[2]]
+        found[name] = place, units[unit]
     kinds = [kind for kind in KINDS if any(name.startswith(kind) for name in found)]
     expected = ["time", *(f"{kind}_{axis}" for kind in kinds or KINDS for axis in "xyz")]
     missing = [name for name in expected if name not in found]

@@ -5,13 +5,12 @@ from __future__ import annotations
 import array
 import csv
 import math
-import re
 from pathlib import Path
 
 import numpy as np
 
 from qrsim.errors import LogError, did_you_mean
-from qrsim.files.csv_rows import CsvRows
+from qrsim.files.csv_rows import CsvRows, name_and_unit
 from qrsim.files.user_files import open_text
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import SIGNALS, FlightLog, Floats, Track
@@ -35,7 +34,6 @@ RAW = {
     "yaw_rate_command": YAW_RATE_RAD_S_PER_RAW,
     "throttle": 1.0 / THROTTLE_RAW_PER_UNIT,
 }
-_COLUMN = re.compile(r"^\s*([A-Za-z_]\w*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
 
 def read_table(path: Path) -> FlightLog:
@@ -63,22 +61,21 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
     ignored: list[str] = []
     known = ["time", *SIGNALS]
     for place, text in enumerate(header):
-        match = _COLUMN.match(text)
-        name = match[1] if match else text
+        name, given = name_and_unit(text)
         if name not in known:
             ignored.append(text)
             continue
         unit = "s" if name == "time" else SIGNALS[name].unit
         factors = UNITS[unit] | ({"raw": RAW[name]} if name in RAW else {})
-        if match is None:
+        if given is None:
             raise LogError(
                 f"{path}: line 1: '{name}' has no unit; write '{name} [{unit}]', or one of {', '.join(factors)}"
             )
-        if match[2] not in factors:
-            raise LogError(f"{path}: line 1: '{text}': unknown unit{did_you_mean(match[2], factors)}")
+        if given not in factors:
+            raise LogError(f"{path}: line 1: '{text}': unknown unit{did_you_mean(given, factors)}")
         if name in wanted:
             raise LogError(f"{path}: line 1: '{name}' is there twice, columns {wanted[name][0] + 1} and {place + 1}")
-        wanted[name] = (place, factors[match[2]])
+        wanted[name] = (place, factors[given])
     if "time" not in wanted:
         raise LogError(f"{path}: line 1: no column 'time [s]'; there: {', '.join(header)}")
     if len(wanted) == 1:

@@ -21,19 +21,17 @@ what it did before, as with sensors that have nothing to say. Both see readings 
 from __future__ import annotations
 
 import inspect
-import traceback
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import jax
 
 from qrsim.core.sameness import Itself, sameness
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
-from qrsim.files.code import load_object
+from qrsim.files.code import load_object, where_raised
 
 T = TypeVar("T")
 
@@ -68,18 +66,6 @@ class Compiled(Protocol):
     def __wrapped__(self) -> Callable[[Any], object]:
         """The function itself."""
         ...
-
-
-_PACKAGE = str(Path(__file__).parents[1])
-
-
-def _line_at_fault(error: BaseException) -> str:
-    """Return " (FILE, line N)" of the innermost frame that is of the user, "" if there is none."""
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        name = frame.filename
-        if not name.startswith((_PACKAGE, "<frozen")) and "site-packages" not in name:
-            return f" ({name}, line {frame.lineno})"
-    return ""
 
 
 @dataclass(frozen=True)
@@ -119,7 +105,8 @@ class UserFunction:
         except QrsimError:
             raise
         except Exception as error:
-            raised = f"{type(error).__name__}: {error}{_line_at_fault(error)}"
+            place = where_raised(error)
+            raised = f"{type(error).__name__}: {error}" + (f" ({place})" if place else "")
             raise RunError(f"{self.what} {self.name}{where}: {raised}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -155,8 +155,7 @@ def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
     result = dict(parent)
     for key, value in child.items():
         # In Python a key can be anything, which the check of the whole finds.
-        if not set(_OF_ONE_WIND.get(str(key), ())) & set(child):
-            _drop_twin(result, str(key))
+        _drop_twin(result, str(key), kept=child)
         before = result.get(key)
         if value is None and key in parent:
             result.pop(key, None)
@@ -257,17 +256,22 @@ def _without_a_space(value: Any) -> str | None:
     return next(crowded, None) or _without_a_space(list(value.values()))
 
 
+_UNITS = (("_rad", "_deg"), ("_deg", "_rad"))
 # The speed of a wind by the height it is given at.
 _OF_ONE_WIND = {"speed": ("speed_20ft",), "speed_20ft": ("speed", "at_height", "gust")}
 
 
-def _drop_twin(target: dict[str, Any], name: str) -> None:
-    """An angle that is overridden in one unit must not stay in the other, nor a wind at one height at the other."""
-    for unit, other in (("_rad", "_deg"), ("_deg", "_rad")):
-        if name.endswith(unit):
-            target.pop(name.removesuffix(unit) + other, None)
-    for twin in _OF_ONE_WIND.get(name, ()):
-        target.pop(twin, None)
+def _drop_twin(target: dict[str, Any], name: str, kept: Container[str] = ()) -> None:
+    """An angle that is overridden in one unit must not stay in the other, nor a wind at one height at the other.
+
+    Those in ``kept`` are given with it, and stay for the check of the whole to refuse.
+    """
+    twins = [name.removesuffix(unit) + other for unit, other in _UNITS if name.endswith(unit)]
+    if name == "speed" or "speed" in target:
+        twins += _OF_ONE_WIND.get(name, ())
+    for twin in twins:
+        if twin not in kept:
+            target.pop(twin, None)
 
 
 def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:

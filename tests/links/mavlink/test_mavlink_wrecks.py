@@ -145,3 +145,13 @@ def test_with_respawn_a_wreck_is_put_back_by_itself_unless_somebody_is_in_the_wa
     stands(field, 0)
     assert field.simulation.time - fell < 10.0
     assert field.simulation.reasons == [""] * 5
+    # In another episode too, whose times begin at 0: as soon after the fall.
+    field.put(0, 20.0, 0.0, -6.0)
+    field.run(1.6)
+    assert field.simulation.reasons[0].startswith("crashed")
+    field.world.reset(6)
+    field.put(0, 20.0, 0.0, -6.0)
+    field.run(1.6)
+    assert field.simulation.reasons[0].startswith("crashed")
+    field.run(3.2)
+    stands(field, 0)

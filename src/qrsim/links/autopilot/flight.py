@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import RunError
 from qrsim.links.autopilot.firmware import Firmware
 from qrsim.links.autopilot.fleet import checked_fleet, rotor_order
 from qrsim.links.autopilot.losses import Losses
@@ -70,23 +69,18 @@ class FlownFleet:
     def tell(self, time: float, override: Callable[[list[Sequence[float]]], list[Sequence[float]]]) -> None:
         """Let all go on to a time [s] of their clocks."""
         asked, sensed = self.sight.look()
-        for i, (wanted, seen) in enumerate(zip(override(asked), sensed, strict=True)):
-            pitch, roll, throttle, yaw_rate = wanted
-            if i not in self._losses:
-                try:
-                    self.firmware[i].tell(time, seen, channels(pitch, roll, throttle, yaw_rate, self._curves[i]))
-                except RunError as error:
-                    self._losses.add(i, error)
+        wanted = override(asked)
+        for i in self._losses.left(len(self.firmware)):
+            pitch, roll, throttle, yaw_rate = wanted[i]
+            with self._losses.watched(i):
+                self.firmware[i].tell(time, sensed[i], channels(pitch, roll, throttle, yaw_rate, self._curves[i]))
 
     def answer(self) -> Piloted:
         """Return what their motors are to do; those of a vehicle without its firmware stand still."""
         table = np.zeros((len(self.firmware), len(self._order)), self._dtype)
-        for i, firmware in enumerate(self.firmware):
-            if i not in self._losses:
-                try:
-                    table[i] = firmware.motors()
-                except RunError as error:
-                    self._losses.add(i, error)
+        for i in self._losses.left(len(self.firmware)):
+            with self._losses.watched(i):
+                table[i] = self.firmware[i].motors()
         columns = np.clip(table[:, self._order], 0.0, 1.0).T
         return Piloted(self._command(*np.ascontiguousarray(columns)))
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 
-from qrsim.errors import RunError, ScenarioError, UsageError
+from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.autopilot import ardupilot
 from qrsim.links.autopilot.fleet import refitted
 from qrsim.links.autopilot.flight import flown_history
@@ -87,12 +87,9 @@ class JsonFleet:
     def wait(self) -> Piloted:
         """Return what the motors are to do, once all autopilots have sent it; without one they stand still."""
         table = np.zeros((len(self.links), len(self._order)), self._dtype)
-        for i, link in enumerate(self.links):
-            if i not in self._losses:
-                try:
-                    table[i] = ardupilot.speeds(link.wait().pulses, len(self._order))
-                except RunError as error:
-                    self._losses.add(i, error)
+        for i in self._losses.left(len(self.links)):
+            with self._losses.watched(i):
+                table[i] = ardupilot.speeds(self.links[i].wait().pulses, len(self._order))
         return Piloted(self._command(*np.ascontiguousarray(table[:, self._order].T)))
 
     def answer(self, time: float) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from qrsim.errors import RunError
 
@@ -18,12 +19,17 @@ class Losses:
         self._say = say
         self._numbers: set[int] = set()
 
-    def __contains__(self, number: int) -> bool:
-        return number in self._numbers
+    @contextmanager
+    def watched(self, number: int) -> Iterator[None]:
+        """Note a RunError of a vehicle's autopilot as its end; raises it if all flights are to end."""
+        try:
+            yield
+        except RunError as error:
+            if self._say is None:
+                raise
+            self._numbers.add(number)
+            self._say(f"{error}; its motors stop, and the others fly on")
 
-    def add(self, number: int, error: RunError) -> None:
-        """Note the loss of a vehicle's autopilot; raises the error that reports it where all flights are to end."""
-        if self._say is None:
-            raise error
-        self._numbers.add(number)
-        self._say(f"{error}; its motors stop, and the others fly on")
+    def left(self, count: int) -> list[int]:
+        """Return which of ``count`` vehicles still have their autopilot, by number."""
+        return [number for number in range(count) if number not in self._numbers]

@@ -9,6 +9,7 @@ import numpy as np
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.view import View
 from qrsim.links.shared import sight as s
+from qrsim.links.shared.turning import turned
 from qrsim.models.sensors.scan import FARTHEST, Scan, ray_angles
 
 _MOST_RAYS, _UNUSED, _LASER, _BODY_FRD = 72, 0xFFFF, 0, 12
@@ -89,7 +90,5 @@ def adsb_vehicle(v: View) -> bytes | None:
 def _ned(v: View, frd: np.ndarray) -> tuple[float, float, float]:
     """Return a vector of the vehicle's axes in NED, by its estimated attitude."""
     w, x, y, z = v.row[s.QUATERNION : s.QUATERNION + 4]
-    axis, vector = np.array([x, y, z]), np.asarray(frd, np.float64)
-    across = 2.0 * np.cross(axis, vector)
-    north, east, down = (vector + w * across + np.cross(axis, across)).tolist()
+    north, east, down = turned(np.array([x, y, z, w]), np.asarray(frd, np.float64)).tolist()
     return north, east, down

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from qrsim.links.mavlink.dialect import LAYOUTS
-from qrsim.links.mavlink.stack.codes import ARDUPILOT
+from qrsim.links.mavlink.stack.codes import ARDUPILOT, PX4
 from qrsim.links.mavlink.view import View
 
 # MAV_FRAME of local NED, and of latitude and longitude with altitudes above mean sea level.
@@ -22,9 +22,6 @@ BYTEWISE, CAST = 0x10, 0x20000
 ARDUPILOT_VERSION = 4 << 24 | 5 << 16 | 0 << 8 | 255
 # A PX4 of 1.15.0, whose modes and parameters these are, as a released version.
 FLIGHT_VERSION = 1 << 24 | 15 << 16 | 0 << 8 | 255
-
-# MAV_AUTOPILOT.
-PX4 = 12
 _STRUCT = {name: layout.struct.pack for name, layout in LAYOUTS.items()}
 Payload = bytes | None
 
@@ -81,9 +78,9 @@ def attitude_target(v: View) -> Payload:
 
 def current_mode(v: View) -> Payload:
     """CURRENT_MODE, of PX4: the mode that is flown, and the one that was asked for."""
-    flown, intended = v.stack.current_modes()
     if v.stack.heartbeat().autopilot != PX4:
         return None
+    flown, intended = v.stack.current_modes()
     return LAYOUTS["CURRENT_MODE"].payload(
         standard_mode=flown.standard, custom_mode=flown.custom_mode, intended_custom_mode=intended.custom_mode
     )

@@ -82,8 +82,8 @@ class FlownWorld:
         for row, system in zip(self._rows, self.systems, strict=True):
             system.view.around, system.view.number = around, row
         self._busy = 0.0
-        systems = list(zip(self._rows, self.systems, strict=True))
-        self._restarts = Restarts(self.simulation, self._latches, systems, respawn)
+        self._respawn = respawn
+        self._restarts = self._fresh_restarts()
         self._command()
 
     def _warm(self) -> None:
@@ -91,6 +91,10 @@ class FlownWorld:
         self.simulation.advance(self._latches.actions())
         self.simulation.set_state(np.full_like(self.simulation.truth.state, np.nan))
         self.simulation.reset()
+
+    def _fresh_restarts(self) -> Restarts:
+        systems = list(zip(self._rows, self.systems, strict=True))
+        return Restarts(self.simulation, self._latches, systems, self._respawn)
 
     def tick(self, wall: float) -> None:
         """Advance by one tick, let the stacks see it, and send what is due.
@@ -114,7 +118,7 @@ class FlownWorld:
             system.stack.reset()
             self._latches.clear(system.name)
             system.view.order = None
-        self._sight = StackSight(self.simulation)
+        self._sight, self._restarts = StackSight(self.simulation), self._fresh_restarts()
         self._command()
 
     def _command(self) -> None:

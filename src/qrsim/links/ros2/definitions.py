@@ -13,7 +13,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 
 Fields = list[tuple[str, Any]]
-_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
+EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
 def definitions_of(*packages: str) -> dict[str, tuple[list[Any], Fields]]:
@@ -54,11 +54,11 @@ def service_types(name: str, info: Fields) -> dict[str, tuple[list[Any], Fields]
         if kind == Nodetype.ARRAY else (field, (kind, content))
         for field, (kind, content) in info
     ]  # fmt: skip
-    event: Fields = [("info", (one, _EVENT_INFO))]
+    event: Fields = [("info", (one, EVENT_INFO))]
     event += [
         (field, (Nodetype.SEQUENCE, ((one, f"{name}_{field.capitalize()}"), 1))) for field in ("request", "response")
     ]
     parts: Fields = [
         (f"{part}_message", (one, f"{name}_{part.capitalize()}")) for part in ("request", "response", "event")
     ]
-    return {name: ([], parts), f"{name}_Event": ([], event), _EVENT_INFO: ([], known)}
+    return {name: ([], parts), f"{name}_Event": ([], event), EVENT_INFO: ([], known)}

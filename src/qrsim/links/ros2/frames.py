@@ -46,15 +46,3 @@ def angles_ned_frd(quaternion: Array) -> Array:
 def yaw_enu(yaw_ned: float) -> float:
     """Return a heading from east, anticlockwise [rad], of one from north, clockwise, or the reverse; -pi to pi."""
     return math.remainder(0.5 * math.pi - yaw_ned, 2.0 * math.pi)
-
-
-def turned(quaternion: Array, vector: Array) -> Array:
-    """Return vectors of a body in the axes that its attitude (x, y, z, w) is of."""
-    axis, w = np.asarray(quaternion)[..., :3], np.asarray(quaternion)[..., 3:]
-    across = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * across + np.cross(axis, across))
-
-
-def turned_back(quaternion: Array, vector: Array) -> Array:
-    """Return in axes of a body vectors of the axes that its attitude (x, y, z, w) is of."""
-    return turned(np.asarray(quaternion) * (-1.0, -1.0, -1.0, 1.0), vector)

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.interface.arrays import quaternion_of
-from qrsim.links.ros2.frames import enu_of, flu_of, quaternion_enu_flu, turned, turned_back
+from qrsim.links.ros2.frames import enu_of, flu_of, quaternion_enu_flu
 from qrsim.links.shared import sight as s
+from qrsim.links.shared.turning import turned, turned_back
 from qrsim.simulation.simulation import Simulation
 
 Array = np.ndarray[Any, Any]

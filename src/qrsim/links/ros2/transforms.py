@@ -15,10 +15,8 @@ from qrsim.links.ros2.frames import enu_of, flu_of
 from qrsim.links.ros2.names import EARTH, MAP, base_link, beacon, gnss_link, neighbours_link, range_link, scan_link
 from qrsim.links.ros2.template import Put, Template
 from qrsim.links.ros2.typestore import Types
-from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
+from qrsim.links.shared.around import NEIGHBOURS, RANGINGS, SCANS
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
-from qrsim.models.sensors.ranging import IdealRanging, Ranging
-from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.models.site import Site
 from qrsim.world.state import Fleet, World
 
@@ -107,7 +105,7 @@ def _beacons(types: Types, world: World) -> list[Any]:
     """Return the transforms from the map to beacons that a sensor ranges to."""
     found: dict[str, Any] = {}
     for sensor in (each for fleet in world.fleets for each in fleet.sensors):
-        if isinstance(sensor, Ranging | IdealRanging) and sensor.beacon_ned is not None:
+        if isinstance(sensor, RANGINGS) and sensor.beacon_ned is not None:
             places = np.stack([np.asarray(axis, np.float64) for axis in sensor.beacon_ned.axes], axis=-1)
             for number, place in enumerate(enu_of(places).tolist()):
                 found.setdefault(beacon(number), transform(types, MAP, beacon(number), place))
@@ -122,9 +120,9 @@ def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:
             child, turn = range_link(name), _LOOKS[sensor.axis]
         elif "gnss" in type(sensor).__module__:
             child = gnss_link(name)
-        elif isinstance(sensor, Scan | IdealScan):
+        elif isinstance(sensor, SCANS):
             child = scan_link(name)
-        elif isinstance(sensor, NeighbourSensor | IdealNeighbours):
+        elif isinstance(sensor, NEIGHBOURS):
             child = neighbours_link(name)
         else:
             continue

@@ -15,12 +15,11 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.links.ros2.definitions import definitions_of, service_types
+from qrsim.links.ros2.definitions import EVENT_INFO, definitions_of, service_types
 
 DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
 # Humble knows no type hashes.
 _WITHOUT_HASHES = ("humble",)
-_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 _PRIMITIVES: dict[str, Any] = {
     "bool": bool, "byte": idl.uint8, "char": idl.uint8, "uint8": idl.uint8, "int8": idl.int8, "uint16": idl.uint16,
     "int16": idl.int16, "uint32": idl.uint32, "int32": idl.int32, "uint64": idl.uint64, "int64": idl.int64,
@@ -68,7 +67,7 @@ class Types:
             return ""
         # A copy of the store, for types of events are of no other use.
         store = copy(self.store)
-        store.fielddefs = store.fielddefs | service_types(name, store.fielddefs[_EVENT_INFO][1])
+        store.fielddefs = store.fielddefs | service_types(name, store.fielddefs[EVENT_INFO][1])
         found: str = store.hash_rihs01(name)
         return found
 

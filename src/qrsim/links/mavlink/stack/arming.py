@@ -32,7 +32,7 @@ class ArmingChecks:
         """Return why a vehicle cannot be armed; empty where it can."""
         seen, values = craft.seen, craft.parameters.values
         if seen.stopped:
-            return [f"flight has ended: {seen.stopped}; reboot"]
+            return [seen.end]
         if craft.terminated:
             return ["flight was terminated; reboot"]
         found = []

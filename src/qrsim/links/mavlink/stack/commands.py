@@ -33,8 +33,7 @@ def obey(stack: Flight, command: Command) -> Result:
         stack.craft.say(Severity.WARNING, f"Command {command.id} denied: infinite numbers")
         return Result.DENIED
     if command.id in _MOVES and stack.craft.seen.stopped:
-        why = f"flight has ended: {stack.craft.seen.stopped}; reboot"
-        stack.craft.say(Severity.CRITICAL, f"Command {command.id} rejected: {why}")
+        stack.craft.say(Severity.CRITICAL, f"Command {command.id} rejected: {stack.craft.seen.end}")
         return Result.TEMPORARILY_REJECTED
     return known(stack, command)
 

@@ -120,6 +120,11 @@ class Seen:
     present: int = 0
     healthy: int = 0
 
+    @property
+    def end(self) -> str:
+        """Why nothing more can be asked of a vehicle whose flight has ended."""
+        return f"flight has ended: {self.stopped}; reboot"
+
 
 @dataclass(frozen=True, slots=True)
 class Command:

@@ -1,4 +1,4 @@
-"""Follow-me: beside a target that tells where it is."""
+"""Follow-me: flight next to a target that reports its position."""
 
 from __future__ import annotations
 

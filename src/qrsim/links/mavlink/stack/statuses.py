@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from qrsim.links.mavlink.stack.codes import QUADROTOR, Breach, Landed, MissionState
+from qrsim.links.mavlink.stack.codes import PX4, QUADROTOR, Breach, Landed, MissionState
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class FenceStatus:
 class Heartbeat:
     """What HEARTBEAT and EXTENDED_SYS_STATE say."""
 
-    autopilot: int = 12
+    autopilot: int = PX4
     base_mode: int = 0
     custom_mode: int = 0
     system_status: int = 3

@@ -1,4 +1,8 @@
-"""Messages whose numbers alone change, made by templates, and numbers in the axes of ROS."""
+"""Messages whose numbers alone change, made by templates, and numbers in the axes of ROS.
+
+The rotations are for the three numbers of one vehicle, for which arrays (``links/shared/turning.py``) take ten times as
+long.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from qrsim.links.ros2.topics import STAMP
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.shared import sight as s
 
-_HALF_ROOT = 0.5**0.5
+HALF_ROOT = 0.5**0.5
 # Returns the numbers of a message, in the order of its paths; None where they are not known.
 Numbers = Callable[[View], Sequence[float] | None]
 
@@ -66,7 +70,7 @@ def flu(frd: Sequence[float]) -> Triple:
 def orientation(view: View) -> Quadruple:
     """Return the attitude of FLU axes in ENU (x, y, z, w)."""
     w, x, y, z = view.row[s.QUATERNION : s.QUATERNION + 4]
-    return _HALF_ROOT * (x + y), _HALF_ROOT * (x - y), _HALF_ROOT * (w - z), _HALF_ROOT * (w + z)
+    return HALF_ROOT * (x + y), HALF_ROOT * (x - y), HALF_ROOT * (w - z), HALF_ROOT * (w + z)
 
 
 def turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
@@ -85,7 +89,7 @@ def turned_back(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
 
 def ned_attitude(x: float, y: float, z: float, w: float) -> Quadruple:
     """Return the attitude of FRD axes in NED (w, x, y, z) for that of FLU axes in ENU (x, y, z, w)."""
-    return _HALF_ROOT * (w + z), _HALF_ROOT * (x + y), _HALF_ROOT * (x - y), _HALF_ROOT * (w - z)
+    return HALF_ROOT * (w + z), HALF_ROOT * (x + y), HALF_ROOT * (x - y), HALF_ROOT * (w - z)
 
 
 def heading(q: Quadruple) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.codes import Sensor
+from qrsim.links.mavlink.stack.modes import ARMED_FLAG
 from qrsim.links.mavlink.telemetry import ENCODERS
 from qrsim.links.mavlink.view import View
 from qrsim.links.ros2.apis import forms as f
@@ -27,14 +28,13 @@ from qrsim.links.shared import sight as s
 Array = np.ndarray[Any, Any]
 PACKAGES = ("mavros_msgs", "geographic_msgs", "std_srvs")
 MAP, BASE = "map", "base_link"
-# MAV_MODE_FLAG: armed, remote control, guided.
-_ARMED, _MANUAL, _GUIDED = 128, 64, 8
+# MAV_MODE_FLAG: remote control, guided.
+_MANUAL, _GUIDED = 64, 8
 _NAN = math.nan
 # launch/px4_config.yaml of mavros: standard deviations of Imu [rad], [rad/s], [m/s^2].
 _ORIENTATION_STD, _RATES_STD, _FORCE_STD = 1.0, 0.0003490659, 0.0003
 # sensor_msgs: NavSatStatus.SERVICE_GPS, STATUS_NO_FIX; NavSatFix.COVARIANCE_TYPE_*.
 _GPS, _NO_FIX, _UNKNOWN, _DIAGONAL = 1, -1, 0, 2
-_HALF_ROOT = 0.5**0.5
 
 
 def _diagonal(std: float) -> Array:
@@ -63,7 +63,7 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     def state(view: View) -> bytes:
         beat = view.stack.heartbeat()
         message = stamped(types, "mavros_msgs/msg/State", view.seen.time)
-        message.connected, message.armed = True, bool(beat.base_mode & _ARMED)
+        message.connected, message.armed = True, bool(beat.base_mode & ARMED_FLAG)
         message.guided, message.manual_input = bool(beat.base_mode & _GUIDED), bool(beat.base_mode & _MANUAL)
         message.mode, message.system_status = name_of(beat.custom_mode), beat.system_status
         return types.encode(message)
@@ -110,7 +110,7 @@ def _home(view: View) -> tuple[float, ...] | None:
     if home is None:
         return None
     # As mavros turns it: from NED to ENU, but not from FRD to FLU.
-    cosine, sine = _HALF_ROOT * math.cos(0.5 * home.yaw), _HALF_ROOT * math.sin(0.5 * home.yaw)
+    cosine, sine = f.HALF_ROOT * math.cos(0.5 * home.yaw), f.HALF_ROOT * math.sin(0.5 * home.yaw)
     turn = (cosine + sine, cosine - sine, 0.0, 0.0)
     return home.latitude, home.longitude, home.altitude, *f.enu(view.local(home.position_ned)), *turn
 

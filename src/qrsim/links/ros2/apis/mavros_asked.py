@@ -20,6 +20,7 @@ from qrsim.links.mavlink.stack.contracts import (
     Stack,
     Triple,
 )
+from qrsim.links.mavlink.stack.offboard import NO_ATTITUDE, NO_RATES
 from qrsim.links.mavlink.system import System
 from qrsim.links.ros2.apis import forms as f
 from qrsim.links.ros2.apis.contracts import Answered, Heard
@@ -31,8 +32,6 @@ from qrsim.links.ros2.typestore import Types
 _LOCAL, _BODY, _BODY_OFFSET, _GLOBAL = 1, 8, 9, 5
 # POSITION_TARGET_TYPEMASK: what is left out.
 _POSITION, _VELOCITY, _ACCELERATION, _YAW, _YAW_RATE = 7, 7 << 3, 7 << 6, 1 << 10, 1 << 11
-# ATTITUDE_TARGET_TYPEMASK.
-_NO_RATES, _NO_ATTITUDE = 7, 1 << 7
 _ZERO: Triple = (0.0, 0.0, 0.0)
 # MAV_CMD.
 _TAKE_OFF, _LAND, _SET_HOME, _ARM, _GET_HOME = 22, 21, 179, 400, 410
@@ -60,7 +59,7 @@ class Asked:
 
     def __init__(self, types: Types, system: System, space: str):
         self._types, self._system, self._space = types, system, space
-        # What setpoint_attitude has heard last beside a thrust: an attitude (w, x, y, z), or rates.
+        # The last that setpoint_attitude heard, other than a thrust: an attitude (w, x, y, z), or rates.
         self._attitude: AttitudeTarget | None = None
 
     @property
@@ -113,12 +112,12 @@ class Asked:
         self._stack.setpoint(LocalTarget(_LOCAL, mask, acceleration=f.enu(_vector(message.vector))))
 
     def _lean(self, message: Any) -> None:
-        self._attitude = AttitudeTarget(_NO_RATES, _attitude(message.pose.orientation), _ZERO, 0.0)
+        self._attitude = AttitudeTarget(NO_RATES, _attitude(message.pose.orientation), _ZERO, 0.0)
 
     def _turn(self, message: Any) -> None:
         # With the axes that mavros has here: those of ENU, for rates of the body.
         rates = f.enu(_vector(message.twist.angular))
-        self._attitude = AttitudeTarget(_NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), rates, 0.0)
+        self._attitude = AttitudeTarget(NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), rates, 0.0)
 
     def _thrust(self, message: Any) -> None:
         asked = self._attitude

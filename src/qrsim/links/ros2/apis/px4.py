@@ -12,6 +12,7 @@ from typing import Any
 
 from qrsim.links.mavlink.stack.codes import Landed, Sensor
 from qrsim.links.mavlink.stack.contracts import NAN, Triple
+from qrsim.links.mavlink.stack.flight_stack import CRITICAL, TERMINATION
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.view import View
 from qrsim.links.ros2.apis import forms as f
@@ -25,12 +26,10 @@ PACKAGES = ("px4_msgs",)
 # Of topics whose rate is limited by ``--rate`` alone [Hz].
 MOST = 1e9
 Fields = dict[str, float | list[float] | tuple[float, ...]]
-_ARMED, _OFFBOARD = 128, 14
+_OFFBOARD = 14
 # VehicleStatus: ARMING_STATE_*, VEHICLE_TYPE_* by MAV_TYPE (1 aeroplane, 10 rover).
 _DISARMED, _IS_ARMED = 1, 2
 _TYPES = {1: 2, 10: 3}
-# MAV_STATE, and its flight termination.
-_CRITICAL, _TERMINATION = 5, 8
 # Frames of VehicleOdometry; TimesyncStatus.SOURCE_PROTOCOL_DDS; VehicleLocalPosition.DIST_BOTTOM_SENSOR_RANGE.
 _NED, _DDS, _RANGE = 1, 2, 1
 # States in which the autopilot flies by itself: mission, loiter, return, take-off, landing.
@@ -51,7 +50,7 @@ class Status:
     def look(self, view: View) -> None:
         """Note what has changed since the last call."""
         beat, now = view.stack.heartbeat(), view.boot_us
-        state = bool(beat.base_mode & _ARMED), beat.custom_mode, beat.landed is not Landed.ON_GROUND
+        state = view.stack.armed, beat.custom_mode, beat.landed is not Landed.ON_GROUND
         if state[0] != self._was[0]:
             self.armed = now if state[0] else 0
         if state[1] != self._was[1]:
@@ -64,7 +63,7 @@ class Status:
 def state_of(view: View) -> int:
     """Return the NAVIGATION_STATE of a vehicle."""
     beat = view.stack.heartbeat()
-    return TERMINATED if beat.system_status == _TERMINATION else nav_state(beat.custom_mode)
+    return TERMINATED if beat.system_status == TERMINATION else nav_state(beat.custom_mode)
 
 
 def published(types: Types, system: System, space: str, period: float) -> Iterator[Told]:
@@ -96,7 +95,7 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         return {
             "armed_time": status.armed, "takeoff_time": status.took_off, "nav_state_timestamp": status.mode,
             "arming_state": _IS_ARMED if armed else _DISARMED, "nav_state": state, "nav_state_user_intention": state,
-            "failsafe": beat.system_status == _CRITICAL,
+            "failsafe": beat.system_status == CRITICAL,
             "pre_flight_checks_pass": armed or not view.stack.health().reasons,
         }  # fmt: skip
 
@@ -109,15 +108,9 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
     yield told("vehicle_control_mode", "VehicleControlMode", 2.0, _control_mode, changes)
     yield told("vehicle_land_detected", "VehicleLandDetected", 1.0, _landed, changes)
     yield told(
-        "home_position",
-        "HomePosition",
-        0.5,
-        _home,
-        lambda view: view.stack.home,
-        valid_alt=True,
-        valid_hpos=True,
+        "home_position", "HomePosition", 0.5, _home, lambda view: view.stack.home, valid_alt=True, valid_hpos=True,
         valid_lpos=True,
-    )
+    )  # fmt: skip
     origin = _Origin()
     yield told("vehicle_local_position", "VehicleLocalPosition", MOST, lambda view: _local_position(view, origin))
     yield told("vehicle_global_position", "VehicleGlobalPosition", MOST, _global_position)

@@ -14,6 +14,7 @@ from typing import Any
 
 from qrsim.links.mavlink.stack.contracts import AttitudeTarget, Command, LocalTarget, Target, Triple
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.stack.offboard import NO_ATTITUDE, NO_RATES
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.view import View
 from qrsim.links.ros2.apis.contracts import EACH, Answered, Heard, Told
@@ -26,8 +27,6 @@ from qrsim.links.ros2.typestore import Types
 _SET_MODE, _SET_NAV_STATE = 176, 100001
 _UNKNOWN: Triple = (math.nan,) * 3
 _LOCAL = 1
-# ATTITUDE_TARGET_TYPEMASK.
-_NO_RATES, _NO_ATTITUDE = 7, 1 << 7
 # Of acknowledgements that nobody could be sent, the last ones are kept.
 _MOST = 64
 
@@ -116,11 +115,11 @@ class Asked:
             return self._motion_target(mode)
         if mode.attitude and self._attitude is not None:
             thrust = -float(self._attitude.thrust_body[2])
-            return AttitudeTarget(_NO_RATES, tuple(map(float, self._attitude.q_d)), (0.0, 0.0, 0.0), thrust)  # type: ignore[arg-type]
+            return AttitudeTarget(NO_RATES, tuple(map(float, self._attitude.q_d)), (0.0, 0.0, 0.0), thrust)  # type: ignore[arg-type]
         if mode.body_rate and self._rates is not None:
             rates, thrust = self._rates, -float(self._rates.thrust_body[2])
             turn = (float(rates.roll), float(rates.pitch), float(rates.yaw))
-            return AttitudeTarget(_NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), turn, thrust)
+            return AttitudeTarget(NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), turn, thrust)
         return self._stay() if mode.attitude or mode.body_rate else None
 
     def _stay(self) -> Target:
