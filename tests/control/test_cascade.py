@@ -21,9 +21,9 @@ from qrsim.control import (
     VelocitySetpoint,
     WaypointSetpoint,
 )
-from qrsim.core.tree import cast, parameter, record
+from qrsim.core.tree import cast, parameter, record, replace
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.models.vehicles.contracts import Handling
+from qrsim.models.vehicles.contracts import Handling, Vehicle
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
 
@@ -46,6 +46,16 @@ class Round:
     def tilt_command(self, pitch: Any, roll: Any, throttle: Any, yaw_rate: Any) -> Any:
         return {"pitch": pitch, "roll": roll, "throttle": throttle, "yaw_rate": yaw_rate}
 
+    def on_ground(self, state: Any) -> Any:
+        """Have feet."""
+
+
+@record
+class Footless(Round):
+    """The same without feet, as the identified quadrotors."""
+
+    on_ground = Vehicle.on_ground
+
 
 @partial(jax.jit, compiler_options=QUICK)
 def _steps(controller: Any, estimates: Estimate, setpoint: Any) -> Any:
@@ -53,7 +63,7 @@ def _steps(controller: Any, estimates: Estimate, setpoint: Any) -> Any:
     return jax.lax.scan(lambda memory, now: controller.step(memory, now, setpoint, DT), start, estimates)
 
 
-def commands(setpoint: Any, *, thrust: Any = 40.0, steps: int = 1, **of: Any) -> tuple[Any, Any]:
+def commands(setpoint: Any, *, kind: Any = Round, thrust: Any = 40.0, steps: int = 1, **of: Any) -> tuple[Any, Any]:
     """The last state and all commands (T, n) at rest and level at the origin but for ``of``: at, moves, turned."""
     with jax.enable_x64(True):
         setpoint = jax.tree.map(
@@ -63,7 +73,7 @@ def commands(setpoint: Any, *, thrust: Any = 40.0, steps: int = 1, **of: Any) ->
         rows = [
             np.broadcast_to(np.asarray(of.get(name, 0.0), float), (steps, n, 3)) for name in ("at", "moves", "turned")
         ]
-        controller = cast(CascadeController().fitted(Round(thrust)), np.float64)  # type: ignore[arg-type]
+        controller = cast(CascadeController().fitted(kind(thrust)), np.float64)  # type: ignore[arg-type]
         return jax.tree.map(np.asarray, _steps(controller, Estimate.of(*rows), setpoint))
 
 
@@ -175,6 +185,16 @@ class TestKinds:
             assert found[name][2, 0] == 0.0
             assert found[name][2, 1] != 0.0
         close(state.integral.x, [0.0, 3 * 0.02 * 0.9 * 1.2])
+
+    @pytest.mark.parametrize(("kind", "leans"), [(Round, 0.0), (Footless, 1.0)])
+    def test_who_touches_the_ground_with_a_foot_does_not_lean(self, kind: Any, leans: float) -> None:
+        """Of 7.6 m/s^2 ahead and 14 upwards, as above, only the latter; what is learned of the wind stays."""
+        path = PathSetpoint.of(np.zeros((2, 3)), [3.0, 0.0, -0.5], [1.0, 0.0, -2.0])
+        path = replace(path, idle=np.zeros(2, bool), level=np.array([True, False]))
+        state, found = commands(path, kind=kind)
+        close(np.tan(-0.75 * found["pitch"][0]), [leans * 7.6 / 14.0, 7.6 / 14.0])
+        close(found["throttle"][0], [math.hypot(leans * 7.6, 14.0) / 20.0, math.hypot(7.6, 14.0) / 20.0])
+        assert state.integral.x[0] == state.integral.x[1] > 0.0
 
     def test_a_velocity_has_no_place(self) -> None:
         _, found = commands(VelocitySetpoint.of(np.array([[2.0, 0.0, -1.0], [0.0, 0.0, 9.0]])), at=[50.0, 9.0, -4.0])

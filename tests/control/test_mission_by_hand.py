@@ -48,8 +48,8 @@ def _compiled(name: str) -> Any:
     return jax.jit(functions[name], compiler_options=QUICK)
 
 
-def _step(state: MissionState, mission: Mission, place: Vec3, velocity: Vec3, stands: Any, dt: Any) -> MissionState:
-    return MissionGuidance().step(state, mission, place, velocity_ned=velocity, dt=dt, on_ground=stands)[0]
+def _step(state: MissionState, mission: Mission, place: Vec3, velocity: Vec3, stands: Any, dt: Any) -> Any:
+    return MissionGuidance().step(state, mission, place, velocity_ned=velocity, dt=dt, on_ground=stands)
 
 
 def due(mission: Mission, times: Any) -> Any:
@@ -59,10 +59,15 @@ def due(mission: Mission, times: Any) -> Any:
 
 def after_step(mission: Mission, dt: float, down: Any, sinking: Any, stands: Any, **own: Any) -> MissionState:
     """The state (N,) after a step of vehicles north and east of home at 0, so far down, that sink so fast."""
+    found: MissionState = stepped(mission, dt, down, sinking, stands, **own)[0]
+    return found
+
+
+def stepped(mission: Mission, dt: float, down: Any, sinking: Any, stands: Any, **own: Any) -> Any:
+    """That state, and what is asked for (N,)."""
     zero: Any = np.zeros(N, np.float32)
     place, velocity = Vec3(zero, zero, filled(down)), Vec3(zero, zero, filled(sinking))
-    found: MissionState = _compiled("step")(started(**own), mission, place, velocity, filled(stands, bool), dt)
-    return found
+    return _compiled("step")(started(**own), mission, place, velocity, filled(stands, bool), dt)
 
 
 def test_acceleration_along_a_ramp() -> None:
@@ -119,6 +124,20 @@ def test_who_is_above_what_is_due_and_does_not_sink_is_held_by_the_ground() -> N
     above, sinking, held = np.array(cases).T
     found = after_step(planned(Leg((0.0, 0.0, 0.0), "land")), 0.25, -20.0 - above, sinking, [False])
     np.testing.assert_array_equal(found.waited, held)
+
+
+def test_who_may_have_a_foot_on_the_ground_is_kept_level() -> None:
+    """C21: 0.2 m above, not faster than 0.25 m/s, 3 s after the ramp to 0.7 m/s; or standing. Not on other legs."""
+    cases = [(0.15, 0.0, 5.0, 0, 0), (0.25, 0.2, 5.0, 0, 1), (0.25, -0.2, 5.0, 0, 1), (0.25, 0.3, 5.0, 0, 0)]
+    # The ramp takes sqrt(6 0.7 / 8) = 0.725 s.
+    cases += [(0.25, 0.2, 3.7, 0, 0), (0.25, 0.2, 3.75, 0, 1), (0.25, 0.2, 1.0, 0, 0), (0.0, 0.0, 1.0, 1, 1)]
+    above, sinking, times, stands, level = np.array(cases).T
+    legs = [planned(Leg((0.0, 0.0, -20.0 + down), kind)) for down, kind in ((6.0, "land"), (6.0, "line"))]
+    due_down = due(legs[0], times).position_ned.z
+    asked = [stepped(leg, 0.02, due_down - above, sinking, stands, time=filled(times))[1] for leg in legs]
+    np.testing.assert_array_equal(asked[0].level, level)
+    assert not np.any(asked[1].level)
+    assert not np.any(asked[0].idle)
 
 
 def test_what_is_less_than_a_micrometre_beside_the_path_comes_back_by_its_part() -> None:

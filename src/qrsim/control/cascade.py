@@ -28,7 +28,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.tree import derived, parameter, quantity, record, replace, select, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.errors import UsageError
-from qrsim.models.vehicles.contracts import Handling, Vehicle, handling_of
+from qrsim.models.vehicles.contracts import Handling, Vehicle, handling_of, has_contact
 
 
 @record
@@ -116,7 +116,7 @@ class CascadeController(Controller):
         none = jnp.full_like(zero, jnp.nan)
         nothing, still = Vec3(none, none, none), Vec3(zero, zero, zero)
         if isinstance(setpoint, PathSetpoint):
-            return replace(setpoint, idle=None)
+            return replace(setpoint, idle=None, level=None)
         if isinstance(setpoint, WaypointSetpoint):
             return PathSetpoint(setpoint.position_ned, still, still, setpoint.yaw)
         if isinstance(setpoint, VelocitySetpoint):
@@ -151,6 +151,11 @@ class CascadeController(Controller):
         else:
             size = force.norm()
             pitch, roll = _tilt(force, size, estimate.attitude, known)
+        if isinstance(setpoint, PathSetpoint) and setpoint.level is not None and has_contact(vehicle):
+            # Without a contact of its own a vehicle does not turn over its feet.
+            level = setpoint.level
+            pitch, roll, turn = (jnp.where(level, 0.0, value) for value in (pitch, roll, turn))
+            size = jnp.where(level, -force.z, size)
         throttle = known.throttle(known.mass * size)
         if isinstance(setpoint, PathSetpoint) and setpoint.idle is not None:
             idle = setpoint.idle

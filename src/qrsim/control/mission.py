@@ -17,6 +17,12 @@ from qrsim.core.vectors import Vec3, root
 T = TypeVar("T")
 # A landing vehicle so far above the point that is due [m], and not faster than this [m/s], is held by the ground.
 HELD, HELD_SPEED = 0.6, 0.25
+# One so far above it [m], on a path that has been at touchdown speed for so long [s], may have a foot on the ground; it
+# is kept level, because what leans into a wind turns over that foot. At 0.7 m/s this takes 0.29 s, as long as PX4's
+# ``ground_contact`` (MulticopterLandDetector: LNDMC_TRIG_TIME/3 = 0.33 s, LNDMC_Z_VEL_MAX 0.25 m/s), on which its
+# MulticopterPositionControl asks for no horizontal acceleration either. In the air gusts do as much for moments, which
+# a level vehicle can bear and one with idle motors cannot: those wait for HELD.
+TOUCHED, STEADY = 0.2, 3.0
 # Until a vehicle has risen so far above where it stood [m] nothing moves it to the side.
 LIFTED = 0.5
 
@@ -183,7 +189,10 @@ class MissionGuidance(Guidance):
         behind = (due.position_ned - position_ned).norm()
         rate = jnp.clip(1.0 - (behind - self.stretch_from) / self.stretch_over, 0.0, 1.0)
         idle = leg.lands & (state.arrived | (_seconds(state.waited, state, dt) >= 0.5 * self.settle))
-        asked = _asked(due, rate, idle, low)
+        above, sinking = due.position_ned.z - position_ned.z, velocity_ned.z
+        touched = (above > TOUCHED) & (jnp.abs(sinking) < HELD_SPEED) & (state.time > ends + STEADY)
+        level = leg.lands & (standing | touched)
+        asked = _asked(due, rate, (idle, level), low)
         goal = leg.position_ned + shift.map(lambda axis: jnp.where(leg.rises, axis, 0.0))
         distance = (goal - position_ned).norm()
         near = state.near | (distance < leg.accept_radius)
@@ -192,8 +201,8 @@ class MissionGuidance(Guidance):
         landed = standing & (_seconds(state.waited + 1, state, dt) >= self.settle)
         at_rest = jnp.where(leg.lands, landed, stopped)
         arrives = ~state.arrived & jnp.where(leg.stops, at_rest, near & (time >= ends))
-        touches = leg.lands & (standing | _held(due.position_ned.z - position_ned.z, velocity_ned.z))
-        waited = jnp.where(state.arrived | (touches & ~arrives), state.waited + 1, 0)
+        waits = leg.lands & (standing | _held(above, sinking))
+        waited = jnp.where(state.arrived | (waits & ~arrives), state.waited + 1, 0)
         now = replace(
             state, time=time, time_low=time_low, waited=waited, near=near, arrived=state.arrived | arrives,
             behind=behind, shift_ned=shift, low=low,
@@ -236,7 +245,7 @@ class MissionGuidance(Guidance):
         due = self._due(state, leg)[0]
         return PathSetpoint(
             due.position_ned + state.shift_ned, due.velocity_ned, due.acceleration_ned, due.yaw,
-            state.arrived & leg.lands,
+            state.arrived & leg.lands, state.arrived & leg.lands,
         )  # fmt: skip
 
     def _due(self, state: MissionState, leg: Mission) -> tuple[PathSetpoint, Array]:
@@ -275,14 +284,14 @@ def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
     return ticks.astype(state.time.dtype) * dt
 
 
-def _asked(due: PathSetpoint, rate: Array, idle: Array, low: Array) -> PathSetpoint:
+def _asked(due: PathSetpoint, rate: Array, grounded: tuple[Array, Array], low: Array) -> PathSetpoint:
     """Return what is asked for (n,): the point that is due, its motion slower by ``rate``; who is low moves up only."""
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 
     def upright(vector: Vec3) -> Vec3:
         return replace(vector, x=jnp.where(low, 0.0, vector.x), y=jnp.where(low, 0.0, vector.y))
 
-    return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, idle)
+    return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, *grounded)
 
 
 def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:

@@ -84,7 +84,8 @@ class WaypointSetpoint:
 class PathSetpoint:
     """A point of a path, (n,): its position, velocity and acceleration (feed-forwards), and a heading.
 
-    Where ``idle`` is set, a vehicle that has landed is to stay on the ground with idle motors.
+    Where ``level`` is set, a vehicle with feet that touches the ground is not to lean. Where ``idle`` is set, one that
+    has landed is to stay on the ground with idle motors.
     """
 
     position_ned: Vec3 = quantity(unit="m", doc="point of the path")
@@ -92,6 +93,7 @@ class PathSetpoint:
     acceleration_ned: Vec3 = quantity(unit="m/s^2", doc="acceleration along the path")
     yaw: Array = quantity(unit="rad", doc="heading")
     idle: Array | None = quantity(default=None, doc="bool: motors idle; None: they never are")
+    level: Array | None = quantity(default=None, doc="bool: it does not lean; None: as its motion needs")
 
     @staticmethod
     def of(

@@ -24,11 +24,12 @@ from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.prisms import prisms_of
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
 from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.models.vehicles.contracts import has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
 from qrsim.scenarios.fittings import fitted
-from qrsim.scenarios.ground import bounds_of, has_contact, put_on_ground, top_of
+from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.radio import with_fleets

@@ -9,7 +9,7 @@ import numpy as np
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import Ground, down_at
-from qrsim.models.vehicles.contracts import Vehicle, handling_of
+from qrsim.models.vehicles.contracts import Vehicle, handling_of, has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
@@ -111,12 +111,6 @@ def below(path: str, z: float, down: float) -> str:
         f"{path}: z = {z:g} m is {z - down:.4g} m below the ground, which is at z = {down:.6g} m there; allowed: at "
         "most that"
     )
-
-
-def has_contact(vehicle: Any) -> bool:
-    """Return whether a vehicle, or a class of vehicles, stands on the ground by a contact of its own."""
-    kind = vehicle if isinstance(vehicle, type) else type(vehicle)
-    return kind.on_ground is not Vehicle.on_ground  # type: ignore[attr-defined]
 
 
 def stands(fleet: FleetSpec) -> bool:
