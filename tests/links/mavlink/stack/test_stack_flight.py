@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from puppet import DT, EAST_DEG, NORTH_DEG, Puppet, command, item
@@ -76,6 +77,34 @@ def test_the_last_metres_of_a_landing_are_slow():
     # MPC_Z_VEL_MAX_DN above 10 m, MPC_LAND_SPEED below 5 m.
     assert sinks[12] == pytest.approx(1.5, abs=0.1)
     assert sinks[2] == pytest.approx(0.7, abs=0.05)
+
+
+def test_a_landing_vehicle_that_something_holds_up_is_kept_level():
+    """At 0.7 m/s the path is 0.2 m below it after 0.29 s; the motors idle only once it is 0.6 m below, and stay so."""
+    puppet = Puppet()
+    puppet.fly_up(6.0)
+    puppet.do(21)
+    held_since, kinds = [], {}
+
+    def held(now):
+        if -now.seen.position_ned[2] <= 2.0:
+            held_since.append(now.seen.time)
+            x, y, _ = now.seen.position_ned
+            now.seen = replace(now.seen, position_ned=(x, y, -2.0), velocity_ned=(0.0, 0.0, 0.0))
+            kinds.setdefault((now.order.kind, *now.order.numbers[:2], now.order.numbers[3]), now.seen.time)
+
+    puppet.run(9.0, each=held)
+    # Four fifths of the throttle 0.5 of a hover.
+    assert kinds[("attitude", 0.0, 0.0, 0.4)] - held_since[0] == pytest.approx(0.29, abs=0.06)
+    assert kinds[("attitude", 0.0, 0.0, 0.0)] - held_since[0] == pytest.approx(0.86 + 0.5, abs=0.1)
+    # Above, where the descent has just become slow, gusts are no ground.
+    puppet = Puppet()
+    puppet.fly_up(6.0)
+    puppet.do(21)
+    assert puppet.run(20.0, lambda now: -now.seen.position_ned[2] <= 4.5)
+    puppet.seen = replace(puppet.seen, position_ned=(0.0, 0.0, -4.8), velocity_ned=(0.0, 0.0, 0.0))
+    puppet.stack.tick(puppet.seen)
+    assert puppet.stack.tick(puppet.seen).kind == "path"
 
 
 def test_who_takes_off_again_after_a_landing_is_not_disarmed():

@@ -121,7 +121,7 @@ def test_motors_idle_half_a_second_after_the_touch():
     puppet.do(21)
     assert puppet.run(20.0, lambda now: now.seen.on_ground)
     touched = puppet.seen.time
-    assert puppet.run(2.0, lambda now: now.order.kind == "attitude")
+    assert puppet.run(2.0, lambda now: now.order.kind == "attitude" and now.order.numbers[3] == 0.0)
     assert puppet.seen.time - touched == pytest.approx(0.5, abs=2.1 * DT)
 
 

@@ -11,6 +11,10 @@ SLOWS_AT, SLOW_AT = 10.0, 5.0
 # What is asked to come down so far [m] and moves slower than this [m/s] is held by the ground; idle motors do not hold
 # what falls faster than the last [m/s].
 HELD, HELD_SPEED, FALLS = 0.6, 0.25, 1.0
+# At landing speed for so long [s] and so far above its path [m], it may have a foot on the ground. A vehicle that leans
+# into a wind turns over that foot, so it is kept level, with a part of the throttle of a hover, as by PX4: its position
+# control asks for no horizontal acceleration after ``ground_contact``.
+STEADY, TOUCHED, RESTS = 3.0, 0.2, 0.8
 # On the ground for so long with a descent asked for, the motors idle; for so long, it has landed [s].
 IDLE_AFTER, LANDED_AFTER = 0.5, 1.0
 
@@ -44,10 +48,12 @@ class Descent:
 
     def __init__(self) -> None:
         self.touchdown = Touchdown()
+        self._slow_since: float | None = None
 
     def begin(self) -> None:
-        """Begin anew."""
+        """Begin again."""
         self.touchdown.clear()
+        self._slow_since = None
 
     def fly(self, craft: Craft, place: Triple) -> tuple[Order | None, bool]:
         """Return the order, and whether it has landed.
@@ -66,4 +72,18 @@ class Descent:
         share = min(max((height - SLOW_AT) / (SLOWS_AT - SLOW_AT), 0.0), 1.0)
         # Below the ground as far as it takes: what holds the vehicle then is the ground.
         goal = (place[0], place[1], path.position[2] + 10.0)
-        return craft.go(goal, (level, up, slow + share * (down - slow))), False
+        order = craft.go(goal, (level, up, slow + share * (down - slow)))
+        if on > 0.0 or self._touches(craft, share):
+            return craft.lean(0.0, 0.0, RESTS * craft.facts.hover_throttle), False
+        return order, False
+
+    def _touches(self, craft: Craft, share: float) -> bool:
+        """Return whether a vehicle at landing speed may have a foot on the ground; ``share``: of its faster descent."""
+        seen = craft.seen
+        if share > 0.0 or not craft.flies:
+            self._slow_since = None
+            return False
+        if self._slow_since is None:
+            self._slow_since = seen.time
+        above, speed = craft.path.position[2] - seen.position_ned[2], abs(seen.velocity_ned[2])
+        return seen.time - self._slow_since > STEADY and above > TOUCHED and speed < HELD_SPEED
