@@ -422,6 +422,19 @@ def test_a_hovering_vehicle_meets_the_gusts_that_the_dryden_filter_is_validated_
         assert covariance["standard_error"] < 0.06
 
 
+@pytest.mark.long
+def test_the_ground_blocks_vertical_gusts_below_10_ft() -> None:
+    """In proportion to the height: 0.164 of those at 10 ft at 0.5 m, half at 1.524 m, none at the ground."""
+    turbulence = field.component(chains=8, octaves=8, **CARRIED)
+    drawn, whole = field.draw(turbulence), replace(turbulence, near_ground="constant")
+    for height, share in ((0.0, 0.0), (0.5, 0.1640420), (1.524, 0.5), (3.048, 1.0), (40.0, 1.0)):
+        at = places(height)
+        found, every = (field.gust(each, drawn, at, 7, 0.5)[0] for each in (turbulence, whole))
+        np.testing.assert_array_equal(found[:, :2], every[:, :2])
+        np.testing.assert_allclose(found[:, 2], share * every[:, 2], rtol=1e-5, atol=1e-7)
+        assert every[:, 2].std() > 0.05
+
+
 # The residual.
 
 
