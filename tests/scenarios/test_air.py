@@ -37,7 +37,7 @@ def warned(*overrides: str) -> list[str]:
         ([f"{FIELD}, convection_ned: [1]}}"], "convection_ned: expected 2 numbers, found 1"),
         ([f"{FIELD}, convection_ned: 3}}"], "convection_ned: expected 2 numbers, found 3"),
         ([f"{FIELD}, convection_ned: [1, 101]}}"], "convection_ned.1: 101 is out of range; allowed: -100 to 100"),
-        ([f"{FIELD}, lifetime: 5}}"], "turbulence.lifetime: 5 is out of range; allowed: 10 to 10000"),
+        ([f"{FIELD}, lifetime: 5}}"], "turbulence.lifetime: 5 is out of range; allowed: 10 to 10 000"),
         ([f"{FIELD}, evolution: taylor}}"], "'taylor' is not allowed; allowed: lifetime, frozen"),
         (
             ["world.turbulence={type: dryden, near_ground: block}"],
