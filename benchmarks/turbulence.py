@@ -17,6 +17,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "still": {"type": "still"},
     "dryden": {"type": "dryden"},
     "dryden_field": {"type": "dryden_field"},
+    "frozen": {"type": "dryden_field", "evolution": "frozen"},
     "von_karman": {"type": "dryden_field", "spectrum": "von_karman"},
 }
 PLACES = ((512, 8), (1, 1000))

@@ -52,10 +52,12 @@ def mil(height: Any, speed_20ft: float = SPEED_20FT, high_ft: float = 1750.0) ->
     share = np.clip(feet / 1000.0 - 1.0, 0.0, 1.0)
     high = np.interp(feet, *SEVERITY_3) * FOOT
     sigma_w = 0.1 * speed_20ft
+    # The ground blocks vertical gusts below 10 ft.
+    above = np.clip(np.asarray(height, float) / (10.0 * FOOT), 0.0, 1.0)
     blend = partial(lambda a, b: (1.0 - share) * a + share * b)
     return Scales(
         blend(low / shape**1.2 * FOOT, high_ft * FOOT), blend(low * FOOT, high_ft * FOOT),
-        blend(sigma_w * shape**-0.4, high), blend(sigma_w, high),
+        blend(sigma_w * shape**-0.4, high), above * blend(sigma_w, high),
     )  # fmt: skip
 
 
@@ -228,7 +230,6 @@ class Waves(NamedTuple):
     Attributes:
         k: wave vectors [rad/m].
         size: complex vectors: the velocity is the real part of size exp(i phase), times a weight.
-        turns: phase at the origin at time 0, in turns.
         rate: (M,) whole numbers, frequency in turns per second times 2^32; times the octave.
         frequency: turns per second, the octave included.
         octave: 2^j of each.
@@ -238,7 +239,6 @@ class Waves(NamedTuple):
 
     k: Floats
     size: Any
-    phase: Any
     rate: Any
     frequency: Floats
     octave: Any
@@ -256,15 +256,38 @@ def waves(turbulence: DrydenField, field: FieldWaves) -> Waves:
         parts.append((
             (2.0**j * of.first[:, :, None] * of.directions * d).reshape(-1, 3) @ turned,
             (of.cosine[j] - 1j * of.sine[j]).reshape(-1, 3) @ turned,
-            np.asarray(field.phase).astype(object),
             np.asarray(field.advance).astype(object),
             2.0**j * np.asarray(field.frequency, float),
             np.full(of.first.size, 2**j, object),
             np.repeat(of.centre[j], of.first.shape[1]) * d,
         ))  # fmt: skip
     return Waves(
-        *(np.concatenate([part[i] for part in parts]) for i in range(7)), 2.0 * math.log(2.0) / turbulence.chains
+        *(np.concatenate([part[i] for part in parts]) for i in range(6)), 2.0 * math.log(2.0) / turbulence.chains
     )
+
+
+def hashed(word: int) -> int:
+    """Return fmix32 of MurmurHash3 of a word of 32 bits."""
+    word = (word ^ word >> 16) * 0x85EBCA6B % 2**32
+    word = (word ^ word >> 13) * 0xC2B2AE35 % 2**32
+    return word ^ word >> 16
+
+
+def chains_at(chains: int, field: FieldWaves, seconds: int, fraction: float) -> tuple[list[int], Floats]:
+    """Return the phases of the chains in their present lifetimes, turns times 2^32, and their amplitudes (K,)."""
+    phases = [int(phase) for phase in np.asarray(field.phase)]
+    if field.ages is None:
+        return phases, np.ones(len(phases))
+    start, rate = int(field.ages.start), int(field.ages.rate)
+    amplitudes = np.zeros(len(phases))
+    for number in range(len(phases)):
+        segment, chain = divmod(number, chains)
+        ahead = (0.0, 0.5, 0.25, 0.75)[chain % 4] + (chain // 4 + segment / 2) / chains
+        age = ((start + rate * seconds) % 2**32 + round(ahead * 2**20)) / 2**20 + rate * fraction / 2**20
+        lifetime = math.floor(age)
+        phases[number] = hashed((phases[number] + 0x9E3779B9 * (lifetime % 4096)) % 2**32)
+        amplitudes[number] = math.sqrt(8.0 / 3.0) * math.sin(math.pi * (age - lifetime)) ** 2
+    return phases, amplitudes
 
 
 def reference(
@@ -276,12 +299,17 @@ def reference(
     """
     of, place = waves(turbulence, field), np.asarray(place, float)
     scales = mil(-place[:, 2], float(turbulence.speed_20ft), 1750.0 if turbulence.spectrum == "dryden" else 2500.0)
+    phases, amplitudes = chains_at(turbulence.chains, field, seconds, fraction)
+    octaves = len(of.octave) // len(phases)
     # In whole numbers of any size: exact at any time.
     whole = np.array(
-        [float(octave * (p - r * seconds) % 2**32) for p, r, octave in zip(*of[2:4], of.octave, strict=True)]
+        [
+            float(octave * (p - r * seconds) % 2**32)
+            for p, r, octave in zip(phases * octaves, of.rate, of.octave, strict=True)
+        ]
     )
     phase = 2.0 * np.pi * (whole / 2.0**32 - of.frequency * fraction) + place @ of.k.T
-    wave = np.exp(1j * phase)
+    wave = np.tile(amplitudes, octaves) * np.exp(1j * phase)
     value, slope = np.zeros_like(place), np.zeros((len(place), 3, 3))
     for axis, (length, sigma) in enumerate(
         [(scales.length_h, scales.sigma_h)] * 2 + [(scales.length_w, scales.sigma_w)]

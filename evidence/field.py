@@ -1,7 +1,8 @@
 """The turbulence field against the closed forms of isotropic turbulence and of MIL-F-8785C.
 
 What has a closed form in the mean over worlds (correlations, sweep, variances) is tested against it; spectra along
-hovering and flying vehicles, rotation and divergence are reported beside the standard's or the exact ones.
+hovering and flying vehicles, rotation and divergence are reported beside the standard's or the exact ones. Whether a
+vehicle that hovers for two hours meets tones is told by autocorrelations at lags from one minute to one hour.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import scipy
 
 from evidence import _field as of
 from qrsim.validate.statistics import against, judge, mean_and_error
+from qrsim.validate.wind_field import LIFETIME
+from qrsim.validate.wind_field import kept as remembered
 
 DOC = "correlations, spectra, rotation and divergence of dryden_field, and what its waves leave out"
 # The day on which Batchelor's book appeared is not known; its year, and a day.
@@ -28,6 +31,10 @@ AXES = ("u", "v", "w")
 # A vehicle that hovers in a wind, and one that flies across it [m/s].
 CONVECTION, ACROSS = 8.0, 12.0
 SPACING, BANDS = 1.0, (8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
+
+# A vehicle that hovers: samples, their spacing [s], lags of autocorrelations [s] and the share of the variance that
+# the strongest lines are counted for.
+HOVER_SAMPLES, HOVER_SPACING, HOVER_LAGS, HOVER_SHARE = 28800, 0.25, (60.0, 3600.0), 0.9
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -47,6 +54,8 @@ def run(full: bool) -> dict[str, Any]:
         "wind_over_20_m": {str(h): math.log(h / 0.3048 / 0.15) / math.log(20.0 / 0.3048 / 0.15) for h in (5, 60, 120)},
         "two_points": pairs,
         "sweep": swept(worlds),
+        "lifetime": aged(worlds),
+        "hover": hovering(32 if full else 4),
         "spectra": {"smallest": min(every), "largest": max(every), **levels},
         "rotation": {str(h): rotation(h, 20 if full else 5) for h in (5, 15, 60, 700)},
         "normality": normality(200 if full else 60),
@@ -118,9 +127,74 @@ def two_points(worlds: int, pairs: int) -> dict[str, Any]:
     return found
 
 
+def aged(worlds: int) -> dict[str, Any]:
+    """Return the correlation of gusts with earlier ones, in the frame that moves with the field."""
+    turbulence, here, found = of.component(convection_ned=[0.0, 0.0]), places(20), {}
+    first, _ = of.sampled(turbulence, worlds, here)
+    for time in (2.0, 5.0, 20.0, 60.0):
+        later, _ = of.sampled(turbulence, worlds, here, time)
+        value = float((first * later).sum() / (first**2).sum())
+        found[f"after_{time:g}_s"] = {"value": value, "expected": float(remembered(time / LIFETIME))}
+    return found
+
+
+def hovering(worlds: int) -> dict[str, Any]:
+    """Return what vehicles that hover for two hours, one in each world, meet of tones.
+
+    Of the field, of the frozen field, and of Gaussian noise with the standard's spectra: for gusts along the wind,
+    across it and down, the largest autocorrelation at HOVER_LAGS and the number of lines of the spectrum that have
+    HOVER_SHARE of the variance, the median and the largest or least over the worlds.
+    """
+    time = np.arange(HOVER_SAMPLES) * HOVER_SPACING
+    here, found = np.tile([0.0, 0.0, -HEIGHT], (HOVER_SAMPLES, 1)), {}
+    speed = of.SPEED_20FT * math.log(20.0 / of.FOOT / 0.15) / math.log(20.0 / 0.15)
+    for name in ("lifetime", "frozen", "noise"):
+        if name == "noise":
+            gust = noise(worlds, speed)
+        else:
+            turbulence = of.component(evolution=name, convection_ned=[speed, 0.0])
+            gust = of.sampled(turbulence, worlds, here, time)[0].swapaxes(1, 2)
+        peaks, lines = tones(gust)
+        found[name] = {
+            axis: {
+                "largest": {"median": float(np.median(peaks[:, i])), "most": float(peaks[:, i].max())},
+                "lines": {"median": int(np.median(lines[:, i])), "least": int(lines[:, i].min())},
+            }
+            for i, axis in enumerate(AXES)
+        }
+    return found
+
+
+def noise(worlds: int, speed: float) -> Floats:
+    """Return Gaussian gusts (W, 3, n) with the standard's spectra at a speed [m/s], of unit variance at all times."""
+    rng, scales, samples = np.random.default_rng(SEED), of.mil(HEIGHT), 4 * HOVER_SAMPLES
+    o = 2.0 * np.pi * np.fft.rfftfreq(samples, HOVER_SPACING) / speed
+    forms = (
+        of.spectrum_along(o, float(scales.length_h)),
+        of.spectrum_across(o, float(scales.length_h)),
+        of.spectrum_across(o, float(scales.length_w)),
+    )
+    shape = (worlds, 3, len(o))
+    lines = np.sqrt(np.array(forms)) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    return np.asarray(np.fft.irfft(lines)[..., :HOVER_SAMPLES])
+
+
+def tones(gust: Floats) -> tuple[Floats, Floats]:
+    """Return the largest autocorrelations (W, 3) of gusts (W, 3, n) at HOVER_LAGS, and their numbers of lines."""
+    about = gust - gust.mean(axis=-1, keepdims=True)
+    count = about.shape[-1]
+    power = np.abs(np.fft.rfft(about, 2 * count)) ** 2
+    lags = np.fft.irfft(power)[..., :count] * (count / (count - np.arange(count)))
+    first, last = (round(lag / HOVER_SPACING) for lag in HOVER_LAGS)
+    peaks = np.abs(lags[..., first : last + 1]).max(axis=-1) / lags[..., 0]
+    share = np.cumsum(np.sort(np.abs(np.fft.rfft(about)) ** 2, axis=-1)[..., ::-1], axis=-1)
+    return peaks, np.sum(share < HOVER_SHARE * share[..., -1:], axis=-1) + 1
+
+
 def swept(worlds: int, sweep: float = 0.3) -> dict[str, Any]:
-    """Return the correlation of horizontal gusts with earlier ones, in the frame that moves with the field."""
-    turbulence, scales = of.component(sweep=sweep, convection_ned=[0.0, 0.0]), of.mil(HEIGHT)
+    """Return the correlation of horizontal gusts with earlier ones, in the frame that moves with a frozen field."""
+    turbulence = of.component(sweep=sweep, evolution="frozen", convection_ned=[0.0, 0.0])
+    scales = of.mil(HEIGHT)
     k, share = of.shells(float(scales.length_h), dilations=32)
     here, found = places(20), {}
     first, _ = of.sampled(turbulence, worlds, here)

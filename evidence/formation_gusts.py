@@ -18,6 +18,8 @@ import qrsim
 from evidence import _field as of
 from evidence import _intervals as interval
 from qrsim.sweep.study import load_study
+from qrsim.validate.wind_field import LIFETIME
+from qrsim.validate.wind_field import kept as remembered
 from qrsim.world.state import State
 
 DOC = "formations in gusts of each vehicle's own and of one field: separation, common motion, lags; 1 to 50 m, sweep"
@@ -229,10 +231,14 @@ def in_line(flown: Flown, over_ground: float) -> dict[str, Any]:
 
 
 def forgotten(sweep: float, seconds: float) -> float:
-    """Return the correlation of horizontal gusts that is left after a time [s] in the frame that moves with a field."""
+    """Return the correlation of horizontal gusts that is left after a time [s] in the frame that moves with a field.
+
+    That of the sweep times that of the lifetime of the waves.
+    """
     k, share = of.shells(float(of.mil(HEIGHT, SPEED_20FT).length_h), dilations=32)
     decay = np.exp(-0.5 * (k * sweep * seconds) ** 2)
-    return float(np.mean(np.sum(share * decay, axis=1) / share.sum(axis=1)))
+    left = float(np.mean(np.sum(share * decay, axis=1) / share.sum(axis=1)))
+    return left * float(remembered(seconds / LIFETIME))
 
 
 def _key(number: float) -> str:

@@ -115,8 +115,8 @@ def test_turbulence():
     found = {row["turbulence"]: row for row in rows("turbulence")}
     assert list(found) == ["still", "dryden", "dryden_field"]
     assert found["dryden"]["tick_over_dryden"] == 1.0
-    # Three arrays of 32 words, a matrix, a sign and a dilation; filters share nothing.
-    assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 2 * 4]
+    # Three arrays of 32 words, a matrix, a sign, a dilation, an age and its rate; filters share nothing.
+    assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 4 * 4]
 
 
 @pytest.mark.long

@@ -21,6 +21,9 @@ def test_the_field_has_the_closed_forms_of_isotropic_turbulence() -> None:
             assert row["expected"] == pytest.approx(row["standard"], abs=0.03 if "w" in name else 0.006), name
     for name, row in found["sweep"].items():
         assert row["value"] == pytest.approx(row["expected"], abs=0.03), name
+    # 100 worlds of 20 places, 32 waves of equal amplitude at most: a standard error below 0.02.
+    for name, row in found["lifetime"].items():
+        assert row["value"] == pytest.approx(row["expected"], abs=0.06), name
     # 24 worlds of 4096 m: the octave from 128 m has a standard error of 6 %, the shorter ones less.
     for axes in found["spectra"]["15"].values():
         for axis, bands in axes.items():
@@ -40,6 +43,23 @@ def test_the_field_has_the_closed_forms_of_isotropic_turbulence() -> None:
     # 300 places: unrelated series have a standard deviation of 0.058.
     assert found["independence"]["rms"] < 1.3 / math.sqrt(300.0)
     assert found["independence"]["largest"] < 5.0 / math.sqrt(300.0)
+
+
+@pytest.mark.long
+def test_a_vehicle_that_hovers_meets_no_tones() -> None:
+    """Autocorrelations of two hours at lags from a minute to an hour, of four worlds.
+
+    Over a vertical gust's correlation time of 1.6 s noise of the standard's spectrum has a standard deviation of 0.012;
+    0.1 would be eight of these, and five of what the 32 worlds of ``make evidence field`` have.
+    """
+    found = study.hovering(4)
+    assert found["lifetime"]["w"]["largest"]["most"] < 0.1
+    assert found["frozen"]["w"]["largest"]["median"] > 0.25
+    assert found["frozen"]["w"]["lines"]["median"] < 300 < 1500 < found["lifetime"]["w"]["lines"]["least"]
+    for axis in "uv":
+        # Those of noise have a correlation time of ten seconds.
+        noise = found["noise"][axis]["largest"]["median"]
+        assert found["lifetime"][axis]["largest"]["median"] < 1.4 * noise < found["frozen"][axis]["largest"]["median"]
 
 
 def test_what_is_kept_of_the_variance_and_how_the_wind_grows() -> None:

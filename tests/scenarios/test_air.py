@@ -37,6 +37,12 @@ def warned(*overrides: str) -> list[str]:
         ([f"{FIELD}, convection_ned: [1]}}"], "convection_ned: expected 2 numbers, found 1"),
         ([f"{FIELD}, convection_ned: 3}}"], "convection_ned: expected 2 numbers, found 3"),
         ([f"{FIELD}, convection_ned: [1, 101]}}"], "convection_ned.1: 101 is out of range; allowed: -100 to 100"),
+        ([f"{FIELD}, lifetime: 5}}"], "turbulence.lifetime: 5 is out of range; allowed: 10 to 10 000"),
+        ([f"{FIELD}, evolution: taylor}}"], "'taylor' is not allowed; allowed: lifetime, frozen"),
+        (
+            ["world.turbulence={type: dryden, near_ground: block}"],
+            "allowed: blocked, constant; did you mean 'blocked'?",
+        ),
         ([f"{FIELD}, sweep: -1}}"], "turbulence.sweep: -1 is out of range; allowed: 0 to 10"),
         ([f"{FIELD}, residual: filter, spectrum: von_karman}}"], "residual: 'filter' continues the Dryden form only"),
         ([f"{FIELD}}}", "world.wind=calm"], "turbulence.speed_20ft: missing; it would be taken from world.wind.speed"),
@@ -54,12 +60,14 @@ def test_faults_are_said_in_one_line(overrides: list[str], words: str) -> None:
 
 
 def test_a_field_that_stands_still_is_warned_of() -> None:
-    (words,) = warned(f"{FIELD}, convection_ned: [0.3, 0]}}")
-    assert "world.turbulence: the field moves at 0.3 m/s and its sweep is 0 m/s, so a vehicle that hovers" in words
-    (words,) = warned(f"{FIELD}, speed_20ft: 3}}", "world.wind=calm")
-    assert "moves at 0 m/s" in words
+    (words,) = warned(f"{FIELD}, convection_ned: [0.3, 0], evolution: frozen}}")
+    assert "the field moves at 0.3 m/s, its sweep is 0 m/s and it is frozen, so a vehicle that hovers meets" in words
+    (words,) = warned(f"{FIELD}, speed_20ft: 3, lifetime: 210}}", "world.wind=calm")
+    assert "moves at 0 m/s, its sweep is 0 m/s and its waves have a lifetime of 210 s, so" in words
     for fine in (
-        [f"{FIELD}, convection_ned: [0.3, 0], sweep: 0.2}}"],
+        [f"{FIELD}, speed_20ft: 3, lifetime: 200}}", "world.wind=calm"],
+        [f"{FIELD}, convection_ned: [0.3, 0]}}"],
+        [f"{FIELD}, convection_ned: [0.3, 0], sweep: 0.2, evolution: frozen}}"],
         [f"{FIELD}, speed_20ft: 0}}", "world.wind=calm"],
         [f"{FIELD}}}"],
     ):

@@ -16,9 +16,9 @@ def points() -> dict[str, dict[str, tuple[float, float]]]:
     return part.two_points(part.FEW_WORLDS)
 
 
-def failed(points: Any, carried: dict[str, float]) -> list[str]:
+def failed(points: Any, frozen: Any, carried: Any) -> list[str]:
     """Return the checks that fail."""
-    return [check.name for check in part._checks(points, carried, part.FEW_WORLDS) if not check.passed]
+    return [check.name for check in part._checks(points, frozen, carried, part.FEW_WORLDS) if not check.passed]
 
 
 def test_closed_forms_are_those_of_the_standard_s_lengths() -> None:
@@ -30,8 +30,8 @@ def test_closed_forms_are_those_of_the_standard_s_lengths() -> None:
 
 @pytest.mark.long
 def test_the_field_passes(points: Any) -> None:
-    """Every correlation, and the travel of gusts."""
-    assert failed(points, part.travelling(4)) == []
+    """Every correlation, and the travel of gusts in a frozen field and of waves with a lifetime."""
+    assert failed(points, part.travelling(4), part.travelling(part.FEW_WORLDS, "lifetime")) == []
 
 
 @pytest.mark.long
@@ -49,10 +49,12 @@ def test_a_field_of_another_length_or_size_fails(points: Any, monkeypatch: pytes
     if changed == "sigma":
         # Only the variance is in units of the standard's.
         other = {**points, "0": {name: (value * 1.44, error * 1.44) for name, (value, error) in points["0"].items()}}
-    assert len(failed(other, {})) >= 2
+    assert len(failed(other, {}, {})) >= 2
 
 
 @pytest.mark.long
 def test_gusts_that_do_not_travel_fail(points: Any) -> None:
-    """A correlation of 0.99 with what was upwind a second before."""
-    assert len(failed(points, {"1": 0.99})) == 1
+    """A correlation of 0.99 with what was upwind a second before; of 0.90, or 1, after 20 s of 100 (0.767)."""
+    assert len(failed(points, {"1": (0.99, 0.01)}, {})) == 1
+    assert len(failed(points, {}, {"20": (0.90, 0.01)})) == 1
+    assert len(failed(points, {}, {"20": (1.0, 0.01)})) == 1

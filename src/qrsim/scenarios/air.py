@@ -17,6 +17,8 @@ from qrsim.scenarios.schema import ScenarioSpec
 FIELD = "dryden_field"
 # A field slower than this stands still for a vehicle that hovers for a minute: its gusts would be a steady wind [m/s].
 SLOWEST = 0.5
+# Unless its waves live no longer than this [s].
+LONGEST = 200.0
 
 
 def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -49,10 +51,13 @@ def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     if turbulence.type != FIELD or _speed_20ft(scenario) <= 0.0:
         return
     speed = convection_speed(scenario)
-    if speed + turbulence.sweep < SLOWEST:
+    frozen = turbulence.evolution == "frozen"
+    if speed + turbulence.sweep < SLOWEST and (frozen or turbulence.lifetime > LONGEST):
+        lasting = "it is frozen" if frozen else f"its waves have a lifetime of {turbulence.lifetime:g} s"
         yield (
-            f"world.turbulence: the field moves at {speed:.3g} m/s and its sweep is {turbulence.sweep:g} m/s, so a "
-            "vehicle that hovers meets a steady wind in place of gusts; give convection_ned or sweep"
+            f"world.turbulence: the field moves at {speed:.3g} m/s, its sweep is {turbulence.sweep:g} m/s and {lasting},"
+            " so a vehicle that hovers meets a steady wind in place of gusts; give convection_ned, sweep or a lifetime"
+            f" of at most {LONGEST:g}"
         )
 
 

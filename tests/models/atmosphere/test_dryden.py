@@ -29,7 +29,8 @@ Array = np.ndarray[Any, Any]
 FOOT = 0.3048
 # In the run's wind axes NED is (along, across, down).
 WIND_FROM = math.pi
-TURBULENCE = Dryden(speed_20ft=8.0, wind_from_rad=WIND_FROM, span=2.0)  # type: ignore[arg-type]
+# The lowest of HEIGHTS is below 10 ft, where the standard ends.
+TURBULENCE = Dryden(speed_20ft=8.0, wind_from_rad=WIND_FROM, span=2.0, near_ground="constant")  # type: ignore[arg-type]
 # As simulation.py compiles.
 FAST_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 # From the lowest height of the model to above 2000 ft.
@@ -371,6 +372,35 @@ def test_severity_table_against_the_standard() -> None:
     for severity, (feet, expected) in (heights | {7: (25000, 31.0)}).items():
         sigma = severity_sigma(jnp.array([feet * FOOT], jnp.float32), severity)
         assert float(sigma[0]) == pytest.approx(expected * FOOT, rel=1e-5)
+
+
+def test_the_ground_blocks_vertical_gusts_below_10_ft() -> None:
+    """At 0, 0.5, 1.524 and 3.048 m they are 0, 0.1640, 0.5 and 1 of 0.8 m/s, underground 0; as at 10 ft by option.
+
+    Horizontal gusts have 0.8/0.18523^0.4 m/s down to the ground.
+    """
+    heights = jnp.array([-2.0, 0.0, 0.5, 1.524, 3.048, 15.0], jnp.float32)
+    lengths, sigmas = dryden_scales(heights, jnp.float32(8.0), 3, near_ground="blocked")
+    np.testing.assert_allclose(sigmas.z, [0.0, 0.0, 0.1312336, 0.4, 0.8, 0.8], rtol=1e-6)
+    np.testing.assert_allclose(sigmas.x[:5], 1.570, rtol=1e-3)
+    open_lengths, open_sigmas = dryden_scales(heights, jnp.float32(8.0), 3, near_ground="constant")
+    np.testing.assert_allclose(open_sigmas.z, 0.8, rtol=1e-6)
+    np.testing.assert_array_equal(lengths.stack(), open_lengths.stack())
+    np.testing.assert_array_equal(sigmas.stack()[:, :2], open_sigmas.stack()[:, :2])
+
+
+def test_a_vehicle_half_a_metre_above_ground_meets_a_sixth_of_the_vertical_gust() -> None:
+    """And of the roll and pitch rates of the air, which come from it; the yaw rate comes from horizontal gusts."""
+    state = DrydenState(*(jnp.float32([x]) for x in (1.0,)), *(
+        FilterState(*(jnp.float32([x]) for x in three)) for three in ((0.5, -0.3, 0.2), (0.7, 0.4, -0.6))
+    ), jnp.float32([0.8]))  # fmt: skip
+    height = jnp.array([0.5], jnp.float32)
+    default = Dryden(speed_20ft=8.0, wind_from_rad=WIND_FROM)  # type: ignore[arg-type]
+    constant = replace(default, near_ground="constant")
+    for name, share in (("gust_ned", [1.0, 1.0, 0.1640420]), ("gust_rates_ned", [0.1640420, 0.1640420, 1.0])):
+        found, whole = (np.ravel(getattr(each, name)(state, height).stack()) for each in (default, constant))
+        assert np.abs(whole).min() > 0.01
+        np.testing.assert_allclose(found, whole * share, rtol=1e-4)
 
 
 @pytest.mark.long

@@ -24,7 +24,14 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import Turbulence
-from qrsim.models.atmosphere.turbulence import HIGHEST_FT, carrying_speed, low_altitude_scales
+from qrsim.models.atmosphere.turbulence import (
+    HIGHEST_FT,
+    NEAR_GROUND,
+    NearGround,
+    blocked,
+    carrying_speed,
+    low_altitude_scales,
+)
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, wind_to_ned
 
 # From here on one length and a severity table; between HIGHEST_FT and this height both are blended.
@@ -73,7 +80,11 @@ def severity_sigma(height_agl: Array, severity: int) -> Array:
 
 
 def dryden_scales(
-    height_agl: Array, speed_20ft: Array, severity: int, high_length_ft: float = HIGH_LENGTH_FT
+    height_agl: Array,
+    speed_20ft: Array,
+    severity: int,
+    high_length_ft: float = HIGH_LENGTH_FT,
+    near_ground: NearGround = "constant",
 ) -> tuple[Vec3, Vec3]:
     """Return length scales [m] and standard deviations [m/s] of the gusts along, across and down the wind.
 
@@ -85,6 +96,7 @@ def dryden_scales(
         speed_20ft: () or (n,) wind 20 ft above the ground [m/s].
         severity: index of MIL-F-8785C figure 7, 1 to 7.
         high_length_ft: length above 2000 ft [ft].
+        near_ground: vertical gusts below 10 ft.
     """
     lengths, ratios = low_altitude_scales(height_agl)
     share = jnp.clip((height_agl * FEET_PER_METRE - HIGHEST_FT) * (1.0 / (HIGH_FT - HIGHEST_FT)), 0.0, 1.0)
@@ -92,10 +104,10 @@ def dryden_scales(
     high_length = share * (high_length_ft / FEET_PER_METRE)
     high_sigma = share * severity_sigma(height_agl, severity)
     sigma = low_share * (0.1 * speed_20ft)
-    return (
-        lengths.map(lambda length: low_share * length + high_length),
-        ratios.map(lambda ratio: sigma * ratio + high_sigma),
-    )
+    of_height = ratios.map(lambda ratio: sigma * ratio + high_sigma)
+    if near_ground == "blocked":
+        of_height = Vec3(of_height.x, of_height.y, of_height.z * blocked(height_agl))
+    return lengths.map(lambda length: low_share * length + high_length), of_height
 
 
 class Decay(NamedTuple):
@@ -299,6 +311,7 @@ class Dryden(Turbulence):
         default="relative",
         doc="speed that carries the gusts past: through the mean wind; 'ground': 0.5 m/s + speed over ground",
     )
+    near_ground: NearGround = setting(default="blocked", doc=NEAR_GROUND)
 
     normals: ClassVar[int] = 8
     rates: ClassVar[bool] = True
@@ -353,7 +366,7 @@ class Dryden(Turbulence):
         )
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
-        return dryden_scales(height_agl, self.speed_20ft, self.severity)
+        return dryden_scales(height_agl, self.speed_20ft, self.severity, near_ground=self.near_ground)
 
     def _pitch_length(self) -> Array:
         """Return V times the lag of p and q [m]."""

@@ -7,7 +7,8 @@ forms: for the Dryden form f = exp(-r/L) along and g = (1 - r/(2 L)) exp(-r/L) a
 North and east are weighted by the lengths and intensities that MIL-F-8785C has for the horizontal gusts, down by those
 for the vertical ones; above 2000 ft they are equal and the field has no divergence. The field moves with one velocity,
 that of the mean wind at ``convection_height`` or the one given. Frequencies are whole numbers of turns/2^32 per second,
-so that whole seconds are multiplied without rounding in runs of any length.
+so that whole seconds are multiplied without rounding in runs of any length. Waves have a lifetime
+(``field_waves``), or last for ever in a frozen field.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
 from qrsim.core.fastmath import exp, power, reciprocal_root, rounded, sincos_turns
 from qrsim.core.noise import Draw, Noise, ou_decay
@@ -27,7 +28,8 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT, Turbulence, Wind, horizontal_mean
 from qrsim.models.atmosphere.dryden import HIGH_LENGTH_FT, dryden_scales
 from qrsim.models.atmosphere.field_modes import SEGMENTS, Floats, Modes, modes
-from qrsim.models.atmosphere.turbulence import StillState, carrying_speed
+from qrsim.models.atmosphere.field_waves import FieldWaves, draw_ages, waves_at, whole_turns
+from qrsim.models.atmosphere.turbulence import NEAR_GROUND, NearGround, StillState, carrying_speed
 
 # Above 2000 ft the von Karman form has a longer length (MIL-F-8785C, 3.7.2.1), and 1.339 is its (k L)'s factor.
 VON_KARMAN_HIGH_LENGTH_FT = 2500.0
@@ -38,19 +40,6 @@ VON_KARMAN_ENERGY = 55.0 * math.gamma(5.0 / 6.0) / (9.0 * math.sqrt(math.pi) * m
 # Of the Dryden form beyond the highest wavenumber k: 16/(3 pi k L) of the variance. A first-order process of that
 # variance and these lengths times 1/k continues the tails 2 s^2/(pi L O^2) along and 3 s^2/(pi L O^2) across.
 RESIDUAL_SHARE, RESIDUAL_ALONG, RESIDUAL_ACROSS = 16.0 / (3.0 * math.pi), 16.0 / (3.0 * math.pi), 32.0 / (9.0 * math.pi)
-TURN = 2.0**32
-
-
-@record
-class FieldWaves:
-    """What a world draws for its field, once an episode: K chains of waves, and how the set of waves lies."""
-
-    phase: Array = quantity(unit="1", doc="(K,) uint32: of each chain at the origin at time 0, turns times 2^32")
-    advance: Array = quantity(unit="1", doc="(K,) uint32: frequency, turns per second times 2^32, whole turns left out")
-    frequency: Array = quantity(unit="1/s", doc="(K,) turns per second, whole turns included")
-    turned: tuple[Vec3, Vec3, Vec3] = quantity(unit="1", doc="rows of the rotation or reflection from NED to the waves")
-    handedness: Array = quantity(unit="1", doc="() determinant of ``turned``, 1 or -1")
-    dilation: Array = quantity(unit="1", doc="() what wavenumbers are multiplied by")
 
 
 @record
@@ -96,10 +85,22 @@ class DrydenField(Turbulence):
     sweep: Array = parameter(
         default=0.0,
         unit="m/s",
-        doc="std of the random speed of each chain of waves along itself; 0 is Taylor's frozen field",
+        doc="std of the random speed of each chain of waves along itself",
         minimum=0.0,
         maximum=10.0,
     )
+    lifetime: Array = parameter(
+        default=100.0,
+        unit="s",
+        doc="time in which each wave fades in and out; then it returns with a new phase",
+        minimum=10.0,
+        maximum=10000.0,
+    )
+    evolution: Literal["lifetime", "frozen"] = setting(
+        default="lifetime",
+        doc="'frozen': Taylor's hypothesis with waves that last for ever, which are tones for a vehicle that hovers",
+    )
+    near_ground: NearGround = setting(default="blocked", doc=NEAR_GROUND)
     severity: int = setting(
         default=3, unit="1", doc="MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme", minimum=1, maximum=7
     )
@@ -154,7 +155,8 @@ class DrydenField(Turbulence):
         speed = along + rounded(sweep * self.sweep)
         per_metre = rounded(_numbers(start.first.reshape(-1) / (2.0 * math.pi), share) * dilation)
         frequency = rounded(per_metre * speed)
-        return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation)
+        ages = None if self.evolution == "frozen" else draw_ages(draw, 6, jnp.asarray(self.lifetime, share.dtype))
+        return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation, ages)
 
     def init(self, draw: Noise) -> StillState | ResidualState:
         """Draw a stationary first value of the residual, if there is one."""
@@ -239,7 +241,7 @@ class DrydenField(Turbulence):
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
         high = HIGH_LENGTH_FT if self.spectrum == "dryden" else VON_KARMAN_HIGH_LENGTH_FT
-        return dryden_scales(height_agl, self.speed_20ft, self.severity, high)
+        return dryden_scales(height_agl, self.speed_20ft, self.severity, high, self.near_ground)
 
     def _size(self, lengths: Vec3, sigma: Vec3, field: FieldWaves) -> Vec3:
         """Return what does not depend on the wave in its amplitude [m/s], each (n,)."""
@@ -274,7 +276,8 @@ class DrydenField(Turbulence):
         # A group that an octave does not have is left out.
         kappa = np.where(of.centre > 0.0, of.centre, np.inf)
         own = kappa ** (-0.5 if dryden else -1.0 / 3.0)
-        values = list(_group_values(of, own, turns_at(field, seconds, fraction), place))
+        turns, amplitude = waves_at(field, seconds, fraction)
+        values = list(_group_values(of, own, turns, amplitude, place))
         sums: list[Vec3] = []
         curls: list[Vec3] = []
         for square in squares:
@@ -291,47 +294,32 @@ class DrydenField(Turbulence):
         return Sums(*(total.map(lambda axis: jnp.sum(axis, axis=0)) for total in (*sums, *curls)))
 
 
-def whole_turns(frequency: Array) -> Array:
-    """Return frequencies [1/s] of any shape without their whole turns, in turns per second times 2^32, uint32."""
-    # To take the nearest whole number off is exact, and so is the product.
-    part = jnp.round((frequency - jnp.round(frequency)) * TURN)
-    signed = jnp.where(part >= 0.5 * TURN, part - TURN, part).astype(jnp.int32)
-    return lax.bitcast_convert_type(signed, jnp.uint32)
-
-
-def turns_at(field: FieldWaves, seconds: Array, fraction: Array) -> Array:
-    """Return the phases (K,) of all chains at the origin at a time, in turns.
-
-    Whole seconds are multiplied modulo 2^32, exactly; the fraction is multiplied by the whole frequency.
-    """
-    whole = field.phase - field.advance * seconds.astype(jnp.uint32)
-    signed = lax.bitcast_convert_type(whole, jnp.int32).astype(field.frequency.dtype)
-    return signed * (1.0 / TURN) - field.frequency * fraction
-
-
-def _group_values(of: Modes, own: Floats, turns: Array, place: Vec3) -> Iterator[Vec3]:
+def _group_values(of: Modes, own: Floats, turns: Array, amplitude: Array | None, place: Vec3) -> Iterator[Vec3]:
     """Yield for each octave the sums (B, n) of the waves of each group, in their own axes and weighted by ``own`` only.
 
     Args:
         of: the set of waves, B groups of C chains.
         own: (J, B, 1), a factor of each group's waves.
         turns: (B C,) phases at the origin.
+        amplitude: (B C,) of chains, None for 1.
         place: (n,) dilated, in the axes of the waves [m].
     """
     wave = Vec3.of(_numbers(of.turns_per_metre, turns))
     row = place.map(lambda axis: axis[None, None])
     phase = turns.reshape(of.first.shape)[:, :, None] + (wave.x * row.x + (wave.y * row.y + wave.z * row.z))
     sine, cosine = sincos_turns(phase)
+    size = 1.0 if amplitude is None else amplitude.reshape(of.first.shape)[:, :, None]
     for octave in range(of.octaves):
         if octave:
             double = sine + sine
             sine, cosine = double * cosine, 1.0 - double * sine
+        sized_sine, sized_cosine = (sine, cosine) if amplitude is None else (sine * size, cosine * size)
         own_size = own[octave][:, None, None]
         by_cosine, by_sine = (Vec3.of(_numbers(own_size * table[octave], turns)) for table in (of.cosine, of.sine))
         yield Vec3(
-            jnp.sum(rounded(by_cosine.x * cosine) + by_sine.x * sine, axis=1),
-            jnp.sum(rounded(by_cosine.y * cosine) + by_sine.y * sine, axis=1),
-            jnp.sum(rounded(by_cosine.z * cosine) + by_sine.z * sine, axis=1),
+            jnp.sum(rounded(by_cosine.x * sized_cosine) + by_sine.x * sized_sine, axis=1),
+            jnp.sum(rounded(by_cosine.y * sized_cosine) + by_sine.y * sized_sine, axis=1),
+            jnp.sum(rounded(by_cosine.z * sized_cosine) + by_sine.z * sized_sine, axis=1),
         )
 
 

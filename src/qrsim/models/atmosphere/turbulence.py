@@ -18,6 +18,12 @@ from qrsim.models.atmosphere.wind import FEET_PER_METRE, wind_to_ned
 LOWEST_FT, HIGHEST_FT = 10.0, 1000.0
 SLOWEST_AIRSPEED = 0.5
 
+NearGround = Literal["blocked", "constant"]
+NEAR_GROUND = (
+    "vertical gusts below 10 ft, where MIL-F-8785C has none: 'blocked' by the ground, in proportion to the height; "
+    "'constant': as at 10 ft"
+)
+
 
 @record
 class StillState:
@@ -56,6 +62,16 @@ def low_altitude_scales(height_agl: Array) -> tuple[Vec3, Vec3]:
     horizontal = feet / power(shape, 1.2) * (1.0 / FEET_PER_METRE)
     ratio = power(shape, -0.4)
     return Vec3(horizontal, horizontal, feet * (1.0 / FEET_PER_METRE)), Vec3(ratio, ratio, jnp.ones_like(ratio))
+
+
+def blocked(height_agl: Array) -> Array:
+    """Return vertical gusts (n,) at heights (n,) [m] over those at 10 ft: less below, zero at the ground.
+
+    No air goes through the ground. Waves longer than the height h have vertical gusts of k h there (J. C. R. Hunt and
+    J. M. R. Graham, "Free-stream turbulence near plane boundaries", J. Fluid Mech. 84, 1978: 1 - exp(-k h)), and the
+    gusts below 10 ft have the length of those at 10 ft.
+    """
+    return jnp.clip(height_agl * (FEET_PER_METRE / LOWEST_FT), 0.0, 1.0)
 
 
 def carrying_speed(airspeed: Literal["relative", "ground"], velocity_ned: Vec3, mean_wind_ned: Vec3) -> Array:
