@@ -95,6 +95,9 @@ class Airframe:
     downwash: Literal["felt", "ignored"] = setting(
         default="felt", doc="whether the wakes of other vehicles are felt; in a large world they cost most of the time"
     )
+    thin_air: Literal["felt", "ignored"] = setting(
+        default="felt", doc="whether forces follow the density of the air, or are those at air_density everywhere"
+    )
     on_failure: Literal["none", "reallocate"] = setting(
         default="none", doc="what the stabiliser does 0.1 s after a rotor has failed"
     )
@@ -140,16 +143,18 @@ class Airframe:
         return 2.0 * share / ((1.0 - a) + jnp.sqrt((1.0 - a) * (1.0 - a) + 4.0 * a * share))
 
     @property
-    def site_share(self) -> Array:
+    def site_share(self) -> Array | float:
         """Density of the air at the site over that which the coefficients are for."""
-        return self.site_air.site_density / self.air_density
+        return 1.0 if self.thin_air == "ignored" else self.site_air.site_density / self.air_density
 
-    def share(self, position_ned: Vec3) -> Array:
+    def share(self, position_ned: Vec3) -> Array | float:
         """Return the density of the air at positions (n,) [m] over that which the coefficients are for."""
-        return self.site_air.density(position_ned) / self.air_density
+        return 1.0 if self.thin_air == "ignored" else self.site_air.density(position_ned) / self.air_density
 
-    def in_density(self, share: Array) -> Airframe:
-        """Return the vehicle in air of a density (n,) that is a share of its own: forces go with it (V33)."""
+    def in_density(self, share: Array | float) -> Airframe:
+        """Return the vehicle in air of a density (n,) that is a share of its own: all forces go with it (V33)."""
+        if self.thin_air == "ignored":
+            return self
         names = (
             "thrust_coefficient", "rotor_drag", "inflow_loss", "translational_lift", "flapping", "drag_x", "drag_y",
             "drag_z", "air_density",

@@ -157,7 +157,7 @@ class Multirotor(Airframe, Vehicle):
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
         coefficient = self.thrust_coefficient * self.share(state.position_ned)
         power = self.torque_ratio * coefficient * cube / self.efficiency + self.avionics_power
-        ratio = self.site_air.density(state.position_ned) * (1.0 / DENSITY)
+        ratio = None if self.thin_air == "ignored" else self.site_air.density(state.position_ned) * (1.0 / DENSITY)
         return Load(coefficient * square, self.mass * self.gravity, power, ratio)
 
     def pose(self, state: MultirotorState) -> Pose:
