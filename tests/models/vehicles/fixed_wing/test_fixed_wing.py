@@ -72,10 +72,17 @@ def test_where_the_stabiliser_starts_from_is_near_the_trim() -> None:
 
 
 @pytest.mark.long
-def test_modes_at_25_m_s() -> None:
-    """Roll -22.4, short period -4.88 +- 9.87i, dutch roll -1.14 +- 4.66i, phugoid -0.105 +- 0.489i, spiral 0.089."""
-    found = modes(MAVSIM, trim(MAVSIM, 25.0))
-    for value in (-22.4, -4.88 + 9.87j, -1.14 + 4.66j, -0.105 + 0.489j, 0.089):
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (MAVSIM, (-22.4, -4.88 + 9.87j, -1.14 + 4.66j, -0.105 + 0.489j, 0.089)),
+        (FixedWing(), (-21.7, -4.73 + 9.70j, -1.11 + 4.58j, -0.139 + 0.481j, 0.0903)),
+    ],
+)
+def test_modes_at_25_m_s(model: FixedWing, expected: tuple[complex, ...]) -> None:
+    """Roll, short period, dutch roll, phugoid, which drag damps, and spiral."""
+    found = modes(model, trim(model, 25.0))
+    for value in expected:
         assert np.min(np.abs(found - value)) < 0.01 * abs(value) + 0.0005, value
     assert len(found) == 8
 
