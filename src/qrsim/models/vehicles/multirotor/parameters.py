@@ -152,7 +152,7 @@ class Airframe:
         return 1.0 if self.thin_air == "ignored" else self.site_air.density(position_ned) / self.air_density
 
     def in_density(self, share: Array | float) -> Airframe:
-        """Return the vehicle in air of a density (n,) that is a share of its own: all forces go with it (V33)."""
+        """Return the vehicle in air of a density (n,) that is a share of its own: all forces go with it (S30)."""
         if self.thin_air == "ignored":
             return self
         names = (
