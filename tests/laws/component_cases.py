@@ -162,6 +162,7 @@ FILES = {
 EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     ("GUIDANCE", "coverage"): {"north_min": -40.0, "north_max": 40.0, "east_min": -40.0, "east_max": 40.0},
     ("OBSTACLES", "box"): {"x_min": -3.0, "x_max": 4.0, "y_min": -5.0, "y_max": 6.0, "z_min": -12.0},
+    ("VEHICLES", "fixed_wing"): {"density": 1.2682},
     # Half way up, 1.25 s after its start.
     ("GUSTS", "discrete"): {"start_time": 16.0, "length": 12.5, "speed": 5.0, "along": 4.0, "across": 2.0, "down": 1.0},
     # As many as the large box of a scenario without an area can hold.

@@ -25,7 +25,7 @@ from qrsim.models.radio.contracts import Radio
 from qrsim.models.scene.contracts import Area, Ground, GroundCover, People, Plume
 from qrsim.models.sensors.barometer import IdealBarometer
 from qrsim.models.sensors.contracts import Sensor
-from qrsim.models.vehicles.contracts import Battery, Vehicle
+from qrsim.models.vehicles.contracts import Battery, Pose, Vehicle
 from qrsim.scenarios import catalogue
 from qrsim.tasks.contracts import Task
 from qrsim.world import tick as ticks
@@ -177,12 +177,17 @@ def test_a_vehicle_that_reads_is_handed_what_is_around_it() -> None:
     # The lander fails in ``step`` and ``specific_force`` where it is handed nothing.
     after = jax.eval_shape(lambda *at: ticks.step(*at, (None,) * len(world.fleets)), hidden, state, jnp.int32(3))
     assert after.fleets[0].specific_force.y.shape == (world.fleets[0].size,)
-    around = around_of(world, Euler(jnp.zeros(2), jnp.zeros(2), jnp.full(2, jnp.pi / 2)), Vec3(*jnp.ones((3, 2))))
+    east = Euler(jnp.zeros(2), jnp.zeros(2), jnp.full(2, jnp.pi / 2))
+    still = Vec3(*jnp.zeros((3, 2)))
+    place = replace(still, z=jnp.array([0.0, -1000.0]))
+    around = around_of(world, Pose(place, east, still, still), Vec3(*jnp.ones((3, 2))))
     down, normal = around.ground(Vec3(*jnp.full((3, 2), -7.0)))
     np.testing.assert_array_equal(down, [0.0, 0.0])
     np.testing.assert_array_equal(normal.stack(), [[0.0, 0.0, -1.0]] * 2)
     # Heading east: forward is east, right is south.
     np.testing.assert_allclose(around.air_rates.stack(), [[1.0, -1.0, 1.0]] * 2, atol=1e-6)
+    # ISO 2533 has 1.11164 kg/m^3 at 1000 m.
+    np.testing.assert_allclose(around.air_density, [1.225, 1.11164], rtol=1e-5)
     np.testing.assert_array_equal(around.downwash(normal).stack(), np.zeros((2, 3)))
 
 

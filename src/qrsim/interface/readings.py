@@ -37,8 +37,8 @@ _UNASKED = {**dict.fromkeys(OF_SATELLITES, "per_satellite"), "velocity": "veloci
 class SensorReading:
     """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
 
-    Where a reading is NaN, ``reasons`` says why. ``time_of_reading`` says when it was true, ``fresh`` whether it has
-    arrived just now.
+    Where a reading is NaN, ``reasons`` says why. ``time_of_reading`` is when it was true, and ``tick_of_reading`` the
+    same in ticks; ``fresh`` is whether it has arrived just now.
 
     Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
     the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and one of a sensor ``gnss``
@@ -54,11 +54,12 @@ class SensorReading:
         site: Site,
         withheld: Callable[[], Sequence[str]] = tuple,
         picture: Callable[[], Picture] | None = None,
-        taken: Callable[[], float | Array] | None = None,
+        taken: Callable[[], int | Array] | None = None,
         arrived: Callable[[], bool | Array] | None = None,
         rows: slice = slice(None),
+        time_step: float = 0.0,
     ):
-        self._taken, self._arrived, self._rows = taken, arrived, rows
+        self._taken, self._arrived, self._rows, self._time_step = taken, arrived, rows, time_step
         self._name = name
         self._reading = reading
         self._site = site
@@ -84,7 +85,15 @@ class SensorReading:
 
     @property
     def time_of_reading(self) -> Floats:
-        """Time (n,) [s] at which what is reported was true; that of the start until a first delayed reading arrives."""
+        """Time (n,) [s] at which what is reported was true; that of the start until a first delayed reading arrives.
+
+        It is in double precision, but for compiled programs in single precision, where a day has steps of 8 ms.
+        """
+        return self.tick_of_reading * self._time_step
+
+    @property
+    def tick_of_reading(self) -> Floats:
+        """Tick (n,), a whole number, at which what is reported was true; exact in compiled programs too."""
         return self._for_each(self._taken)
 
     @property
@@ -136,6 +145,8 @@ class SensorReading:
             if field in _UNASKED and field in vars(self._reading):
                 raise AttributeError(f"sensor '{self._name}' has no '{field}'; give it {_UNASKED[field]}: true")
             raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
+        if field == "time_of_fix":
+            return self.time_of_reading
         if field in vars(self._reading):
             value = getattr(self._reading, field)
             # What a receiver has nothing to say about, as the age of corrections that it does not take.
@@ -150,8 +161,6 @@ class SensorReading:
         if field in PICTURE_FIELDS:
             return self._of_picture(field)
         position = as_array(cast(GnssReading, self._reading).position_ned)
-        if field == "time_of_fix" and self._taken is not None:
-            return cast(Floats, self._taken() + 0.0 * library_of(position).ones_like(position[:, 0]))
         if field == "fix_type":
             lib = library_of(position)
             return lib.where(lib.isfinite(position).all(axis=1), 3, 0)
@@ -210,14 +219,16 @@ class FleetReading:
         taken = partial(self._taken, sensor) if self._time_step else None
         withheld = partial(self._withheld, sensor)
         arrived = partial(self._arrived, sensor) if self._time_step else None
-        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived, self._rows)
+        return SensorReading(
+            sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived, self._rows, self._time_step
+        )
 
-    def _taken(self, sensor: str) -> float | Array:
-        """Return the time [s] at which what a sensor reports was true."""
+    def _taken(self, sensor: str) -> int | Array:
+        """Return the tick at which what a sensor reports was true."""
         model, transit = self._delivery(sensor)
         tick = cast(Array, self._tick)
         taken = model.time_of_reading(tick, self._time_step) if transit is None else transit.time_of_reading(tick)
-        return _on_host(taken) * self._time_step
+        return cast(int, _on_host(taken))
 
     def _arrived(self, sensor: str) -> bool | Array:
         """Return whether a sensor's reading arrives at this tick."""
@@ -276,12 +287,14 @@ class Reading:
     of the fleet's own estimator. With a single fleet its name can be left out: ``reading.gnss.position_ned``.
 
     Attributes:
-        time: simulated time [s].
+        time: simulated time [s]; in compiled programs of single precision a day has steps of 8 ms.
+        tick: number of time steps since the start, exact everywhere.
     """
 
     def __init__(self, world: World, state: State, tick: int, site: Site, only: str | None = None):
         self.time = _seconds(tick, world.time_step)
-        self._world, self._state, self._tick, self._site, self._only = world, state, tick, site, only
+        self.tick = tick
+        self._world, self._state, self._site, self._only = world, state, site, only
 
     @property
     def state(self) -> State:
@@ -299,7 +312,7 @@ class Reading:
         pictured = isinstance(state, State | LazyTree)
         return {
             fleet.name: FleetReading(
-                fleet, state.fleets[i], partial(getattr, state, "sky"), self._tick, self._site,
+                fleet, state.fleets[i], partial(getattr, state, "sky"), self.tick, self._site,
                 partial(_picture, self._world, self._whole, i) if pictured else None, self._world.time_step,
                 self._rows(fleet),
             )
@@ -316,7 +329,7 @@ class Reading:
         """
         if self._world.radio is None:
             raise UsageError("inbox: the scenario has no world.radio")
-        tick = cast(Array, np.int32(self._tick) if isinstance(self._tick, int) else self._tick)
+        tick = cast(Array, np.int32(self.tick) if isinstance(self.tick, int) else self.tick)
         everybody = heard(self._world, self._state, tick)
         return map_tree(lambda leaf: leaf[self._all_rows()], everybody)
 
@@ -326,11 +339,11 @@ class Reading:
 
         ``jax.random`` and ``numpy.random.default_rng`` take it; ``normals`` is for programs of qrsim's own compiler.
         """
-        return cast(Floats, user_key(self._state, self._tick))
+        return cast(Floats, user_key(self._state, self.tick))
 
     def normals(self, count: int) -> Floats:
         """Return ``count`` standard normals for each vehicle, (n, count), others at every tick and in every world."""
-        drawn = user_normals(self._world, self._state, self._tick, count)
+        drawn = user_normals(self._world, self._state, self.tick, count)
         return cast(Floats, drawn[self._all_rows()])
 
     def _all_rows(self) -> slice:
@@ -374,7 +387,7 @@ class Reading:
         """
         if name not in self.names:
             raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(str(name), self.names)}")
-        return Reading(self._world, self._state, self._tick, self._site, name)
+        return Reading(self._world, self._state, self.tick, self._site, name)
 
     def __getitem__(self, fleet: str) -> FleetReading:
         if fleet not in self.fleets:

@@ -36,7 +36,7 @@ from qrsim.scenarios.radio import with_fleets
 from qrsim.scenarios.ranges import ranges_of
 from qrsim.scenarios.satellites import for_receivers, needs_slots, of_vehicles, slotted_sky, warn_of_systems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
-from qrsim.scenarios.sites import at_site
+from qrsim.scenarios.sites import air_of, at_site
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
 from qrsim.world.state import Fleet, Start, World
@@ -59,6 +59,11 @@ def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: Sce
             value = inherited(scenario, inherits)
         values[field.name] = value
     return cls(**values)
+
+
+def vehicle_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
+    """Build the vehicles of a fleet, in the air of the site."""
+    return component(fleet.vehicle, known.VEHICLES, scenario).in_air(air_of(scenario))
 
 
 def inherited(scenario: ScenarioSpec, path: str) -> Any:
@@ -103,6 +108,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         ground=ground,
         skyline=_skyline(scenario, obstacles),
         radio=with_fleets(network_of(scenario), scenario),
+        air=air_of(scenario),
     )
     return cast(built, dtype)
 
@@ -169,7 +175,7 @@ def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
 
     def standing_height(fleet: FleetSpec) -> Any:
         try:
-            height = component(fleet.vehicle, known.VEHICLES, scenario).standing_height()
+            height = vehicle_of(fleet, scenario).standing_height()
         except UsageError:
             # A fault of its own.
             height = 0.0
@@ -196,7 +202,7 @@ def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: Any) -> Any:
 
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
-    vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
+    vehicle = vehicle_of(spec, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
     built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]
     built = [with_beacons(sensor, scenario) for sensor in built]

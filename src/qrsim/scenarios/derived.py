@@ -17,7 +17,7 @@ from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component
+from qrsim.scenarios.build import component, vehicle_of
 from qrsim.scenarios.scenario import Scenario
 from qrsim.scenarios.sites import MAGNETOMETERS
 from qrsim.scenarios.wind_limits import limits_of
@@ -30,7 +30,7 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
     """Return derived quantities of each fleet that has some, by name; units end the names."""
     found = {}
     for name, fleet in scenario.spec.fleets.items():
-        vehicle: Any = component(fleet.vehicle, known.VEHICLES, scenario.spec)
+        vehicle: Any = vehicle_of(fleet, scenario.spec)
         if isinstance(vehicle, Multirotor):
             found[name] = derived(vehicle)
         elif isinstance(vehicle, FixedWing):
@@ -67,7 +67,7 @@ def _first(leaf: Any) -> Any:
 
 
 def _hover_on_battery(vehicle: Any, battery: Any) -> dict[str, float]:
-    """Return power, current and endurance of a hover far above the ground, of the first vehicle where they differ."""
+    """Return power, current and endurance of a hover at the height of the site, of the first where vehicles differ."""
     if not battery.drains or handling_of(vehicle) is None:
         return {}
     vehicle, battery = (map_tree(_first, each) for each in (vehicle, battery))
@@ -75,8 +75,7 @@ def _hover_on_battery(vehicle: Any, battery: Any) -> dict[str, float]:
 
     def hover(vehicle: Any, battery: Any, zero: Any) -> tuple[Any, Any, Any]:
         still = Vec3(zero, zero, zero)
-        place = Vec3(zero, zero, zero - 1000.0)
-        load = vehicle.load(vehicle.initial_state(place, Euler(zero, zero, zero), still, still))
+        load = vehicle.load(vehicle.initial_state(still, Euler(zero, zero, zero), still, still))
         state = battery.init(zero)
         return load, state, battery.voltage(state, load)
 

@@ -14,7 +14,7 @@ from qrsim.models.scene.contracts import down_at
 from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component, ground_if_any
+from qrsim.scenarios.build import ground_if_any, vehicle_of
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.wind_limits import mean_wind
 
@@ -27,7 +27,7 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
     if not issubclass(known.VEHICLES[fleet.vehicle.type], FixedWing):
         return
     try:
-        vehicle: Any = component(fleet.vehicle, known.VEHICLES, scenario)
+        vehicle: Any = vehicle_of(fleet, scenario)
         stall = stall_speed(vehicle)
     except UsageError:
         return

@@ -12,6 +12,7 @@ from qrsim.models.vehicles.multirotor.commands import MOST_ROTORS
 from qrsim.models.vehicles.multirotor.geometry import rank_of
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.sites import air_of
 
 # Below this ratio of the weakest to the strongest of thrust and three torques a mixer has no authority.
 LEAST_AUTHORITY = 0.02
@@ -30,7 +31,7 @@ def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
         wrong = True
         yield problem
     if not wrong:
-        yield from _lift(path, fleet)
+        yield from _lift(path, fleet, float(air_of(scenario).site_density))
         yield from _lags(path, fleet, scenario.time_step)
         yield from _standing(name, fleet, scenario)
 
@@ -56,22 +57,26 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
         )
 
 
-def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """A vehicle must carry itself at its largest rotor speed, with something left to steer by."""
+def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
+    """A vehicle must carry itself at its largest rotor speed, in the air of the site [kg/m^3]."""
     spec = fleet.vehicle
-    each = [np.asarray(getattr(spec, key), float) for key in ("thrust_coefficient", "speed_max", "mass", "gravity")]
+    names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
+    each = [np.asarray(getattr(spec, key), float) for key in names]
     # Lists of the wrong length are a problem of their own.
     if len({part.size for part in each if part.ndim}) > 1:
         return
-    coefficient, speed, mass, gravity = each
-    most = coefficient * speed**2 * -sum(rotor.axis[2] for rotor in spec.rotors)
+    coefficient, speed, mass, gravity, own_density = each
+    most = density / own_density * coefficient * speed**2 * -sum(rotor.axis[2] for rotor in spec.rotors)
     weight = mass * gravity
     i = int(np.argmin(np.atleast_1d(most / weight)))
     lift, heavy = (float(np.broadcast_to(part, (i + 1,))[i]) for part in (most, weight))
     if lift <= heavy:
+        thin = density < 0.99 * float(np.broadcast_to(own_density, (i + 1,))[i])
         yield (
-            f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max, and it weighs "
-            f"{heavy:.4g} N; lower mass, or raise thrust_coefficient or speed_max"
+            f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max"
+            + (f" in the air of the site, {density:.4g} kg/m^3" if thin else "")
+            + f", and it weighs {heavy:.4g} N; lower mass{', or site.height' if thin else ''}, or raise "
+            "thrust_coefficient or speed_max"
         )
 
 

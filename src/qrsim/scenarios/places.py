@@ -91,7 +91,9 @@ class _Places:
     def _place(self, site: SiteSpec) -> SiteSpec:
         """Return a site in numbers: those of the home of its plan, where it has one."""
         for home in self._attempt("site.plan", lambda: [home_of(site)] if site.plan else []):
-            return SiteSpec(latitude_deg=home[0], longitude_deg=home[1], height=home[2], plan=None)
+            return site.model_copy(
+                update={"latitude_deg": home[0], "longitude_deg": home[1], "height": home[2], "plan": None}
+            )
         return site
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:

@@ -279,8 +279,11 @@ def _entry(annotation: Any) -> Any:
 def _rules(annotation: Any) -> list[Any]:
     """Return the bounds that Annotated says about a type."""
     annotation = _given(annotation)
-    infos = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
-    return [rule for info in infos for rule in (info.metadata if isinstance(info, FieldInfo) else [info])]
+    if get_origin(annotation) is not Annotated:
+        return []
+    inner, *infos = get_args(annotation)
+    own = [rule for info in infos for rule in (info.metadata if isinstance(info, FieldInfo) else [info])]
+    return [*_rules(inner), *own]
 
 
 def _slot(annotation: Any) -> type[Slot] | None:

@@ -10,6 +10,8 @@ from qrsim.scenarios.component_schema import Finite, Strict
 
 # Of the origin over the ellipsoid [m].
 LOWEST_SITE, HIGHEST_SITE = -500.0, 9000.0
+# Of the day over the standard atmosphere [K]: from the coldest days of Antarctica to the hottest of deserts.
+COLDEST_DAY, HOTTEST_DAY = -80.0, 50.0
 
 
 class PlanSpec(Strict):
@@ -29,6 +31,12 @@ class SiteSpec(Strict):
     latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
     longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
+    temperature_offset: Finite = Field(
+        0.0,
+        description="temperature of the day over that of the standard atmosphere [K]",
+        ge=COLDEST_DAY,
+        le=HOTTEST_DAY,
+    )
     plan: PlanSpec | None = Field(
         None,
         description="a .plan file, FILE or {file: FILE}, whose home it is, instead of the three numbers",

@@ -9,7 +9,7 @@ import numpy as np
 
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
-from qrsim.models.atmosphere.standard import pressure, temperature
+from qrsim.models.atmosphere.standard import SiteAir, temperature
 from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
 from qrsim.models.sensors.earth_field import covers, earth_field_ned, years
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer, Steel
@@ -34,6 +34,11 @@ def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 return
 
 
+def air_of(scenario: ScenarioSpec) -> SiteAir:
+    """Return the atmosphere above the site of a scenario, on its day."""
+    return SiteAir.of(scenario.site.height, scenario.site.temperature_offset)
+
+
 def at_site(sensor: Any, scenario: ScenarioSpec, vehicle: Vehicle) -> Any:
     """Return a sensor of a vehicle that knows what the scenario's site has, where it asks for any of that."""
     if isinstance(sensor, Magnetometer | IdealMagnetometer):
@@ -42,9 +47,12 @@ def at_site(sensor: Any, scenario: ScenarioSpec, vehicle: Vehicle) -> Any:
         field = earth_field_ned(site, scenario.start_time)
         return replace(sensor, earth_field_ned=Vec3(*field), steel=_steel(scenario))
     if isinstance(sensor, PressureAltimeter | IdealPressureAltimeter | Airspeed | IdealAirspeed):
-        height = scenario.site.height
-        sensor = replace(sensor, site_temperature=temperature(height), site_pressure=pressure(height))
+        air = air_of(scenario)
+        sensor = replace(sensor, site_temperature=air.temperature, site_pressure=air.pressure)
     if isinstance(sensor, PressureAltimeter):
+        # Its height is that of the standard atmosphere, whatever the day.
+        offset = scenario.site.temperature_offset
+        sensor = replace(sensor, site_temperature=temperature(scenario.site.height), site_warmer=offset)
         outline = vehicle.outline()
         if outline is not None and outline.rotor_radius > 0.0:
             sensor = replace(sensor, vehicle_rotor=2.0 * outline.rotor_radius)

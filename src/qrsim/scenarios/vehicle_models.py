@@ -25,6 +25,8 @@ def numbers_of(part: Any) -> dict[str, Any]:
     """Return the parameters and settings of a component as a scenario writes them."""
     found: dict[str, Any] = {}
     for field in dataclasses.fields(part):
+        if field_info(field).derived:
+            continue
         value = getattr(part, field.name)
         if dataclasses.is_dataclass(value):
             found[field.name] = numbers_of(value)

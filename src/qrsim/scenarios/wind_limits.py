@@ -14,8 +14,7 @@ from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS
 from qrsim.models.vehicles.contracts import handling_of
 from qrsim.models.vehicles.envelope import Envelope, envelope
 from qrsim.models.vehicles.quadrotor import Quadrotor
-from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component, wind_of
+from qrsim.scenarios.build import vehicle_of, wind_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
@@ -62,7 +61,7 @@ def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
     """Return what a fleet holds; None where its vehicle takes no tilt, or is from outside and has no envelope."""
     size = len(fleet.vehicles)
     try:
-        vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
+        vehicle = vehicle_of(fleet, scenario)
         handling = handling_of(vehicle)
     except UsageError:
         return None
@@ -123,7 +122,7 @@ def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
     """
     if (fleet.controller.type, fleet.guidance.type) != ("waypoint", "route") or fleet.guidance.repeat:
         return
-    vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
+    vehicle = vehicle_of(fleet, scenario)
     handling = handling_of(vehicle)
     if handling is None:
         return

@@ -8,9 +8,9 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.atmosphere.contracts import Turbulence
-from qrsim.models.vehicles.contracts import Around
+from qrsim.models.vehicles.contracts import Around, Pose
 from qrsim.models.vehicles.wake import Wake, jet_velocity
 from qrsim.world.state import Fleet, FleetState, World
 
@@ -50,27 +50,27 @@ def gust_rates_at(
 
 def around_of(
     world: World,
-    attitude: Euler,
+    pose: Pose,
     rates_ned: Vec3 | None,
     downwash: Callable[[Vec3], Vec3] | None = None,
     failed: tuple[tuple[int, Array, Array], ...] = (),
 ) -> Around:
-    """Return the part of the world that vehicles at an attitude (n,) may read.
+    """Return the part of the world that vehicles (n,) may read.
 
     Args:
         world: with its ground.
-        attitude: of the vehicles.
+        pose: of the vehicles.
         rates_ned: rotation of the air (n,) [rad/s]; None: none.
         downwash: see ``wakes_at``; None: there are no wakes.
         failed: see ``Around``.
     """
-    still = Vec3.zeros(attitude.roll.shape, attitude.roll.dtype)
+    still = Vec3.zeros(pose.attitude.roll.shape, pose.attitude.roll.dtype)
 
     def ground(position_ned: Vec3) -> tuple[Array, Vec3]:
         return world.ground_down(position_ned), world.ground.normal(position_ned)
 
-    rates = still if rates_ned is None else rotation(attitude).to_body(rates_ned)
-    return Around(ground, rates, downwash or (lambda position: still), failed)
+    rates = still if rates_ned is None else rotation(pose.attitude).to_body(rates_ned)
+    return Around(ground, rates, downwash or (lambda position: still), failed, world.air.density(pose.position_ned))
 
 
 def wakes_at(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> Callable[[Vec3], Vec3] | None:

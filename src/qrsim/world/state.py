@@ -15,6 +15,7 @@ from qrsim.core.pairs import joined
 from qrsim.core.tree import Record, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.skyline import Skyline
@@ -172,6 +173,7 @@ class World:
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
     skyline: Skyline | None = quantity(default=None, doc="what obstacles do to signals of satellites; None: nothing")
     radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: nobody has a radio")
+    air: SiteAir = quantity(default=SiteAir(), doc="the atmosphere above the site")
 
     @property
     def radii(self) -> Array | None:

@@ -190,7 +190,7 @@ def _fly(
     around = None
     if model.reads:
         wakes, failed = wakes_at(world, whole.fleets, fleet), failed_rotors(fleet.rotor_faults, tick)
-        around = around_of(world, pose.attitude, gust_rates, wakes, failed)
+        around = around_of(world, pose, gust_rates, wakes, failed)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         vehicle, low, force = move(
@@ -328,7 +328,7 @@ def start_fleet(
     command = fleet.controller.idle_command(fleet.vehicle.idle_command(like))
     noiseless = fleet.vehicle.draw_noise(Drawn((zero,) * fleet.vehicle.normals), 1.0)
     air = mean_wind + gust
-    more = (around_of(world, pose.attitude, rates),) if fleet.vehicle.reads else ()
+    more = (around_of(world, pose, rates),) if fleet.vehicle.reads else ()
     force = fleet.vehicle.specific_force(
         vehicle, command, lambda trig: trig.rotation().to_body(air), noiseless, world.time_step, *more
     )

@@ -10,6 +10,7 @@ from evidence import _receivers as receivers
 
 import qrsim
 from qrsim.errors import ScenarioError
+from qrsim.interface.readings import Reading
 from qrsim.scenarios.scenario import load_scenario
 
 CASCADE = {"type": "cascade", "feed": "truth"}
@@ -100,7 +101,12 @@ class TestFlown:
         assert (reading.satellites_seen >= reading.satellites).all()
         assert np.all((reading.horizontal_accuracy > 0.5) & (reading.horizontal_accuracy < 1.0))
         assert reading.time_of_fix == pytest.approx([11.8, 11.8])
+        assert (reading.time_of_fix.dtype, reading.tick_of_reading.tolist()) == (np.float64, [590, 590])
         assert simulation.reading.time == pytest.approx(12.0)
+        # After ten hours as well, where single precision has steps of 4 ms.
+        later = Reading(simulation.world, simulation.state, 1_800_001, simulation.site)
+        np.testing.assert_allclose(later.gnss.time_of_fix, 35_999.8, rtol=0.0, atol=1e-9)
+        assert later.time == pytest.approx(36_000.02, abs=1e-9)
         assert reading.reasons == ["", ""]
         assert abs(reading.latitude_deg[0] - 51.7119) < 1e-4
 

@@ -217,10 +217,10 @@ def test_the_thrust_that_carries_the_weight_is_found_by_four_secants() -> None:
     assert found.thrust[0] == pytest.approx(2.0000088147, abs=2e-10)
 
 
-def test_a_vehicle_is_asked_high_above_level_ground() -> None:
-    """At 1000 m, of which no ground is felt, for a step so short that its thrust stays; the noise is that of 1 s."""
+def test_a_vehicle_is_asked_at_the_height_of_the_site_far_above_level_ground() -> None:
+    """The ground is 1000 m below; a step is so short that the thrust stays what it is, and the noise is that of 1 s."""
     Asked.asked.clear()
     one = jnp.ones(1)
     north, down = _specific_force(Asked(), 5.0 * one, 0.0 * one, 4.0 * one)
-    assert Asked.asked == [("noise", 1.0), ("step", 1e-6, -1000.0, 0.0, 0.0, 0.0, -1.0)]
+    assert Asked.asked == [("noise", 1.0), ("step", 1e-6, 0.0, 1000.0, 0.0, 0.0, -1.0)]
     assert [float(north[0]), float(down[0])] == pytest.approx([0.1, -4.0])

@@ -12,6 +12,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp, log
+from qrsim.core.tree import quantity, record
+from qrsim.core.vectors import Vec3
 
 # At sea level: temperature [K], pressure [Pa], density [kg/m^3]; lapse rate [K/m].
 TEMPERATURE, PRESSURE, DENSITY, LAPSE = 288.15, 101325.0, 1.225, 0.0065
@@ -53,3 +55,35 @@ def air_above(above: Array, base_temperature: Any, base_pressure: Any) -> Air:
     ratio = jnp.maximum(1.0 - above * (LAPSE / base_temperature), 0.1)
     found, warmth = base_pressure * exp(EXPONENT * log(ratio)), base_temperature * ratio
     return Air(found, warmth, found / (GAS * warmth))
+
+
+@record
+class SiteAir:
+    """The standard atmosphere above a site, on a day warmer or colder than the standard one; by default at sea level.
+
+    Pressure is that of the standard at the site's height, whatever the temperature, as in the density altitude of
+    aviation (S30).
+    """
+
+    temperature: Array = quantity(default=TEMPERATURE, unit="K", doc="of the air at the origin of the site")
+    pressure: Array = quantity(default=PRESSURE, unit="Pa", doc="there")
+
+    @staticmethod
+    def of(height: float, temperature_offset: float = 0.0) -> SiteAir:
+        """Return the air of a site at a height [m], warmer than the standard by an offset [K]."""
+        return SiteAir(temperature(height) + temperature_offset, pressure(height))  # type: ignore[arg-type]
+
+    @property
+    def site_density(self) -> Array:
+        """Density [kg/m^3] at the origin of the site."""
+        return DENSITY * self._share
+
+    def density(self, position_ned: Vec3) -> Array:
+        """Return the density [kg/m^3] at positions (n,) [m]; at sea level exactly 1.225."""
+        above = 1.0 + position_ned.z * (LAPSE / self.temperature)
+        return DENSITY * (self._share * exp((EXPONENT - 1.0) * log(jnp.maximum(above, 0.1))))
+
+    @property
+    def _share(self) -> Array:
+        """Density at the site over that at sea level; exactly 1 there, which a quotient of the gas law is not."""
+        return (self.pressure / PRESSURE) * (TEMPERATURE / self.temperature)

@@ -67,7 +67,7 @@ class PressureAltimeter(Sensor):
     drift_std: Array = parameter(default=0.26, unit="m", doc="stationary std of the weather's drift", minimum=0.0)
     drift_time_constant: Array = parameter(default=300.0, unit="s", doc="time constant of the drift", above=0.0)
     warmer: Array = parameter(
-        default=0.0, unit="K", doc="temperature of the day over that of the standard atmosphere", minimum=-60.0,
+        default=0.0, unit="K", doc="temperature there over that of the site's day", minimum=-60.0,
         maximum=60.0,
     )  # fmt: skip
     port_forward: Array = _port("from ahead")
@@ -95,6 +95,7 @@ class PressureAltimeter(Sensor):
     )
     site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
     site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
+    site_warmer: Array = derived(default=0.0, doc="temperature of the day over that of the standard atmosphere [K]")
     vehicle_rotor: Array = derived(default=0.25, doc="diameter of one of the vehicle's rotors [m]")
     reads: ClassVar[tuple[str, ...]] = (
         "position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load", "ground",
@@ -147,8 +148,9 @@ class PressureAltimeter(Sensor):
     ) -> tuple[Array, Array, Array]:  # fmt: skip
         """Return height [m], pressure [Pa] and temperature of the air [K] (n,)."""
         base, above = jnp.asarray(self.site_temperature), -position_ned.z
+        warmer = self.warmer + self.site_warmer
         # On a warmer day the air is thinner: a metre is less pressure.
-        stands = above * (base / (base + self.warmer)) + state.drift
+        stands = above * (base / (base + warmer)) + state.drift
         air = air_above(stands, base, self.site_pressure)
         flow = velocity_body - rotation(attitude).to_body(wind_ned)
         felt = 0.5 * air.density * self._ports(flow) + self.noise_std * white
@@ -156,7 +158,7 @@ class PressureAltimeter(Sensor):
         height = stands - air.temperature / air.pressure * (GAS / GRAVITY) * (
             felt if self.zeroed else felt + state.offset
         )
-        return height, air.pressure + felt + state.offset, base - LAPSE * above + self.warmer
+        return height, air.pressure + felt + state.offset, base - LAPSE * above + warmer
 
     def _ports(self, flow: Vec3) -> Array:
         """Return the pressure (n,) at the static port over half the air's density, by the flow (n,) [m/s]."""

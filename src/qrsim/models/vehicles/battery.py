@@ -47,14 +47,16 @@ class Charge:
 class LithiumPolymer(Battery):
     """A pack that is drained by thrust and sags under load.
 
-    Current grows with thrust to the power 3/2 (the induced power of a rotor in hover, momentum theory) and is set by
-    the endurance at hover. The open-circuit voltage falls linearly with the charge. The defaults are the AscTec
-    Pelican's data sheet (6.25 Ah, 16 minutes) and the voltage range its thrust model was identified for; the
-    resistance is that of a three-cell pack of this size.
+    Current grows with thrust to the power 3/2 and in thin air with one over the root of the density (the induced power
+    of a rotor in hover, momentum theory); it is set by the endurance at hover at sea level. The open-circuit voltage
+    falls linearly with the charge. The defaults are the AscTec Pelican's data sheet (6.25 Ah, 16 minutes) and the
+    voltage range its thrust model was identified for; the resistance is that of a three-cell pack of this size.
     """
 
     capacity: Array = parameter(default=6.25, unit="Ah", doc="charge of the full pack", above=0.0)
-    endurance: Array = parameter(default=960.0, unit="s", doc="time from full to empty at hover thrust", above=0.0)
+    endurance: Array = parameter(
+        default=960.0, unit="s", doc="time from full to empty at hover thrust, at sea level", above=0.0
+    )
     voltage_full: Array = parameter(
         default=12.0, unit="V", doc="open-circuit voltage when full", above=0.0, maximum=100.0
     )
@@ -94,5 +96,6 @@ def _within(voltage: Array) -> Array:
 
 
 def _current(load: Load) -> Array:
-    """Return the current as a multiple of the hover current, (F / m g)^1.5."""
-    return exp(1.5 * log(jnp.maximum(load.thrust / load.weight, 1e-6)))
+    """Return the current as a multiple of that of hover at sea level."""
+    current = exp(1.5 * log(jnp.maximum(load.thrust / load.weight, 1e-6)))
+    return current if load.density_ratio is None else current / jnp.sqrt(load.density_ratio)

@@ -20,13 +20,14 @@ from qrsim.core.host import on_host
 from qrsim.core.noise import Noise
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, rotation
+from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.commands import clipped
 from qrsim.models.vehicles.wake import Wake
 
 # A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
 Check = tuple[int, Array, Array]
 # What a vehicle may declare in ``reads``.
-AROUND = ("ground", "air_rates", "downwash")
+AROUND = ("ground", "air_rates", "downwash", "air_density")
 
 
 @record
@@ -36,6 +37,9 @@ class Load:
     thrust: Array = quantity(unit="N", doc="collective thrust; NaN where the model has none")
     weight: Array = quantity(unit="N", doc="weight, which is the thrust in hover")
     power: Array | None = quantity(default=None, unit="W", doc="electrical power; None where the model has none")
+    density_ratio: Array | None = quantity(
+        default=None, unit="1", doc="density of the air over that at sea level; None where the model has none"
+    )
 
     def per_weight(self, like: Array) -> Array:
         """Return the thrust (n,) per weight; 1 for a vehicle that knows none. ``like`` is any array (n,)."""
@@ -126,12 +130,14 @@ class Around:
             as these were at the end of the step before.
         failed_rotors: of each rotor that a fault may concern its number, how fast it still turns (n,), 1 where it is
             well, and whether that is known to the autopilot (n,) bool.
+        air_density: density of the air (n,) [kg/m^3]; None outside a world.
     """
 
     ground: Callable[[Vec3], tuple[Array, Vec3]]
     air_rates: Vec3
     downwash: Callable[[Vec3], Vec3]
     failed_rotors: tuple[tuple[int, Array, Array], ...] = ()
+    air_density: Array | None = None
 
 
 @runtime_checkable
@@ -168,6 +174,10 @@ class Vehicle(Protocol):
         Raises:
             UsageError: a file cannot be used.
         """
+        return self
+
+    def in_air(self, air: SiteAir) -> Vehicle:
+        """Return the vehicle at a site, where what it takes to fly depends on the density of the air there."""
         return self
 
     @abstractmethod

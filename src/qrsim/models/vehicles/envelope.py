@@ -121,12 +121,14 @@ def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> 
     zero = jnp.zeros_like(airspeed)
     none = Vec3(zero, zero, zero)
     vehicle = map_tree(jnp.asarray, vehicle)
-    # High up, where no ground is felt.
-    at = vehicle.initial_state(Vec3(zero, zero, zero - 1000.0), Euler(zero, -tilt, zero), none, none)
+    at = vehicle.initial_state(none, Euler(zero, -tilt, zero), none, none)
     state = vehicle.with_thrust(at, thrust)
     noise = vehicle.draw_noise(Drawn((zero,) * vehicle.normals), 1.0)
     around = Around(
-        ground=lambda place: (zero, Vec3(zero, zero, zero - 1.0)), air_rates=none, downwash=lambda place: none
+        # So far below that it is not felt.
+        ground=lambda place: (zero + 1000.0, Vec3(zero, zero, zero - 1.0)),
+        air_rates=none,
+        downwash=lambda place: none,
     )
     more = (around,) if vehicle.reads else ()
     wind = Vec3(-airspeed, zero, zero)

@@ -15,12 +15,15 @@ from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
+from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.contracts import Around
 from qrsim.models.vehicles.fixed_wing import FixedWing, SurfaceCommand, modes, trim
 from qrsim.models.vehicles.fixed_wing.aerodynamics import air_data, forces, propeller
 from qrsim.models.vehicles.fixed_wing.state import Surfaces
 from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed
 
+# As in the code of the book: without parasitic drag, at 1.2682 kg/m^3.
+MAVSIM = FixedWing(preset="mavsim")
 STATES = ("north", "east", "down", "u", "v", "w", "qw", "qx", "qy", "qz", "p", "q", "r")
 
 
@@ -36,7 +39,7 @@ def vector(*values: float) -> Vec3:
 def test_the_published_numbers_of_mavsim() -> None:
     """What the code of the book prints for 25 m/s ahead, elevator -0.2, rudder 0.005, throttle 0.5; with the weight."""
     with jax.enable_x64(True):
-        model = cast(FixedWing(), np.float64)
+        model = cast(MAVSIM, np.float64)
         throttle = jnp.asarray([0.5])
         thrust, torque = propeller(model, jnp.asarray([25.0]), throttle)
         np.testing.assert_allclose(thrust, -12.43072534597213, rtol=1e-14)
@@ -54,7 +57,7 @@ def test_trims(golden: Path) -> None:
     rows = table(golden / "vehicles" / "fixed_wing_trims.csv")
     for i in range(len(rows["airspeed"])):
         radius = float(rows["turn_radius_0_straight"][i]) or math.inf
-        found = trim(FixedWing(), float(rows["airspeed"][i]), float(rows["climb_angle"][i]), radius)
+        found = trim(MAVSIM, float(rows["airspeed"][i]), float(rows["climb_angle"][i]), radius)
         for name in ("alpha", "theta", "phi", "elevator", "aileron", "rudder", "throttle"):
             assert getattr(found, name) == pytest.approx(rows[name][i], abs=1e-6), (i, name)
 
@@ -62,17 +65,24 @@ def test_trims(golden: Path) -> None:
 @pytest.mark.long
 def test_where_the_stabiliser_starts_from_is_near_the_trim() -> None:
     """alpha 0.050107, elevator -0.125044, throttle 0.676776 at 25 m/s; the formulas are within 1 % of them."""
-    found = [float(value) for value in cruise(FixedWing(), jnp.asarray(25.0))]
+    found = [float(value) for value in cruise(MAVSIM, jnp.asarray(25.0))]
     np.testing.assert_allclose(found, [0.050107, -0.125044, 0.676776], rtol=0.01)
     # A wing of 0.55 m^2 that carries 107.9 N by a coefficient of about 2.4.
-    assert stall_speed(FixedWing()) == pytest.approx(11.4, abs=0.3)
+    assert stall_speed(MAVSIM) == pytest.approx(11.4, abs=0.3)
 
 
 @pytest.mark.long
-def test_modes_at_25_m_s() -> None:
-    """Roll -22.4, short period -4.88 +- 9.87i, dutch roll -1.14 +- 4.66i, phugoid -0.105 +- 0.489i, spiral 0.089."""
-    found = modes(FixedWing(), trim(FixedWing(), 25.0))
-    for value in (-22.4, -4.88 + 9.87j, -1.14 + 4.66j, -0.105 + 0.489j, 0.089):
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (MAVSIM, (-22.4, -4.88 + 9.87j, -1.14 + 4.66j, -0.105 + 0.489j, 0.089)),
+        (FixedWing(), (-21.7, -4.73 + 9.70j, -1.11 + 4.58j, -0.139 + 0.481j, 0.0903)),
+    ],
+)
+def test_modes_at_25_m_s(model: FixedWing, expected: tuple[complex, ...]) -> None:
+    """Roll, short period, dutch roll, phugoid, which drag damps, and spiral."""
+    found = modes(model, trim(model, 25.0))
+    for value in expected:
         assert np.min(np.abs(found - value)) < 0.01 * abs(value) + 0.0005, value
     assert len(found) == 8
 
@@ -80,7 +90,7 @@ def test_modes_at_25_m_s() -> None:
 @pytest.mark.long
 def test_no_trim_is_said() -> None:
     with pytest.raises(UsageError, match=r"no steady flight at 5 m/s"):
-        trim(FixedWing(), 5.0)
+        trim(MAVSIM, 5.0)
 
 
 def flown(model: Any, rows: dict[str, Any], dt: float, air: tuple[float, float, float], rates: Any = (0, 0, 0)) -> Any:
@@ -113,7 +123,7 @@ def flown(model: Any, rows: dict[str, Any], dt: float, air: tuple[float, float, 
 def test_the_golden_trajectory(golden: Path) -> None:
     """Doublets of each surface and a step of the throttle in wind, 20 s; surfaces at once, as in the reference."""
     rows = table(golden / "vehicles" / "fixed_wing_surfaces.csv")
-    model = FixedWing(surface_lag=0.0, surface_rate_max=0.0)  # type: ignore[arg-type]
+    model = replace(MAVSIM, surface_lag=0.0, surface_rate_max=0.0)  # type: ignore[arg-type]
     states, _ = flown(model, rows, 0.05, (5.0, -3.0, 0.5))
     found = {
         **dict(zip(STATES[:3], jax.tree.leaves(states.position_ned), strict=True)),
@@ -131,13 +141,13 @@ def test_the_golden_trajectory(golden: Path) -> None:
 def test_air_that_turns_is_felt_as_turning() -> None:
     """A gust that rolls the air to the right rolls the wing to the right, at the rate at which it is damped."""
     n = 60
-    at = trim(FixedWing(), 25.0)
+    at = trim(MAVSIM, 25.0)
     rows: dict[str, Any] = {name: np.zeros(n) for name in STATES}
     quaternion = Quaternion(math.cos(at.theta / 2), 0.0, math.sin(at.theta / 2), 0.0)  # type: ignore[arg-type]
     rows |= {"u": np.full(n, 25.0 * math.cos(at.alpha)), "w": np.full(n, 25.0 * math.sin(at.alpha))}
     rows |= {"qw": np.full(n, quaternion.w), "qy": np.full(n, quaternion.y), "down": np.full(n, -100.0)}
     rows |= {name: np.full(n, getattr(at, name)) for name in ("elevator", "aileron", "rudder", "throttle")}
-    states, _ = flown(FixedWing(), rows, 0.01, (0.0, 0.0, 0.0), (0.2, 0.0, 0.0))
+    states, _ = flown(MAVSIM, rows, 0.01, (0.0, 0.0, 0.0), (0.2, 0.0, 0.0))
     # The roll mode takes 1/22 s: after half a second it turns with the air, but for what sideslip does.
     assert states.rates_body.x[50, 0] == pytest.approx(0.2, abs=0.03)
 
@@ -146,13 +156,13 @@ def test_air_that_turns_is_felt_as_turning() -> None:
 def test_momentum_and_lag_of_surfaces() -> None:
     """f = dv/dt + w x v - g; after one lag of 50 ms a surface has gone 63 % of a small step, and 3.5 rad/s at most."""
     n, dt = 300, 0.002
-    at = trim(FixedWing(), 25.0)
+    at = trim(MAVSIM, 25.0)
     rows: dict[str, Any] = {name: np.zeros(n) for name in STATES}
     rows |= {"qw": np.ones(n), "u": np.full(n, 25.0), "w": np.full(n, 1.0), "down": np.full(n, -100.0)}
     rows |= {name: np.full(n, getattr(at, name)) for name in ("elevator", "aileron", "rudder", "throttle")}
     rows["aileron"] = np.full(n, 0.05)
     rows["rudder"] = np.full(n, 0.34)
-    states, force = flown(FixedWing(), rows, dt, (2.0, -1.0, 0.5))
+    states, force = flown(MAVSIM, rows, dt, (2.0, -1.0, 0.5))
     assert states.surfaces.aileron[24, 0] == pytest.approx(0.05 * (1.0 - math.exp(-1.0)), rel=1e-3)
     assert np.max(np.diff(states.surfaces.rudder[:, 0])) / dt == pytest.approx(3.5, rel=1e-6)
     turned = states.quaternion.rotation()
@@ -167,7 +177,7 @@ def test_momentum_and_lag_of_surfaces() -> None:
 @pytest.mark.long
 def test_it_stalls() -> None:
     """Lift grows with the angle of attack up to the stall, and is that of a plate far beyond."""
-    model = FixedWing()
+    model = MAVSIM
 
     def lift(alpha: float) -> float:
         air = air_data(vector(25.0 * math.cos(alpha), 0.0, 25.0 * math.sin(alpha)))
@@ -180,3 +190,28 @@ def test_it_stalls() -> None:
     assert lift(0.42) > lift(0.55)
     assert lift(0.9) == pytest.approx(2.0 * math.sin(0.9) ** 2 * math.cos(0.9), rel=1e-3)
     assert lift(-0.9) == pytest.approx(-2.0 * math.sin(0.9) ** 2 * math.cos(0.9), rel=1e-3)
+
+
+def level(model: Any, airspeed: float) -> tuple[float, float]:
+    """Return throttle and lift over drag of level flight."""
+    at = trim(model, airspeed)
+    with jax.enable_x64(True):
+        thrust, _ = propeller(cast(model, np.float64), jnp.asarray([airspeed]), jnp.asarray([at.throttle]))
+    along = float(thrust[0])
+    return at.throttle, (11 * 9.81 - along * math.sin(at.alpha)) / (along * math.cos(at.alpha))
+
+
+@pytest.mark.long
+def test_lift_over_drag_with_the_parasitic_drag_of_the_book() -> None:
+    """Table E.2 of the book: CDp = 0.0437; CL = 0.5125 and the induced drag at 25 m/s leave 10.5, the code has 113."""
+    throttle, glide = level(FixedWing(), 25.0)
+    assert glide == pytest.approx(10.55, abs=0.05)
+    assert throttle == pytest.approx(0.775, abs=0.005)
+    assert level(MAVSIM, 25.0)[1] == pytest.approx(113.2, abs=0.1)
+
+
+def test_wings_carry_less_in_thin_air() -> None:
+    """At 3000 m, 0.9091 kg/m^3, it stalls at sqrt(1.225/0.9091) = 1.1608 times the speed; as in the code nowhere."""
+    high = SiteAir.of(3000.0)
+    assert stall_speed(FixedWing().in_air(high)) / stall_speed(FixedWing()) == pytest.approx(1.1608, abs=1e-4)
+    assert stall_speed(MAVSIM.in_air(high)) == stall_speed(MAVSIM)

@@ -59,7 +59,7 @@ def plain(**others: Any) -> Any:
     values: Any = {
         "drag_x": 0.0, "drag_y": 0.0, "drag_z": 0.0, "rotor_drag": 0.0, "longest_substep": DT,
         "rotors": TWIN, "thrust_coefficient": 17.09716e-6,
-        "spin_up": 0.025, "spin_down": 0.05,
+        "spin_up": 0.025, "spin_down": 0.05, "thin_air": "ignored",
         "contact": Contact(friction=0.0), **others,  # type: ignore[arg-type]
     }  # fmt: skip
     return Multirotor(**values)

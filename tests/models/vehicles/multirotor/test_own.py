@@ -14,6 +14,8 @@ import pytest
 from qrsim.core.tree import cast
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.errors import UsageError
+from qrsim.models.atmosphere.standard import SiteAir
+from qrsim.models.vehicles.contracts import Around
 from qrsim.models.vehicles.multirotor import AttitudeCommand, Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
 from qrsim.models.vehicles.multirotor.own import SIX, own_multirotor, rotors_of
@@ -36,9 +38,9 @@ def test_a_quadrotor_by_the_rules_of_thumb() -> None:
     found = own_multirotor(**QUAD)
     numbers = {
         "mass": 1.2, "inertia_x": 0.0139725, "inertia_y": 0.0139725, "inertia_z": 0.02612250, "rotor_radius": 0.135,
-        "thrust_coefficient": 1.597832e-5, "torque_ratio": 0.02025, "speed_max": 636.5623, "spin_up": 0.0162,
+        "thrust_coefficient": 1.597832e-5, "torque_ratio": 0.01641952, "speed_max": 636.5623, "spin_up": 0.0162,
         "spin_down": 0.0324, "rotor_drag": 2.097070e-4, "inflow_loss": 3.742806e-4, "throttle_curve": 0.1818182,
-        "drag_x": 0.018604688, "drag_z": 0.037209375,
+        "drag_x": 0.018604688, "drag_z": 0.037209375, "efficiency": 0.8,
     }  # fmt: skip
     for name, value in numbers.items():
         assert getattr(found, name) == pytest.approx(value, rel=1e-6), name
@@ -85,7 +87,7 @@ def test_a_motor_by_its_data_sheet() -> None:
     assert found.thrust_coefficient == pytest.approx(3.04e-5, rel=0.03)
     assert told["hover_throttle"] == pytest.approx(0.544, abs=0.03)
     still = Vec3(*np.zeros((3, 1)))
-    hover = found.initial_state(Vec3(*np.array([[0.0], [0.0], [-50.0]])), Euler(*np.zeros((3, 1))), still, still)
+    hover = found.initial_state(Vec3(*np.zeros((3, 1))), Euler(*np.zeros((3, 1))), still, still)
     # Between 58 and 104 W of each of six, over thrust to the power 3/2, and 5 W of avionics.
     share = (583.33**1.5 - 510**1.5) / (760**1.5 - 510**1.5)
     assert float(found.load(hover).power[0]) == pytest.approx(6 * (58 + share * 46) + 5, rel=1e-3)
@@ -186,17 +188,17 @@ def test_numbers_that_cannot_be_are_refused(changes: dict[str, Any], message: st
         own_multirotor(**{**QUAD, **changes})
 
 
-@pytest.mark.parametrize("name", ["x500", "hummingbird", "hexa4"])
+@pytest.mark.parametrize(("name", "height"), [("x500", 0.0), ("x500", 3000.0), ("hummingbird", 0.0), ("hexa4", 0.0)])
 @pytest.mark.long
-def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str) -> None:
+def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str, height: float) -> None:
     """The forces of the model itself, at the lean and the thrust of balance, are its weight."""
-    vehicle, lean = SETS[name](), 0.4
+    vehicle, lean = SETS[name]().in_air(SiteAir.of(height)), 0.4
     wind, thrust = vehicle.leaning(np.array([lean]))  # type: ignore[misc]
     with jax.enable_x64(True):
         model = cast(vehicle, np.float64)
         zero = jnp.zeros(1)
         still, level = Vec3(zero, zero, zero), Euler(zero, zero - lean, zero)
-        state = model.initial_state(Vec3(zero, zero, zero - 5000.0), level, still, still)
+        state = model.initial_state(still, level, still, still)
         state = model.with_thrust(state, jnp.asarray(thrust))
         # A wind from the north, into which it leans.
         air = Vec3(zero - wind, zero, zero)
@@ -204,7 +206,11 @@ def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str) -> None:
         def air_velocity(trig: AttitudeTrig) -> Vec3:
             return trig.rotation().to_body(air)
 
-        force = model.specific_force(state, model.idle_command(zero), air_velocity, ProcessNoise(still, still), 0.02)
+        ground = zero + 5000.0, Vec3(zero, zero, zero - 1.0)
+        around = Around(lambda place: ground, still, lambda place: still)
+        force = model.specific_force(
+            state, model.idle_command(zero), air_velocity, ProcessNoise(still, still), 0.02, around
+        )
         found = AttitudeTrig.of(level).rotation().to_ned(force)
     np.testing.assert_allclose(found.stack()[0], [0.0, 0.0, -9.81], atol=1e-6)
 

@@ -83,12 +83,12 @@ def test_propellers_of_neighbours_just_clear_each_other(rotors: int, radius: flo
 
 
 def test_pairs_on_four_arms_of_half_a_metre() -> None:
-    """R = 0.6 x 0.5 m; k_T = 0.0125 x 1.225 pi R^4 x 0.9; 0.15 R/0.9 of torque; a pair is a fifth of an arm high."""
+    """R = 0.6 x 0.5 m; k_T = 0.0125 x 1.225 pi R^4 x 0.9; torque R sqrt(0.0125/2)/0.65/0.9; a fifth of an arm high."""
     given = {**QUAD, "mass": 8.0, "arm": 0.5, "rotors": 8, "attitude_bandwidth": 3.0, "geometry": "coaxial_x8"}
     found = own_parameters(**given)
     assert found["rotor_radius"] == pytest.approx(0.3, rel=1e-9)
     assert found["thrust_coefficient"] == pytest.approx(0.9 * 0.0125 * 1.225 * math.pi * 0.0081, rel=1e-9)
-    assert found["torque_ratio"] == pytest.approx(0.05, rel=1e-9)
+    assert found["torque_ratio"] == pytest.approx(0.3 * 0.0790569415 / 0.65 / 0.9, rel=1e-9)
     assert found["top"] == pytest.approx((0.0, 0.0, -0.25))
     assert [rotor.position[2] for rotor in found["rotors"]] == pytest.approx([0.0] * 4 + [0.1] * 4)
     assert [rotor.direction for rotor in found["rotors"]] == [-1, 1, -1, 1, 1, -1, 1, -1]

@@ -60,8 +60,8 @@ def test_five_seconds_of_rotor_commands_in_wind() -> None:
         "rotor_speeds": np.full(4, HOVER),
     }  # fmt: skip
 
-    # Its rotors follow within 5 ms up and down, and it has no ground effect: as here at this height.
-    own = replace(SETS["hummingbird"](), spin_up=0.005, spin_down=0.005, longest_substep=0.001)
+    # Its rotors follow within 5 ms up and down, it has no ground effect, as here at this height, and one density.
+    own = replace(SETS["hummingbird"](), spin_up=0.005, spin_down=0.005, longest_substep=0.001, thin_air="ignored")
     flight = Flown(own, STEP_S, tuple(WIND))
     first = replace(
         flight.start((0.0, 0.0, -HEIGHT)),

@@ -50,7 +50,7 @@ def lift_and_drag(of: Longitudinal, aspect_ratio: Array, alpha: Array) -> tuple[
 
 def propeller(model: Aeroplane, airspeed: Array, throttle: Array) -> tuple[Array, Array]:
     """Return thrust [N] and torque [N m] (n,) of the propeller, where those of motor and air are in balance (W5)."""
-    own, rho = model.propeller, model.density
+    own, rho = model.propeller, model.air_density
     d, constant = own.diameter, 60.0 / (2.0 * math.pi * own.speed_constant)
     a = own.torque_0 * rho * d**5 / (4.0 * math.pi**2)
     b = own.torque_1 * rho * d**4 * airspeed / (2.0 * math.pi) + constant * constant / own.resistance
@@ -78,7 +78,7 @@ def forces(
         throttle: 0 to 1.
     """
     along, across = model.longitudinal, model.lateral
-    pressed = 0.5 * model.density * (air.airspeed * air.airspeed) * model.area
+    pressed = 0.5 * model.air_density * (air.airspeed * air.airspeed) * model.area
     half = 0.5 / air.airspeed
     p, q, r = model.span * half * rates.x, model.chord * half * rates.y, model.span * half * rates.z
     lift, drag = lift_and_drag(along, model.span * model.span / model.area, air.alpha)

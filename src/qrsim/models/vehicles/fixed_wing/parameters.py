@@ -1,16 +1,18 @@
 """Parameters of a fixed wing: mass, shape, aerodynamic coefficients, propeller and stabiliser.
 
 The defaults are the Aerosonde of R. W. Beard and T. W. McLain, Small Unmanned Aircraft, 2012, with the propeller of its
-supplement of 2018 and the numbers that were published with its code (mavsim, aerosonde_parameters.py).
+supplement of 2018 and the numbers that were published with its code (mavsim, aerosonde_parameters.py). That code leaves
+out the parasitic drag of the book's table E.2, which is here; ``preset: mavsim`` has it as the code.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from jax import Array
 
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
+from qrsim.models.atmosphere.standard import SiteAir
 
 
 def _coefficient(default: float, doc: str) -> Any:
@@ -25,7 +27,7 @@ class Longitudinal:
     lift_alpha: Array = parameter(default=5.61, unit="1", doc="lift by angle of attack, below the stall", above=0.0)
     lift_q: Array = _coefficient(7.95, "lift by pitch rate")
     lift_elevator: Array = _coefficient(0.13, "lift by elevator")
-    drag_parasitic: Array = _coefficient(0.0, "drag without lift")
+    drag_parasitic: Array = _coefficient(0.0437, "drag without lift")
     drag_q: Array = _coefficient(0.0, "drag by pitch rate")
     drag_elevator: Array = _coefficient(0.0135, "drag by elevator")
     moment_0: Array = _coefficient(0.0135, "pitching moment at no angle of attack")
@@ -108,7 +110,10 @@ class Aeroplane:
     area: Array = parameter(default=0.55, unit="m^2", doc="of the wing", above=0.0)
     span: Array = parameter(default=2.8956, unit="m", doc="of the wing", above=0.0)
     chord: Array = parameter(default=0.18994, unit="m", doc="mean chord of the wing", above=0.0)
-    density: Array = parameter(default=1.2682, unit="kg/m^3", doc="of the air", above=0.0)
+    density: Array = parameter(
+        default=None, unit="kg/m^3", doc="of the air; null: that of the standard atmosphere where it flies", above=0.0,
+        nullable=True,
+    )  # fmt: skip
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
     cruise_airspeed: Array = parameter(
         default=25.0, unit="m/s", doc="airspeed that it is trimmed for, and starts at where none is given", above=0.0
@@ -126,3 +131,20 @@ class Aeroplane:
     longest_substep: float = setting(
         default=0.01, unit="s", doc="longest step of the integration and of the stabiliser", above=0.0, maximum=0.05
     )
+    preset: Literal["aerosonde", "mavsim"] = setting(
+        default="aerosonde", doc="what is not given: the Aerosonde with parasitic drag, or as in the book's code"
+    )
+    site_air: SiteAir = derived(default=SiteAir(), doc="the atmosphere above the site")
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "aerosonde": {},
+        "mavsim": {"density": 1.2682, "longitudinal": {"drag_parasitic": 0.0}},
+    }
+
+    @property
+    def air_density(self) -> Array:
+        """Density of the air [kg/m^3]: the given one, else that of the standard atmosphere at the site."""
+        return self.site_air.site_density if self.density is None else self.density
+
+    def in_density(self, density: Array | None) -> Aeroplane:
+        """Return the aeroplane in air of a density (n,) [kg/m^3], if neither that nor its own says otherwise."""
+        return self if density is None or self.density is not None else replace(self, density=density)

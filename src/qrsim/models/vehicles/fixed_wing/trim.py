@@ -32,7 +32,7 @@ def cruise(model: Aeroplane, airspeed: Array) -> tuple[Array, Array, Array]:
     The thrust carries nothing of the weight in it, and the flow is attached.
     """
     of = model.longitudinal
-    pressed = 0.5 * model.density * (airspeed * airspeed) * model.area
+    pressed = 0.5 * model.air_density * (airspeed * airspeed) * model.area
     lift = model.mass * model.gravity / pressed - of.lift_0
     # Two lines: the lift carries the weight, the moment is none.
     both = of.lift_alpha * of.moment_elevator - of.lift_elevator * of.moment_alpha
@@ -44,7 +44,7 @@ def cruise(model: Aeroplane, airspeed: Array) -> tuple[Array, Array, Array]:
 
 def throttle_for(model: Aeroplane, airspeed: Array, thrust: Array) -> Array:
     """Return the throttle (n,) that gives a thrust (n,) [N] at an airspeed: (W5) the other way round."""
-    own, rho = model.propeller, model.density
+    own, rho = model.propeller, model.air_density
     d, constant = own.diameter, 60.0 / (2.0 * math.pi * own.speed_constant)
     v = airspeed / d
     linear, rest = own.thrust_1 * v, own.thrust_2 * (v * v) - thrust / (rho * d**4)
@@ -161,7 +161,7 @@ def stall_speed(model: Aeroplane) -> float:
         lift, _ = _lift_and_drag(first.longitudinal, first.span**2 / first.area, angles)
     most = float(np.max(np.asarray(lift)))
     weight = float(first.mass * first.gravity)
-    return math.sqrt(2.0 * weight / (float(first.density) * float(first.area) * most))
+    return math.sqrt(2.0 * weight / (float(first.air_density) * float(first.area) * most))
 
 
 def _still() -> Vec3:

@@ -16,6 +16,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, root
+from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
 from qrsim.models.vehicles.fixed_wing.aerodynamics import air_data, propeller
 from qrsim.models.vehicles.fixed_wing.commands import AttitudeCommand, SurfaceCommand, shown
@@ -32,12 +33,16 @@ class FixedWing(Aeroplane, Vehicle):
 
     command_type: ClassVar[type[Any]] = AttitudeCommand
     actions: ClassVar[tuple[type[Any], ...]] = (AttitudeCommand, SurfaceCommand)
-    reads: ClassVar[tuple[str, ...]] = ("air_rates",)
+    reads: ClassVar[tuple[str, ...]] = ("air_rates", "air_density")
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"pitch": math.pi / 2.0, "velocity": 80.0, "rate": 30.0}
     )
     default_controller: ClassVar[str] = "fixed_wing"
     launches: ClassVar[bool] = True
+
+    def in_air(self, air: SiteAir) -> FixedWing:
+        """Return the vehicle at a site."""
+        return replace(self, site_air=air)
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
@@ -45,8 +50,9 @@ class FixedWing(Aeroplane, Vehicle):
         """Return the state at a pose, as if the air were still, its elevator as in level flight."""
         zero = jnp.zeros_like(jnp.asarray(position_ned.x))
         air = air_data(velocity_body)
-        _, elevator, throttle = cruise(self, jnp.maximum(air.airspeed, 0.5 * self.cruise_airspeed))
-        thrust, _ = propeller(self, air.airspeed, jnp.clip(throttle, 0.0, 1.0))
+        here = self.in_density(self.site_air.density(position_ned))
+        _, elevator, throttle = cruise(here, jnp.maximum(air.airspeed, 0.5 * self.cruise_airspeed))
+        thrust, _ = propeller(here, air.airspeed, jnp.clip(throttle, 0.0, 1.0))
         return FixedWingState(
             position_ned, Quaternion.of(attitude), velocity_body, rates_body,
             Surfaces(jnp.clip(elevator, -0.44, 0.44) + zero, zero, zero), Stabiliser(zero, zero, zero),
@@ -57,7 +63,7 @@ class FixedWing(Aeroplane, Vehicle):
         """Return the state in level flight: the speed of a start is one through the air, 0 that of cruise."""
         speed = root(state.velocity_body.dot(state.velocity_body))
         speed = jnp.where(speed > 0.0, speed, self.cruise_airspeed)
-        alpha = cruise(self, speed)[0]
+        alpha = cruise(self.in_density(self.site_air.density(state.position_ned)), speed)[0]
         yaw = state.quaternion.euler().yaw
         zero = jnp.zeros_like(speed)
         sine, cosine = sincos(alpha)
@@ -94,6 +100,7 @@ class FixedWing(Aeroplane, Vehicle):
     ) -> tuple[FixedWingState, Vec3]:
         """Advance one step in substeps; see ``Vehicle.step``."""
         air, spins = _outside(state, air_velocity, around)
+        here = self.in_density(None if around is None else around.air_density)
         count = max(1, math.ceil(dt / self.longest_substep - 1e-9))
         part = dt / count
         elevator = cruise(self, jnp.asarray(self.cruise_airspeed))[1]
@@ -107,7 +114,7 @@ class FixedWing(Aeroplane, Vehicle):
                 self, memory, command, motion.quaternion.euler(), motion.rates, through.airspeed, elevator, part
             )
             surfaces = moved(self, surfaces, wanted, part)
-            motion, felt = substep(self, motion, surfaces, throttle, air, spins, part)
+            motion, felt = substep(here, motion, surfaces, throttle, air, spins, part)
             return motion, surfaces, memory, force + felt * (1.0 / count)
 
         motion, surfaces, memory, force = jax.lax.fori_loop(
@@ -116,7 +123,7 @@ class FixedWing(Aeroplane, Vehicle):
         found = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
         after = FixedWingState(
             state.position_ned + motion.displacement, motion.quaternion, motion.velocity, motion.rates, surfaces,
-            memory, found.airspeed, found.alpha, found.beta, propeller(self, found.airspeed, throttle)[0],
+            memory, found.airspeed, found.alpha, found.beta, propeller(here, found.airspeed, throttle)[0],
         )  # fmt: skip
         return after, force
 
@@ -131,7 +138,8 @@ class FixedWing(Aeroplane, Vehicle):
     ) -> Vec3:
         """Return the specific force (n,) [m/s^2] in body axes at an instant, with the surfaces where they are."""
         air, spins = _outside(state, air_velocity, around)
-        return slope_of(self, _motion_of(state), state.surfaces, command.throttle, air, spins)[1]
+        here = self.in_density(None if around is None else around.air_density)
+        return slope_of(here, _motion_of(state), state.surfaces, command.throttle, air, spins)[1]
 
     def stopped(self, state: FixedWingState) -> FixedWingState:
         """Return the state at rest."""

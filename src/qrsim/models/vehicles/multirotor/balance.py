@@ -20,13 +20,15 @@ def leaning(vehicle: Airframe, tilt: Any) -> tuple[Floats, Floats] | None:
     Leaning by theta into a steady wind V with N rotors at a speed W, of a thrust T each,
     m g sin(theta) = (N k_d W + c_x V) V cos(theta), and N T = m g cos(theta) + c_z V^2 sin(theta), where
     T = k_T W^2 - k_z W V sin(theta) + k_h (V cos(theta))^2. The thrust is that of these rotor speeds in still air.
+    The density is that at the site.
     """
     if any(rotor.axis != (0.0, 0.0, -1.0) for rotor in vehicle.rotors):
         return None
     names = (
         "mass", "gravity", "thrust_coefficient", "rotor_drag", "inflow_loss", "translational_lift", "drag_x", "drag_z",
     )  # fmt: skip
-    values = [np.asarray(getattr(vehicle, name), np.float64) for name in names]
+    of = vehicle.in_density(vehicle.site_share)
+    values = [np.asarray(getattr(of, name), np.float64) for name in names]
     mass, gravity, k_t, k_d, k_z, k_h, c_x, c_z = values
     lean, count, weight = np.asarray(tilt, np.float64), len(vehicle.rotors), mass * gravity
     sine, cosine = np.sin(lean), np.cos(lean)

@@ -10,11 +10,16 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 
 def derived(vehicle: Multirotor) -> dict[str, float]:
-    """Return derived quantities by name, of the first vehicle where numbers are lists; units end the names."""
+    """Return derived quantities by name, of the first vehicle where numbers are lists; units end the names.
+
+    Hover is in the air of the site, the coefficients are those of the vehicle.
+    """
     one = _first(vehicle)
     weight = one["mass"] * one["gravity"]
     count = len(vehicle.rotors)
-    most = one["thrust_coefficient"] * one["speed_max"] ** 2 * vehicle.lift_share
+    share = float(np.ravel(vehicle.site_share)[0])
+    coefficient = one["thrust_coefficient"] * share
+    most = coefficient * one["speed_max"] ** 2 * vehicle.lift_share
     return {
         "mass_kg": one["mass"],
         "inertia_x_kg_m2": one["inertia_x"],
@@ -26,7 +31,8 @@ def derived(vehicle: Multirotor) -> dict[str, float]:
         "k_q_n_m_s2": one["thrust_coefficient"] * one["torque_ratio"],
         "speed_max_rad_s": one["speed_max"],
         "tip_speed_max_m_s": one["speed_max"] * one["rotor_radius"],
-        "hover_speed_rad_s": math.sqrt(weight / (one["thrust_coefficient"] * vehicle.lift_share)),
+        "air_density_kg_m3": share * one["air_density"],
+        "hover_speed_rad_s": math.sqrt(weight / (coefficient * vehicle.lift_share)),
         "hover_throttle": _throttle(one["throttle_curve"], weight / most),
         "thrust_to_weight": most / weight,
         "spin_up_s": one["spin_up"],

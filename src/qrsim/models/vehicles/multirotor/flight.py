@@ -53,6 +53,8 @@ def fly(
 ) -> tuple[MultirotorState, Vec3]:
     """Advance by dt [s]; arguments and result as of ``Vehicle.step``."""
     outside = surroundings(model, state, air_velocity, noise, around)
+    # The stabiliser knows its rotors in the air that their coefficients are for; the air is what it is.
+    body = model.in_density(model.share(state.position_ned))
     count = max(1, math.ceil(dt / model.longest_substep - 1e-9))
     yaw, loops, motors = stabilised(model, state, command, dt, count, around)
     start = motion_of(state)
@@ -66,7 +68,7 @@ def fly(
         def part(_: Array, carried: Any) -> Any:
             motion, loops, found = carried
             targets, loops = motors(motion, loops)
-            motion, now = substep(model, motion, targets, outside, dt / count)
+            motion, now = substep(body, motion, targets, outside, dt / count)
             found = Outcome(
                 found.force + now.force * (1.0 / count),
                 larger(found.impact_speed, now.impact_speed), larger(found.hub, now.hub),
@@ -112,6 +114,7 @@ def at_an_instant(
 ) -> Vec3:
     """Return the specific force (n,) [m/s^2] in body axes at the present rotor speeds."""
     outside = surroundings(model, state, air_velocity, noise, around)
+    model = model.in_density(model.share(state.position_ned))
     return slope_of(model, motion_of(state), state.rotor_speed, outside)[1]
 
 

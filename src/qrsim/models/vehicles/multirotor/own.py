@@ -22,8 +22,10 @@ AIR_DENSITY, GRAVITY = 1.225, 9.81
 OF_SPACING, OF_ARM = 0.45, 0.6
 # Thrust coefficient T/(rho A (W R)^2) of two-bladed propellers: 0.009 to 0.015; of large slow ones down to 0.006.
 THRUST_COEFFICIENT = 0.0125
-# Torque over thrust, in radii: 0.12 of large propellers to 0.3 of a Crazyflie's.
-TORQUE_IN_RADII = 0.15
+# Ideal power of hover over that of the shafts, from which torque follows.
+FIGURE_OF_MERIT = 0.65
+# Power of the shaft over that from the battery: motor and its controller.
+EFFICIENCY = 0.8
 # Moment of inertia over mass times arm squared: roll and pitch 0.17 to 0.25, yaw 1.8 to 2 times as much.
 INERTIA, INERTIA_YAW = 0.23, 0.43
 # Time constant of a rotor that speeds up [s/m of radius], and the shortest [s]; it slows down half as fast.
@@ -154,6 +156,8 @@ def own_parameters(
     induced = math.sqrt(weight / (2.0 * AIR_DENSITY * rotors * math.pi * radius**2))
     spin_up = known.get("spin_up", max(SPIN_UP_LEAST, SPIN_UP_PER_M * radius))
     _check_bandwidth(attitude_bandwidth, spin_up)
+    # Of T/(rho A (W R)^2), with what two rotors on one axis lose made good; C_Q = C_T^1.5/(sqrt(2) FM).
+    loading = thrust / (pairs * AIR_DENSITY * math.pi * radius**4)
     drag = 0.5 * AIR_DENSITY * BODY_DRAG * arm**2
     gains: dict[str, Any] = {
         "attitude_gain": attitude_bandwidth, "rate_gain": RATE_OVER_ATTITUDE * attitude_bandwidth,
@@ -164,7 +168,8 @@ def own_parameters(
         "inertia_y": INERTIA * mass * arm**2,
         "inertia_z": INERTIA_YAW * mass * arm**2,
         "thrust_coefficient": thrust,
-        "torque_ratio": TORQUE_IN_RADII * radius / pairs,
+        "torque_ratio": radius * math.sqrt(0.5 * loading) / FIGURE_OF_MERIT / pairs,
+        "efficiency": EFFICIENCY,
         "speed_max": fastest,
         "spin_up": spin_up,
         "spin_down": 2.0 * spin_up,

@@ -7,8 +7,9 @@ from typing import Literal
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.multirotor.contact import Contact
 from qrsim.models.vehicles.multirotor.geometry import Rotor, Triple
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
@@ -63,7 +64,9 @@ class Airframe:
     drag_x: Array = parameter(default=0.02, unit="N s^2/m^2", doc="drag of the body, forward", minimum=0.0)
     drag_y: Array = parameter(default=0.02, unit="N s^2/m^2", doc="drag of the body, sideways", minimum=0.0)
     drag_z: Array = parameter(default=0.03, unit="N s^2/m^2", doc="drag of the body, vertical", minimum=0.0)
-    air_density: Array = parameter(default=1.225, unit="kg/m^3", doc="density of the air", above=0.0)
+    air_density: Array = parameter(
+        default=1.225, unit="kg/m^3", doc="density of the air for which the coefficients are", above=0.0
+    )
     throttle_curve: Array = parameter(
         default=1.0, unit="1", doc="a of thrust/largest thrust = a u^2 + (1 - a) u at throttle u",
         minimum=0.0, maximum=1.0,
@@ -92,12 +95,17 @@ class Airframe:
     downwash: Literal["felt", "ignored"] = setting(
         default="felt", doc="whether the wakes of other vehicles are felt; in a large world they cost most of the time"
     )
+    thin_air: Literal["felt", "ignored"] = setting(
+        default="felt", doc="whether forces follow the density of the air, or are those at air_density everywhere"
+    )
     on_failure: Literal["none", "reallocate"] = setting(
         default="none", doc="what the stabiliser does 0.1 s after a rotor has failed"
     )
     crash: Literal["stop", "none"] = setting(
         default="stop", doc="whether a rotor on the ground, or a touch above crash_speed, ends the flight"
     )
+
+    site_air: SiteAir = derived(default=SiteAir(), doc="the atmosphere above the site")
 
     @property
     def inertia(self) -> Vec3:
@@ -121,15 +129,34 @@ class Airframe:
 
     @property
     def thrust_max(self) -> Array:
-        """Largest collective thrust at the nominal voltage [N]."""
+        """Largest collective thrust at the nominal voltage [N], in the air that the coefficients are for."""
         return self.thrust_coefficient * (self.speed_max * self.speed_max * self.lift_share)
 
     def thrust_of(self, throttle: Array) -> Array:
-        """Return the collective thrust [N] at a throttle (n,), 0 to 1 (V31)."""
+        """Return the collective thrust [N] at a throttle (n,), 0 to 1, in the air of the coefficients (V31)."""
         a = self.throttle_curve
         return self.thrust_max * throttle * (a * throttle + (1.0 - a))
 
     def throttle_of(self, thrust: Array) -> Array:
-        """Return the throttle at a collective thrust [N]."""
+        """Return the throttle at a collective thrust [N] in that air."""
         a, share = self.throttle_curve, thrust / self.thrust_max
         return 2.0 * share / ((1.0 - a) + jnp.sqrt((1.0 - a) * (1.0 - a) + 4.0 * a * share))
+
+    @property
+    def site_share(self) -> Array | float:
+        """Density of the air at the site over that which the coefficients are for."""
+        return 1.0 if self.thin_air == "ignored" else self.site_air.site_density / self.air_density
+
+    def share(self, position_ned: Vec3) -> Array | float:
+        """Return the density of the air at positions (n,) [m] over that which the coefficients are for."""
+        return 1.0 if self.thin_air == "ignored" else self.site_air.density(position_ned) / self.air_density
+
+    def in_density(self, share: Array | float) -> Airframe:
+        """Return the vehicle in air of a density (n,) that is a share of its own: all forces go with it (S30)."""
+        if self.thin_air == "ignored":
+            return self
+        names = (
+            "thrust_coefficient", "rotor_drag", "inflow_loss", "translational_lift", "flapping", "drag_x", "drag_y",
+            "drag_z", "air_density",
+        )  # fmt: skip
+        return replace(self, **{name: getattr(self, name) * share for name in names})

@@ -16,6 +16,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.models.atmosphere.standard import DENSITY, SiteAir
 from qrsim.models.scene.area import reason_code
 from qrsim.models.vehicles.commands import clipped
 from qrsim.models.vehicles.contracts import Around, Check, Handling, Load, Outline, Pose, Vehicle
@@ -60,13 +61,18 @@ class Multirotor(Airframe, Vehicle):
     )
     default_controller: ClassVar[str] = "cascade"
 
+    def in_air(self, air: SiteAir) -> Multirotor:
+        """Return the vehicle at a site, whose air its autopilot has learned to hover in."""
+        return replace(self, site_air=air)
+
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> MultirotorState:
         """Return a state whose rotors carry the weight."""
         like = jnp.asarray(position_ned.x)
         zero = jnp.zeros_like(like)
-        speed = jnp.sqrt(self.mass * self.gravity / (self.thrust_coefficient * self.lift_share))
+        lift = self.thrust_coefficient * self.lift_share * self.share(position_ned)
+        speed = jnp.sqrt(self.mass * self.gravity / lift)
         return MultirotorState(
             position_ned, Quaternion.of(attitude), velocity_body, rates_body,
             (jnp.broadcast_to(speed, like.shape),) * len(self.rotors),
@@ -77,14 +83,15 @@ class Multirotor(Airframe, Vehicle):
 
     def with_thrust(self, state: MultirotorState, thrust: Array) -> MultirotorState:
         """Return a state at a collective thrust (n,) [N]; a NaN leaves it as it is."""
-        speed = jnp.sqrt(jnp.maximum(thrust, 0.0) / (self.thrust_coefficient * self.lift_share))
+        lift = self.thrust_coefficient * self.lift_share * self.share(state.position_ned)
+        speed = jnp.sqrt(jnp.maximum(thrust, 0.0) / lift)
         given = jnp.isfinite(thrust)
         return replace(state, rotor_speed=tuple(jnp.where(given, speed, old) for old in state.rotor_speed))
 
     def idle_command(self, like: Array) -> AttitudeCommand:
         """Return level hover."""
         zero = jnp.zeros_like(like)
-        throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity))
+        throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity / self.site_share))
         return AttitudeCommand(zero, zero, jnp.broadcast_to(throttle, like.shape), zero)
 
     def clip(self, command: Any, powered: bool = False) -> tuple[Any, Array]:
@@ -103,8 +110,8 @@ class Multirotor(Airframe, Vehicle):
         return shown(command)
 
     def handling(self) -> Handling:
-        """Return what a controller of tilt and throttle knows of it."""
-        a, most = self.throttle_curve, self.thrust_max
+        """Return what a controller of tilt and throttle knows of it: the thrust is that in the air of the site."""
+        a, most = self.throttle_curve, self.thrust_max * self.site_share
         one = jnp.ones_like(jnp.asarray(most))
         curve = (jnp.zeros_like(one), (1.0 - a) * most, a * most)
         return Handling(
@@ -148,10 +155,10 @@ class Multirotor(Airframe, Vehicle):
         """Return thrust, weight and electrical power (V25)."""
         square = sum(rate * rate for rate in state.rotor_speed)
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
-        shafts = self.torque_ratio * self.thrust_coefficient * cube
-        return Load(
-            self.thrust_coefficient * square, self.mass * self.gravity, shafts / self.efficiency + self.avionics_power
-        )
+        coefficient = self.thrust_coefficient * self.share(state.position_ned)
+        power = self.torque_ratio * coefficient * cube / self.efficiency + self.avionics_power
+        ratio = None if self.thin_air == "ignored" else self.site_air.density(state.position_ned) * (1.0 / DENSITY)
+        return Load(coefficient * square, self.mass * self.gravity, power, ratio)
 
     def pose(self, state: MultirotorState) -> Pose:
         """Return position, attitude, velocity and rates (n,)."""
