@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from typing import Any, cast
 
@@ -12,13 +12,13 @@ import numpy as np
 from jax import Array
 
 from qrsim.core.tree import Record, map_tree
-from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
 from qrsim.interface.estimates import EstimateReading, estimate_of, std_of
 from qrsim.interface.messages import user_key, user_normals
+from qrsim.interface.seen import Offsets, Seen
 from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
-from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.radio.contracts import Inbox
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
@@ -47,23 +47,18 @@ class SensorReading:
     columns that the picture has; beyond them it is NaN.
     """
 
-    def __init__(
-        self,
-        name: str,
-        reading: Record,
-        site: Site,
-        withheld: Callable[[], Sequence[str]] = tuple,
-        picture: Callable[[], Picture] | None = None,
-        taken: Callable[[], float | Array] | None = None,
-        arrived: Callable[[], bool | Array] | None = None,
-        rows: slice = slice(None),
-    ):
-        self._taken, self._arrived, self._rows = taken, arrived, rows
-        self._name = name
-        self._reading = reading
-        self._site = site
-        self._withheld = withheld
-        self._picture = picture
+    def __init__(self, name: str, reading: Record | None, site: Site, fleet: FleetReading | None = None):
+        """Use ``reading.NAME``; the record is that of the fleet's reading where it is None."""
+        self._name, self._given, self._site, self._fleet = name, reading, site, fleet
+        self._rows = slice(None) if fleet is None else fleet._rows
+        self._offsets = {} if fleet is None else fleet._offsets_of(name)
+
+    @property
+    def _reading(self) -> Record:
+        if self._given is None:
+            assert self._fleet is not None
+            self._given = self._fleet._reading(self._name)
+        return self._given
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -75,7 +70,7 @@ class SensorReading:
         )  # fmt: skip
         if isinstance(self._reading, GnssReading):
             more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
-            if isinstance(self._reading, GnssFix) and self._taken is not None:
+            if isinstance(self._reading, GnssFix) and self._timed:
                 more.append("time_of_fix")
             return (*own, *(name for name in more if name not in own))
         if isinstance(self._reading, CameraReading):
@@ -85,26 +80,31 @@ class SensorReading:
     @property
     def time_of_reading(self) -> Floats:
         """Time (n,) [s] at which what is reported was true; that of the start until a first delayed reading arrives."""
-        return self._for_each(self._taken)
+        return self._for_each(FleetReading._taken)
 
     @property
     def fresh(self) -> Floats:
         """(n,) bool: the reading has arrived at this very tick, and is not held since an earlier one."""
-        return self._for_each(self._arrived)
+        return self._for_each(FleetReading._arrived)
 
-    def _for_each(self, told: Callable[[], Any] | None) -> Floats:
-        if told is None:
+    @property
+    def _timed(self) -> bool:
+        """Whether the times of its readings are known."""
+        return self._fleet is not None and self._fleet._time_step > 0.0
+
+    def _for_each(self, told: Callable[[FleetReading, str], Any]) -> Floats:
+        if self._fleet is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
         library: Any = library_of(leaf)
-        return cast(Floats, library.broadcast_to(told(), leaf.shape)[self._rows])
+        return cast(Floats, library.broadcast_to(told(self._fleet, self._name), leaf.shape)[self._rows])
 
     @property
     def reasons(self) -> list[str]:
         """Reasons why vehicles (n,) have no complete reading, "" for those that have one."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(self._reading)]
         complete = np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
-        withheld = self._withheld() or [""] * len(complete)
+        withheld = [""] * len(complete) if self._fleet is None else self._fleet._withheld(self._name)
         return [
             "" if whole else why or self._own_reason(i)
             for i, (whole, why) in enumerate(zip(complete, withheld, strict=True))
@@ -130,8 +130,11 @@ class SensorReading:
         return "no velocity: the fix before is missing" if known else "not available"
 
     def __getattr__(self, field: str) -> Floats:
-        if field.startswith("__"):
+        if field.startswith("_"):
             raise AttributeError(field)
+        offsets = self._offsets.get(field)
+        if offsets is not None and self._fleet is not None:
+            return self._fleet._state.at(offsets)[self._rows]  # type: ignore[attr-defined]
         if field not in self.fields:
             if field in _UNASKED and field in vars(self._reading):
                 raise AttributeError(f"sensor '{self._name}' has no '{field}'; give it {_UNASKED[field]}: true")
@@ -150,8 +153,9 @@ class SensorReading:
         if field in PICTURE_FIELDS:
             return self._of_picture(field)
         position = as_array(cast(GnssReading, self._reading).position_ned)
-        if field == "time_of_fix" and self._taken is not None:
-            return cast(Floats, self._taken() + 0.0 * library_of(position).ones_like(position[:, 0]))
+        if field == "time_of_fix" and self._fleet is not None:
+            taken = self._fleet._taken(self._name)
+            return cast(Floats, taken + 0.0 * library_of(position).ones_like(position[:, 0]))
         if field == "fix_type":
             lib = library_of(position)
             return lib.where(lib.isfinite(position).all(axis=1), 3, 0)
@@ -161,11 +165,11 @@ class SensorReading:
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
     def _of_picture(self, field: str) -> Floats:
-        if self._picture is None:
+        if self._fleet is None or self._fleet._picture is None:
             raise UsageError(
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
             )
-        seen = self._picture()
+        seen = self._fleet._picture(self._name)
         lib = library_of(seen.ratio)
         if field == "ratio":
             return seen.ratio  # type: ignore[return-value]
@@ -180,11 +184,22 @@ class FleetReading:
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
     def __init__(
-        self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site,
-        picture: Callable[[str], Picture] | None = None, time_step: float = 0.0, rows: slice = slice(None),
+        self, world: World, number: int, state: State, tick: int, site: Site, rows: slice, pictured: bool
     ):  # fmt: skip
-        self._picture, self._time_step, self._rows = picture, time_step, rows
-        self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
+        self._fleet, self._number, self._state, self._rows = world.fleets[number], number, state, rows
+        self._tick, self._site, self._time_step = tick, site, world.time_step
+        self._picture = partial(_picture, world, state, number) if pictured else None
+
+    @cached_property
+    def _own(self) -> FleetState:
+        return self._state.fleets[self._number]
+
+    def _offsets_of(self, sensor: str) -> Mapping[str, Offsets]:
+        """Return where the fields of a sensor's reading lie; empty where they are no numbers in a packed state."""
+        state = self._state
+        if not isinstance(state, Seen):
+            return {}
+        return state.offsets.of_readings(self._number, self._fleet.sensor_names.index(sensor))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -194,23 +209,19 @@ class FleetReading:
     @property
     def estimate(self) -> EstimateReading:
         """Estimate of the fleet's own estimator now; without one, what its controller was fed with last."""
-        return estimate_of(self._state, self._rows)
+        return estimate_of(self._own, self._rows)
 
     @property
     def estimate_std(self) -> EstimateReading | None:
         """Standard deviations that the estimator reports, None where it reports none."""
-        return std_of(self._state, self._rows)
+        return std_of(self._own, self._rows)
 
     def __getattr__(self, sensor: str) -> SensorReading:
         if sensor.startswith("__"):
             raise AttributeError(sensor)
-        if sensor not in self.sensors:
+        if sensor not in self._fleet.sensor_names:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self.sensors)}")
-        picture = None if self._picture is None else partial(self._picture, sensor)
-        taken = partial(self._taken, sensor) if self._time_step else None
-        withheld = partial(self._withheld, sensor)
-        arrived = partial(self._arrived, sensor) if self._time_step else None
-        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived, self._rows)
+        return SensorReading(sensor, None, self._site, self)
 
     def _taken(self, sensor: str) -> float | Array:
         """Return the time [s] at which what a sensor reports was true."""
@@ -228,15 +239,15 @@ class FleetReading:
     def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
         """Return a sensor's model, and what is on its way of its readings, if they are held back."""
         number = self.sensors.index(sensor)
-        fitted = self._state.fitted[number] if self._state.fitted else None
+        fitted = self._own.fitted[number] if self._own.fitted else None
         return self._fleet.sensors[number], None if fitted is None else fitted.transit
 
     def _reading(self, sensor: str) -> Record:
-        return self._state.readings[self.sensors.index(sensor)]
+        return self._own.readings[self.sensors.index(sensor)]
 
     def _withheld(self, sensor: str) -> list[str]:
         """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
-        violation = self._state.violation
+        violation = self._own.violation
         stopped = [
             f"stopped, {reason_text(int(code), float(value))}" if code else ""
             for code, value in zip(violation.code, violation.value, strict=True)
@@ -247,7 +258,7 @@ class FleetReading:
     def _faults(self, sensor: str) -> list[str]:
         """Return which fault takes away the readings of each vehicle; of several, the one applied last."""
         found = [""] * self._fleet.size
-        for fault, passed_on in zip(self._fleet.faults, self._state.passed_on, strict=True):
+        for fault, passed_on in zip(self._fleet.faults, self._own.passed_on, strict=True):
             if fault.sensor != sensor or fault.kind == "biased":
                 continue
             active, why = np.asarray(fault.active(self._tick)), "lost, by a fault of the scenario"  # type: ignore[arg-type]
@@ -260,7 +271,7 @@ class FleetReading:
     def _without_orbits(self, sensor: str) -> list[str]:
         """Say where a receiver has no fix because the orbits have ended, or have a gap."""
         reading = self._reading(sensor)
-        if not isinstance(reading, GnssReading) or np.isfinite(self._sky().satellites_ned.z).any():
+        if not isinstance(reading, GnssReading) or np.isfinite(self._state.sky.satellites_ned.z).any():
             return [""] * self._fleet.size
         why = "no fix: the orbits give no satellite's position at this time"
         return [why if count == 0 else "" for count in np.asarray(reading.satellites)]
@@ -280,31 +291,29 @@ class Reading:
     """
 
     def __init__(self, world: World, state: State, tick: int, site: Site, only: str | None = None):
-        self.time = _seconds(tick, world.time_step)
+        # In a program that is being compiled in the precision of its numbers.
+        self.time = (
+            tick * world.time_step if isinstance(tick, int) else cast(float, tick.astype(float)) * world.time_step
+        )
         self._world, self._state, self._tick, self._site, self._only = world, state, tick, site, only
 
     @property
     def state(self) -> State:
         """The whole state, the truth included; policies under evaluation must not use it."""
-        return self._whole()
-
-    def _whole(self) -> State:
-        return self._state.whole() if isinstance(self._state, LazyTree) else self._state
+        return _whole(self._state)
 
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
         # Not before somebody asks: not every step of a loop is looked at.
-        state = self._state
         # Between two ticks of a rollout there is only what is needed for the readings themselves.
-        pictured = isinstance(state, State | LazyTree)
+        pictured = isinstance(self._state, State | Seen)
+        chosen = self._only and self.fleets
         return {
             fleet.name: FleetReading(
-                fleet, state.fleets[i], partial(getattr, state, "sky"), self._tick, self._site,
-                partial(_picture, self._world, self._whole, i) if pictured else None, self._world.time_step,
-                self._rows(fleet),
+                self._world, i, self._state, self._tick, self._site, self._rows(fleet), pictured
             )
             for i, fleet in enumerate(self._world.fleets)
-            if fleet.name in self.fleets
+            if chosen is None or fleet.name in chosen
         }  # fmt: skip
 
     @property
@@ -401,9 +410,13 @@ PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
 _developed = jax.jit(picture, static_argnums=(2, 3))
 
 
-def _picture(world: World, whole: Callable[[], State], number: int, camera: str) -> Picture:
+def _whole(state: State) -> State:
+    return state.whole() if isinstance(state, Seen) else state
+
+
+def _picture(world: World, seen: State, number: int, camera: str) -> Picture:
     """Return the picture that each vehicle (n,) of a fleet took last, as NumPy arrays outside of compiled functions."""
-    state = whole()
+    state = _whole(seen)
     world = world.with_drawn(state.drawn)
     if isinstance(state.sky.range_error, jax.core.Tracer):
         return picture(world, state, number, camera)
@@ -416,8 +429,3 @@ def _picture(world: World, whole: Callable[[], State], number: int, camera: str)
 def _on_host(value: Any) -> Any:
     """Return an array as NumPy's, unless a program is being compiled."""
     return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value
-
-
-def _seconds(tick: int | Array, time_step: float) -> float:
-    """Return the time [s] of a tick; in a program that is being compiled in the precision of its numbers."""
-    return cast(float, tick.astype(float) * time_step) if isinstance(tick, Array) else tick * time_step
