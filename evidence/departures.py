@@ -74,6 +74,8 @@ class PublishedVelocityHeight(VelocityHeightController):
 class PublishedWind(Quadrotor):
     """The quadrotor whose wind is turned into the body once a step."""
 
+    adds_position: ClassVar[bool] = True
+
     def step(
         self,
         state: QuadrotorState,

@@ -38,6 +38,7 @@ class FixedWing(Aeroplane, Vehicle):
     )
     default_controller: ClassVar[str] = "fixed_wing"
     launches: ClassVar[bool] = True
+    adds_position: ClassVar[bool] = True
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
