@@ -100,6 +100,7 @@ class Wrapped(Vehicle):
     command_type: ClassVar[type[Any]] = qrsim.Command
     actions: ClassVar[tuple[type[Any], ...]] = (qrsim.Command,)
     normals: ClassVar[int] = 6
+    adds_position: ClassVar[bool] = True
 
     def initial_state(self, *start: Any) -> Any:
         return self.inside.initial_state(*start)

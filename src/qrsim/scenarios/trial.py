@@ -153,7 +153,8 @@ def _check_normals(part: Any, kind: str) -> None:
 
 
 def _fewer(drawn: int, name: str, declared: int) -> str:
-    return f"it draws {drawn or 'no'} normals, and the class declares {name} = {declared}; expected {name} = {drawn}"
+    count = f"{drawn or 'no'} normal{'' if drawn == 1 else 's'}"
+    return f"it draws {count}, and the class declares {name} = {declared}; expected {name} = {drawn}"
 
 
 class _Counted:
