@@ -8,14 +8,21 @@ from typing import cast
 import jax
 import numpy as np
 
+from qrsim.core.tables import Table, Tabled, cells_of, columns_of
 from qrsim.interface.arrays import Floats, as_array
 from qrsim.interface.seen import Seen
 from qrsim.models.vehicles.contracts import Pose, velocity_of
 from qrsim.world.standing import on_ground
 from qrsim.world.state import State, World
 
+# What a table shows, with its unit.
+_UNITS = {
+    "position_ned": "m", "attitude": "rad", "velocity_ned": "m/s", "velocity_body": "m/s", "rates_body": "rad/s",
+    "thrust": "N", "specific_force": "m/s^2", "wind_ned": "m/s", "on_ground": "", "command": "",
+}  # fmt: skip
 
-class Truth:
+
+class Truth(Tabled):
     """The true state of all n vehicles, fleets one after the other; every array is the user's own."""
 
     def __init__(self, world: World, seen: Seen):
@@ -28,6 +35,11 @@ class Truth:
         if offsets is not None:
             return self._seen.at(offsets)
         return np.concatenate([as_array(pick(self._world, self._state, i)) for i in range(len(self._world.fleets))])
+
+    def _table(self) -> Table:
+        columns = columns_of([name for fleet in self._world.fleets for name in fleet.vehicle_names])
+        rows = [(name, unit, *cells_of(getattr(self, name), len(columns))) for name, unit in _UNITS.items()]
+        return Table("true state", ("field", "unit", *columns), rows)
 
     @property
     def position_ned(self) -> Floats:

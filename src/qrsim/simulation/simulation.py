@@ -13,6 +13,7 @@ import numpy as np
 
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
+from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.core.tree import replace
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.engine.settings import use_compilation_cache
@@ -63,7 +64,7 @@ def _nobody() -> None:
     """Stand in for the reference to a state that nobody sees."""
 
 
-class Simulation(Alone):
+class Simulation(Alone, Tabled):
     """A world in flight.
 
     One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
@@ -122,6 +123,20 @@ class Simulation(Alone):
         if self._state is not None and self._layout is not None:
             with self.precision_context():
                 self._state = self._ticks.adopt(self._state)
+
+    def _table(self) -> Table:
+        where = f"at {number_text(self.time, 9)} s, tick {self.tick}" if self._state is not None else "not started"
+        title = f"simulation '{self.name}' {where}, seed {self.seed}, {self.precision}"
+        if self._state is None:
+            return Table(f"{title}: reset() starts it", (), ())
+        truth, reasons = self.truth, self.reasons
+        rows = [
+            (name, number_text(place), number_text(velocity), why or "flies")
+            for name, place, velocity, why in zip(
+                self.vehicle_names, truth.position_ned, truth.velocity_ned, reasons, strict=True
+            )
+        ]
+        return Table(title, ("vehicle", "position NED [m]", "velocity NED [m/s]", "state"), rows)
 
     @property
     def precision(self) -> str:
