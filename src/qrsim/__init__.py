@@ -89,8 +89,8 @@ _LAZY = {
     "show": "qrsim.view.notebook",
 }
 
-# Rooms that are used as a library, imported on first use too.
-_ROOMS = ("discover", "envs", "identify", "slam", "sweep", "validate")
+# Rooms and modules that are used as a library, imported on first use too.
+_ROOMS = ("contracts", "discover", "envs", "identify", "slam", "sweep", "validate")
 
 __all__ = [
     "AttitudeCommand",

@@ -28,14 +28,16 @@ class Table:
         title: one line.
         headings: of the columns.
         rows: cells, as many as there are headings.
+        widest: characters of a cell; longer ones are cut.
     """
 
     title: str
     headings: tuple[str, ...]
     rows: Sequence[tuple[str, ...]]
+    widest: int = WIDEST
 
     def _shown(self) -> list[tuple[str, ...]]:
-        rows = [tuple(map(_shortened, row)) for row in self.rows[:MOST_ROWS]]
+        rows = [tuple(_shortened(cell, self.widest) for cell in row) for row in self.rows[:MOST_ROWS]]
         left = len(self.rows) - len(rows)
         return rows + ([(f"and {left} more", *[""] * (len(self.headings) - 1))] if left else [])
 
@@ -111,9 +113,10 @@ def parameters_text(part: Any) -> str:
         return ""
     texts = []
     for field in dataclasses.fields(part):
-        value: Any = getattr(part, field.name, None)
+        value: Any = getattr(part, field.name)
         info = field_info(field)
-        if isinstance(value, str | bool | int | float) or (np.shape(value) == () and hasattr(value, "dtype")):
+        plain = isinstance(value, str | bool | int | float)
+        if plain or (isinstance(value, np.ndarray | np.generic | jax.Array) and np.shape(value) == ()):
             unit = info.unit if info.unit not in ("", "1") and not isinstance(value, str) else ""
             texts.append(f"{field.name} {number_text(value)}{' ' * bool(unit)}{unit}")
     return ", ".join(texts)
@@ -126,6 +129,6 @@ def columns_of(names: Sequence[str]) -> tuple[str, ...]:
     return (*names[:MOST_COLUMNS], f"({len(names)} in all)")
 
 
-def _shortened(cell: str) -> str:
+def _shortened(cell: str, widest: int) -> str:
     line = " ".join(cell.split())
-    return line if len(line) <= WIDEST else line[: WIDEST - 3] + "..."
+    return line if len(line) <= widest else line[: widest - 3] + "..."

@@ -379,8 +379,8 @@ class Reading(Tabled):
         return getattr(next(iter(self._fleets.values())), sensor)
 
     def __dir__(self) -> list[str]:
-        """Return the sensors of a single fleet too, for completion."""
-        alone = self[self.fleets[0]].sensors if len(self.fleets) == 1 else ()
+        """Return what a single fleet has too, for completion."""
+        alone = dir(self[self.fleets[0]]) if len(self.fleets) == 1 else ()
         return [*super().__dir__(), *alone]
 
     def _ipython_key_completions_(self) -> list[str]:

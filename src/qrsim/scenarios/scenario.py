@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.errors import ScenarioError, warn_user
@@ -62,7 +62,8 @@ class Scenario(Tabled):
             parts += [(f"fleets.{title}.{name}", getattr(fleet, name)) for name in _OF_FLEETS]
             parts += [(f"fleets.{title}.sensors.{name}", sensor) for name, sensor in fleet.sensors.items()]
         parts.append(("task", spec.task))
-        rows = [(path, part.type, _given(part)) for path, part in parts if getattr(part, "type", "none") != "none"]
+        typed = [(path, part) for path, part in parts if isinstance(part, BaseModel) and "type" in vars(part)]
+        rows = [(path, vars(part)["type"], _given(part)) for path, part in typed if vars(part)["type"] != "none"]
         fleets = ", ".join(f"{len(fleet.vehicles)} of '{name}'" for name, fleet in spec.fleets.items())
         title = f"scenario '{self.name}' of {self.duration:g} s in steps of {spec.time_step:g} s: {fleets}"
         return Table(title, ("part", "type", "parameters"), rows)
