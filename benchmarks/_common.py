@@ -17,12 +17,13 @@ SPACING = 80.0
 SIDE = 40.0
 
 
-def options(description: str, arguments: Sequence[str] | None = None) -> argparse.Namespace:
+def options(description: str, arguments: Sequence[str] | None = None, **more: str) -> argparse.Namespace:
     """Return the options ``json`` and ``quick``.
 
     Args:
         description: what is measured.
         arguments: the command line, by default that of the process.
+        more: further options that take a text, with their help.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--json", action="store_true", help="print JSON in place of a table")
@@ -31,6 +32,8 @@ def options(description: str, arguments: Sequence[str] | None = None) -> argpars
         action="store_true",
         help="the smallest form, to see that the benchmark works; its numbers mean nothing",
     )
+    for name, words in more.items():
+        parser.add_argument(f"--{name}", help=words)
     return parser.parse_args(arguments)
 
 

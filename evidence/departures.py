@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -73,6 +73,8 @@ class PublishedVelocityHeight(VelocityHeightController):
 @record
 class PublishedWind(Quadrotor):
     """The quadrotor whose wind is turned into the body once a step."""
+
+    adds_position: ClassVar[bool] = True
 
     def step(
         self,

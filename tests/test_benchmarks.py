@@ -51,6 +51,7 @@ NUMBERS = {
     "serve": {"count", "median_us", "p95_us", "per_second"},
     "slam_solver": {"states", "ours_cpu_s", "ours_iterations"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
+    "stepping": {"us", "calls", "files"},
     "throughput": {
         "vehicles",
         "worlds",
@@ -200,6 +201,12 @@ def test_looking():
     few, many = rows("looking")
     assert (few["sensors"], many["sensors"]) == ("3", "12")
     assert few["over_first"] == 1.0
+
+
+def test_stepping():
+    results = {row["call"]: row for row in rows("stepping")}
+    assert results["step(sim.waypoint(goal))"]["calls"] <= 25
+    assert results["step().gnss.position_ned"]["calls"] <= 30
 
 
 def test_latency():

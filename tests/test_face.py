@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,22 @@ STILL: dict[str, Any] = {
 
 def test_completion_shows_what_is_for_users_and_no_more() -> None:
     names = {name for name in dir(qrsim) if not name.startswith("__")}
-    rooms = {"discover", "envs", "identify", "slam", "sweep", "validate"}
+    rooms = {"contracts", "discover", "envs", "identify", "slam", "sweep", "validate"}
     assert names == set(qrsim.__all__) - {"__version__"} | rooms
     assert {"Simulation", "rollout", "make_world", "load", "slam"} <= names
     assert not names & {"Any", "Iterable", "Path", "TYPE_CHECKING", "metadata", "annotations"}
     assert all(getattr(qrsim, name) is not None for name in names)
+
+
+def test_type_checkers_completion_and_the_package_have_the_same_names() -> None:
+    """What is imported for type checkers comes from where it is found when it is used."""
+    tree = ast.parse(Path(qrsim.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    named = {
+        alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }  # fmt: skip
+    assert named == qrsim._LAZY
+    assert set(named) == set(qrsim.__all__) - {"load", "__version__"}
 
 
 def test_a_mistyped_name_is_told_the_nearest_one() -> None:

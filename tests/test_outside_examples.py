@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
+import re
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +18,7 @@ import qrsim
 from qrsim import cli
 from qrsim.envs.single import SingleTask
 from qrsim.errors import UsageError
+from qrsim.files import code
 from qrsim.links.reference.readout import Readout
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
@@ -31,7 +34,21 @@ def test_the_page_shows_the_laser():
     assert f"```python\n{(EXAMPLES / 'laser.py').read_text(encoding='utf-8')}```" in page
 
 
-@pytest.mark.parametrize(("name", "below"), [("laser", 30), ("point_mass", 45), ("climb", 35)])
+@pytest.mark.parametrize(
+    ("name", "below"),
+    [
+        ("laser", 30),
+        ("point_mass", 45),
+        ("climb", 35),
+        ("lean", 35),
+        ("circle", 35),
+        ("jet", 25),
+        ("puffs", 25),
+        ("smooth", 25),
+        ("band", 35),
+        ("udp_link", 70),
+    ],
+)
 def test_they_are_short(name: str, below: int):
     assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) < below
 
@@ -149,3 +166,104 @@ class TestPointMass:
             simulation.step([[0.0, 0.0, 0.0, 0.0, 12.0]] * 5, ticks=25)
             np.testing.assert_allclose(simulation.truth.velocity_ned[:, 2], 9.81 * 0.5, rtol=1e-5)
             np.testing.assert_allclose(simulation.truth.thrust, 1.5 * 9.81, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "kind", ["sensor", "vehicle", "wind", "turbulence", "controller", "guidance", "estimator", "task", "metric", "link"]
+)
+def test_every_contract_has_an_example_that_the_page_names(kind: str):
+    page = (EXAMPLES.parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+    (row,) = [line for line in page.splitlines() if re.match(rf"\| `?{kind}\b", line)]
+    (name,) = re.findall(r"examples/outside/(\w+\.py)`", row)
+    assert (EXAMPLES / name).is_file()
+
+
+def test_a_controller_reaches_its_waypoint():
+    simulation = qrsim.load(EXAMPLES / "lean.yaml")
+    simulation.reset()
+    simulation.step(simulation.waypoint([10.0, 5.0, -12.0]), ticks=1500)
+    np.testing.assert_allclose(simulation.truth.position_ned, [[10.0, 5.0, -12.0]], atol=0.1)
+
+
+def test_a_guidance_flies_a_circle():
+    """Of 10 m, at 2 m/s, whose set-point a vehicle follows from behind and inside."""
+    simulation = qrsim.load(EXAMPLES / "circle.yaml")
+    simulation.reset()
+    for _ in range(4):
+        simulation.step(ticks=400)
+        assert np.hypot(*simulation.truth.position_ned[0, :2]) == pytest.approx(10.0, abs=1.0)
+        assert np.hypot(*simulation.truth.velocity_ned[0, :2]) == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_wind_blows_as_its_profile_says():
+    """At 10 m 6 * (10/60) exp(1 - 10/60) m/s, to the east and turning south by 1e-4 rad/s."""
+    simulation = qrsim.load(EXAMPLES / "jet.yaml")
+    simulation.reset()
+    simulation.step(ticks=500)
+    np.testing.assert_allclose(simulation.truth.wind_ned, [[-0.0033, 2.301, 0.0]], atol=0.02)
+
+
+@pytest.mark.long
+def test_a_turbulence_is_stationary_and_decays():
+    """Ornstein-Uhlenbeck: 1.2 m/s, and exp(-1) of it after 2 s; 20 000 s have a relative error of about 1 %."""
+    scenario = load_scenario(
+        EXAMPLES / "puffs.yaml",
+        ["duration=20000", "fleets.pelicans.sensors={}", "fleets.pelicans.controller={type: waypoint, feed: truth}"],
+    )
+    simulation = Simulation(scenario.world(), seed=1)
+    simulation.reset()
+    gusts = np.array([(simulation.advance(ticks=50), simulation.truth.wind_ned[0])[1] for _ in range(20000)])
+    np.testing.assert_allclose(gusts.std(axis=0), 1.2, rtol=0.05)
+    np.testing.assert_allclose(gusts.mean(axis=0), 0.0, atol=0.07)
+    after = np.mean(gusts[2:] * gusts[:-2], axis=0) / gusts.var(axis=0)
+    np.testing.assert_allclose(after, np.exp(-1.0), atol=0.05)
+
+
+def test_an_estimator_and_a_metric_by_their_files():
+    """A hover: nobody leaves the band by more than a metre, and the place that is believed is the true one."""
+    flown = qrsim.rollout(
+        "hover_ideal", ticks=100, worlds=2, estimator=f"{EXAMPLES / 'smooth.py'}:SmoothVelocity",
+        metrics=f"{EXAMPLES / 'band.py'}:HeightBand", overrides=["fleets.pelicans.vehicles.0.position_ned.2=-21.5"],
+    )  # fmt: skip
+    np.testing.assert_allclose(flown["outside_band_s"], 2.0, atol=0.03)
+    np.testing.assert_allclose(flown["from_middle_max_m"], 1.5, atol=0.1)
+
+
+class TestLink:
+    def test_a_vehicle_obeys_lines_of_text_and_holds_in_silence(self):
+        own = code.load_object("link", f"{EXAMPLES / 'udp_link.py'}:UdpLink")
+        simulation = qrsim.load("hover_ideal", overrides=["fleets.pelicans.controller=offboard"])
+        simulation.reset()
+        link = own(simulation, "pelicans_0")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.settimeout(10)
+            client.connect(("127.0.0.1", link.socket.getsockname()[1]))
+
+            def asked(line: bytes) -> str:
+                client.send(line)
+                link.step()
+                return client.recv(512).decode()
+
+            for wrong, said in (
+                (b"velocty 1 0 0 0", "error: 'pelicans_0' takes no order of kind 'velocty'; did you mean 'velocity'"),
+                (b"velocity 1", "error: 'pelicans_0': velocity: 1 numbers; expected 4"),
+                (b"velocity nan 0 0 0", "error: 'pelicans_0': velocity: velocity_north is nan"),
+                (b"\xff\xfe", "error: "),
+                (b"", "error: "),
+            ):
+                assert asked(wrong).startswith(said)
+            for _ in range(250):
+                numbers = asked(b"velocity 1 0 0 0").split()
+            assert float(numbers[3]) == pytest.approx(1.0, abs=0.1)
+        link.step(ticks=1)
+        for _ in range(400):
+            link.step()
+        np.testing.assert_allclose(simulation.truth.velocity_ned, 0.0, atol=0.05)
+        link.socket.close()
+
+    @pytest.mark.long
+    def test_it_runs_as_a_program(self):
+        done = subprocess.run(
+            [sys.executable, str(EXAMPLES / "udp_link.py"), "0.2"], capture_output=True, text=True, timeout=120
+        )
+        assert (done.returncode, done.stderr) == (0, "")

@@ -13,6 +13,7 @@ class PointMass(Vehicle):
     hover_throttle: float = qrsim.parameter(0.59, unit="1", doc="throttle that carries the weight", above=0.0)
     command_type = qrsim.Command
     actions = (qrsim.Command,)
+    adds_position = True  # step only adds to it
 
     def initial_state(self, position_ned, attitude, velocity_body, rates_body):
         return Pose(position_ned, attitude, velocity_body, rates_body)

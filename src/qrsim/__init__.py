@@ -63,13 +63,13 @@ _LAZY = {
     "Run": "qrsim.runs",
     "Scenario": "qrsim.scenarios.scenario",
     "Simulation": "qrsim.simulation.simulation",
-    "State": "qrsim.world.tick",
+    "State": "qrsim.world.state",
     "TrackSetpoint": "qrsim.control",
     "VelocityHeightSetpoint": "qrsim.control",
     "VelocitySetpoint": "qrsim.control",
     "WaypointSetpoint": "qrsim.control",
     "Vec3": "qrsim.core.vectors",
-    "World": "qrsim.world.tick",
+    "World": "qrsim.world.state",
     "compass_heading": "qrsim.models.sensors.earth_field",
     "configure": "qrsim.engine.settings",
     "fly": "qrsim.runs.recorder",
@@ -89,8 +89,8 @@ _LAZY = {
     "show": "qrsim.view.notebook",
 }
 
-# Rooms that are used as a library, imported on first use too.
-_ROOMS = ("discover", "envs", "identify", "slam", "sweep", "validate")
+# Rooms and modules that are used as a library, imported on first use too.
+_ROOMS = ("contracts", "discover", "envs", "identify", "slam", "sweep", "validate")
 
 __all__ = [
     "AttitudeCommand",

@@ -53,7 +53,7 @@ ALLOWED = {
     "engine/programs.py": 1, "engine/settings.py": 1, "envs/functional.py": 1, "files/code.py": 2,
     "files/recordings.py": 1, "files/user_files.py": 3,
     "files/yaml_text.py": 1, "interface/policies.py": 6, "interruptions.py": 3, "links/reference/connection.py": 2,
-    "models/vehicles/moving.py": 1, "runs/parts.py": 1, "runs/reader.py": 1, "runs/writer.py": 1,
+    "runs/parts.py": 1, "runs/reader.py": 1, "runs/writer.py": 1,
     "scenarios/build.py": 1, "scenarios/cross_checks.py": 1, "scenarios/interference.py": 1, "scenarios/making.py": 2,
     "scenarios/registry.py": 2, "scenarios/problems.py": 1, "scenarios/ranges.py": 1,
     "simulation/rollout.py": 1, "simulation/snapshot.py": 2, "sweep/own_metrics.py": 1,
@@ -100,6 +100,7 @@ class Wrapped(Vehicle):
     command_type: ClassVar[type[Any]] = qrsim.Command
     actions: ClassVar[tuple[type[Any], ...]] = (qrsim.Command,)
     normals: ClassVar[int] = 6
+    adds_position: ClassVar[bool] = True
 
     def initial_state(self, *start: Any) -> Any:
         return self.inside.initial_state(*start)

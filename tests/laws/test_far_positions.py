@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,15 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from component_cases import DT, GROUPS, VEHICLES, example, inputs, parameters_needed
+from position_use import only_adds
 
 import qrsim
 from qrsim.core.pairs import parts_of, two_sum
 from qrsim.core.tree import cast, record, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.settings import _chosen
-from qrsim.models.vehicles.moving import move, only_adds
+from qrsim.models.vehicles.fixed_point import FixedPoint
+from qrsim.models.vehicles.moving import move
 from qrsim.models.vehicles.process_noise import ProcessNoise
 from qrsim.models.vehicles.quadrotor import Quadrotor, QuadrotorState
+from qrsim.models.vehicles.recorded_path import PathFile
 from qrsim.scenarios.making import make_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation
@@ -42,6 +46,8 @@ PLACES = np.array(
 )
 # Those that fly at velocities.
 TYPES = [name for name, kind in GROUPS["VEHICLES"].items() if issubclass(kind, Quadrotor)]
+# They read the ground below them.
+LOOK_WHERE_THEY_ARE = ("multirotor", "rover", "differential_rover")
 SLOW = 0.02
 BOX = {"type": "box", "x_min": -5e4, "x_max": 5e4, "y_min": -5e4, "y_max": 5e4, "z_min": -5e4}
 
@@ -209,24 +215,24 @@ class TestModels:
         zero = Vec3(0.0 * one, 0.0 * one, 0.0 * one)
         return state, given["command"], lambda trig: zero, ProcessNoise(zero, zero)
 
-    @pytest.mark.parametrize("name", TYPES)
-    def test_those_of_the_catalogue_only_add_to_their_position(self, name: str) -> None:
+    @pytest.mark.parametrize("name", GROUPS["VEHICLES"])
+    def test_each_declares_whether_it_only_adds_to_its_position(self, name: str) -> None:
         vehicle = example("VEHICLES", name)
-        state, *rest = self.arguments(vehicle)
-        for integrator in ("heun", "rk4"):
-            own = replace(vehicle, integrator=integrator)
-            assert only_adds(
-                lambda position, own=own: own.step(replace(state, position_ned=position), *rest, DT),
-                state.position_ned,
-            )
+        rules = ("heun", "rk4") if isinstance(vehicle, Quadrotor) else ("",)
+        for own in [replace(vehicle, integrator=rule) if rule else vehicle for rule in rules]:
+            assert vars(type(own)).get("adds_position", False) == (name not in LOOK_WHERE_THEY_ARE)
+            assert only_adds(own) == (name not in LOOK_WHERE_THEY_ARE)
+
+    def test_a_point_that_is_carried_declares_it_too(self, tmp_path: Path) -> None:
+        (tmp_path / "way.csv").write_text("time [s],north [m],east [m],down [m]\n0,0,0,0\n9,9,0,0\n", encoding="utf-8")
+        carried = FixedPoint(moves_on=PathFile(str(tmp_path / "way.csv"))).prepared(5.0)
+        assert vars(type(carried))["adds_position"]
+        assert only_adds(cast(carried, np.float32))
 
     @pytest.mark.parametrize("kind", [GroundEffect, Lander])
-    def test_one_that_looks_where_it_is_is_told(self, kind: type) -> None:
-        vehicle = cast(kind(), np.float32)
-        state, *rest = self.arguments(vehicle)
-        assert not only_adds(
-            lambda position: vehicle.step(replace(state, position_ned=position), *rest, DT), state.position_ned
-        )
+    def test_one_that_looks_where_it_is_does_not_inherit_it(self, kind: type) -> None:
+        assert not only_adds(cast(kind(), np.float32))
+        assert "adds_position" not in vars(kind)
 
     @pytest.mark.long
     def test_it_flies_slowly_far_away_too(self) -> None:

@@ -9,6 +9,7 @@ import pytest
 from tests.scenarios.test_outside import SENSOR, _as_before, complaint, written  # noqa: F401
 
 from qrsim import cli
+from qrsim.scenarios.scenario import load_scenario
 
 POINT_MASS = (Path(__file__).parents[2] / "examples/outside/point_mass.py").read_text()
 CLIMB = (Path(__file__).parents[2] / "examples/outside/climb.py").read_text()
@@ -242,7 +243,34 @@ BAD: dict[str, tuple[str, str, str]] = {
         "vehicle",
         mass("        before =", "        noise.normals(1)\n        before ="),
         "Own.step: its noise is None, which draw_noise returns where a vehicle has none of its own; expected def "
-        "draw_noise(self, draw, dt) that returns draw.normals(count), and normals = count (FILE, line 31)",
+        "draw_noise(self, draw, dt) that returns draw.normals(count), and normals = count (FILE, line 32)",
+    ),
+    "sensor with fewer normals than it declares": (
+        "sensor",
+        changed(gauge("-position_ned.z * self.gain", "draw.normals(1)[0]"), "reads =", "normals = 2\n    reads ="),
+        "Own.step: it draws 1 normal, and the class declares normals = 2; expected normals = 1",
+    ),
+    "sensor with fewer first normals than it declares": (
+        "sensor",
+        gauge("-position_ned.z * self.gain", "draw.normals(1)[0]").replace(
+            "    reads =", "    normals, first_normals = 1, 3\n    reads ="
+        ),
+        "Own.init: it draws 1 normal, and the class declares first_normals = 3; expected first_normals = 1",
+    ),
+    "turbulence with fewer normals than it declares": (
+        "turbulence",
+        bare("Turbulence", "\n    ".join([
+            "normals = 3",
+            "def init(self, draw): return draw.normals(2)[1]",
+            "def step(self, state, draw, height_agl, velocity_ned, mean_wind_ned, dt): return draw.normals(2)[1]",
+            "def gust_ned(self, state, height_agl): return qrsim.Vec3(state, state, state)",
+        ])),
+        "Own.step: it draws 2 normals, and the class declares normals = 3; expected normals = 2",
+    ),
+    "vehicle with normals that nobody draws": (
+        "vehicle",
+        mass("    actions =", "    normals = 6\n    actions ="),
+        "Own.draw_noise: it draws no normals, and the class declares normals = 6; expected normals = 0",
     ),
 }  # fmt: skip
 
@@ -265,6 +293,7 @@ def with_own(kind: str, named: str) -> dict[str, Any]:
 LONG = {"load of a text", "battery that drains without a charge", "battery of one voltage", "names that are texts",
         "wrong part of a state", "check of two", "check without a reason", "check that is not true or false",
         "margin of one", "placement without a start", "vehicle inherits", "controller inherits", "task inherits",
+        "sensor with fewer first normals than it declares", "vehicle with normals that nobody draws",
         "area inherits", "battery inherits", "actions without the command", "idle command of scalars"}  # fmt: skip
 
 
@@ -285,3 +314,16 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert "lacks the method velocity_ned" in said.replace("\n", "")
+
+
+@pytest.mark.parametrize("where", ["init", "step"])
+def test_normals_of_the_start_or_of_a_step_count(where: str, tmp_path: Path):
+    """A bias that is drawn once, and noise that begins with the first step, are each as many as declared."""
+    drawn = gauge("-position_ned.z * self.gain", "draw.normals(2)[1]").replace(
+        "    reads =", "    normals = 2\n    reads ="
+    )
+    begin, middle, end = drawn.split("draw.normals(2)[1]")
+    both = ["draw.normals(2)[1]", "position_ned.z"]
+    first, second = both if where == "init" else reversed(both)
+    text = begin + first + middle + second + end
+    load_scenario(with_own("sensor", f"{written(tmp_path, text, 'own.py')}:Own"))

@@ -72,6 +72,10 @@ class Program(Protocol):
     def part(self) -> int | None:
         """So many worlds are started in one call; None: any number."""
 
+    @property
+    def slot(self) -> np.ndarray[Any, Any] | None:
+        """Place of the numbers given, leaf after leaf, to be overwritten; None: they have no such place."""
+
     def give(self, leaves: Sequence[object]) -> None:
         """Take what each world has for itself, until something else is given; to be called before all else."""
 

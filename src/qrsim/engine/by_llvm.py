@@ -215,6 +215,11 @@ class LlvmProgram:
             # A command for one world is handed over at every step, where a copy leaf by leaf would count.
             self._flat = own.flat
 
+    @property
+    def slot(self) -> np.ndarray[Any, Any] | None:
+        """Place of the numbers that one world was given; None where they are not all floats."""
+        return self._flat if self._own_layout.slices else np.zeros(0, self._extent.dtype)
+
     def start(self) -> Any:
         """Return the first state of as many worlds as something was given."""
         assert self._program is not None

@@ -90,7 +90,7 @@ class XlaProgram:
     """A program of one world, its state two flat buffers; see ``backend.Program``."""
 
     compiler = "xla"
-    part = None
+    part = slot = None
 
     def __init__(
         self, function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, refused: str
@@ -210,7 +210,7 @@ class XlaWorldsProgram:
 
     compiler = "xla"
     # JAX knows the layout from the states themselves.
-    layout = None
+    layout = slot = None
 
     def __init__(self, function: Function, shared: Shared, own: Packer, extent: Extent, refused: str):
         assert extent.worlds is not None

@@ -162,36 +162,3 @@ class Shared:
         """The two buffers as arrays of JAX."""
         found: Buffers = jax.device_put(self.buffers)
         return found
-
-
-class LazyTree:
-    """A packed tree of which only what somebody looks at is unpacked.
-
-    Args:
-        layout, buffers: of the tree.
-        part: of ``layout.numbers``.
-        containers: types that are looked into; what is of another type is unpacked as a whole.
-    """
-
-    def __init__(self, layout: Packer, buffers: Buffers, part: Any, containers: tuple[type, ...]):
-        self._layout, self._buffers, self._part, self._containers = layout, buffers, part, containers
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return self._opened(getattr(self._part, name))
-
-    def __getitem__(self, number: int) -> Any:
-        return self._opened(self._part[number])
-
-    def whole(self) -> Any:
-        """Return all of it."""
-        return jax.tree.map(lambda number: self._layout.leaf(self._buffers, number), self._part)
-
-    def __len__(self) -> int:
-        return len(self._part)
-
-    def _opened(self, part: Any) -> Any:
-        if isinstance(part, (tuple, *self._containers)):
-            return LazyTree(self._layout, self._buffers, part, self._containers)
-        return jax.tree.map(lambda number: self._layout.leaf(self._buffers, number), part)

@@ -22,6 +22,7 @@ from qrsim.control import (
     WaypointSetpoint,
 )
 from qrsim.core.tree import map_tree, walk
+from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import library_for
 from qrsim.interface.messages import Say, outboxes
@@ -60,7 +61,7 @@ class ActionChecker:
         self._world = world
         self.traced = values == "traced"
         accepted = {kind for fleet in world.fleets for kind in fleet.vehicle.actions}
-        self._kinds = {kind: CommandKind(kind, self.dtype) for kind in accepted}
+        self.kinds = {kind: CommandKind(kind, self.dtype) for kind in accepted}
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
         # Fleet, and number in it, of each vehicle.
         self._places: dict[object, tuple[str, int]] = {
@@ -109,8 +110,17 @@ class ActionChecker:
 
     def waypoint(self, position_ned: npt.ArrayLike, yaw_rad: npt.ArrayLike = 0.0) -> WaypointSetpoint:
         """Make a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
-        position = self._broadcast("position_ned", position_ned, (len(self.names), 3))
-        return WaypointSetpoint.of(position, self._broadcast("yaw_rad", yaw_rad, (len(self.names),)))
+        size = len(self.names)
+        position = self._fitting("position_ned", position_ned, (size, 3))
+        yaw = self._fitting("yaw_rad", yaw_rad, (size,))
+        rows = np.empty((4, size), self.dtype)
+        rows[:3], rows[3] = position.T, yaw
+        if not np.logical_and.reduce(np.isfinite(rows), axis=None):
+            what = "yaw_rad" if np.isfinite(rows[:3]).all() else "position_ned"
+            row = int(np.argmin(np.isfinite(rows[3:] if what == "yaw_rad" else rows[:3]).all(axis=0)))
+            raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
+        north, east, down, heading = cast(Any, rows)
+        return WaypointSetpoint(Vec3(north, east, down), heading)
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
         """Return what is asked of each fleet by commands of fleets and of vehicles."""
@@ -230,7 +240,7 @@ class ActionChecker:
                     f"command: {_named(kind, alike, article=True)} is not for the vehicles of fleet '{fleet.name}', "
                     f"which take {names}; give each fleet its own, by name"
                 )
-        return self._kinds[kind]
+        return self.kinds[kind]
 
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         for fleet in fleets:
@@ -316,15 +326,13 @@ class ActionChecker:
             checked.append(column)
         return kind.kind(*checked)
 
-    def _broadcast(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+        """Return numbers of a shape, or one for all."""
         try:
-            array = np.broadcast_to(np.asarray(values, self.dtype), shape)
+            array = np.asarray(values, self.dtype)
+            return array if array.shape in ((), shape) else np.broadcast_to(array, shape)
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{what}: expected numbers of shape {shape}, found {shape_of(values)}") from None
-        if not np.all(np.isfinite(array)):
-            row = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
-        return array
 
 
 def _named(kind: type[Any], with_module: bool = False, article: bool = False) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from qrsim.control import Estimate
+from qrsim.core.tables import Table, Tabled, cells_of, columns_of
 from qrsim.interface.arrays import Floats, as_array
 from qrsim.world.state import FleetState
 
-FIELDS = ("position_ned", "velocity_ned", "attitude")
+FIELDS = {"position_ned": "m", "velocity_ned": "m/s", "attitude": "rad"}
 
 
-class EstimateReading:
+class EstimateReading(Tabled):
     """An estimate of n vehicles as arrays (n, 3).
 
     Attributes:
@@ -23,8 +24,13 @@ class EstimateReading:
         self.velocity_ned: Floats = as_array(estimate.velocity_ned)[rows]
         self.attitude: Floats = as_array(estimate.attitude)[rows]
 
-    def __repr__(self) -> str:
-        return f"<estimate: {', '.join(FIELDS)}>"
+    def _cells(self, columns: int) -> list[tuple[str, ...]]:
+        """Return a row for each field: name, unit, and the numbers of each vehicle."""
+        return [(name, unit, *cells_of(getattr(self, name), columns)) for name, unit in FIELDS.items()]
+
+    def _table(self) -> Table:
+        columns = columns_of([f"vehicle {row}" for row in range(self.position_ned.shape[0])])
+        return Table("estimate", ("field", "unit", *columns), self._cells(len(columns)))
 
 
 def estimate_of(state: FleetState, rows: slice) -> EstimateReading:

@@ -3,38 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any, cast
 
 import jax
 import numpy as np
 from jax import Array
 
-from qrsim.core.tree import Record, map_tree
-from qrsim.engine.layout import LazyTree
+from qrsim.core.tables import Table, Tabled, cells_of, columns_of, number_text
+from qrsim.core.tree import Record, field_info, map_tree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
 from qrsim.interface.estimates import EstimateReading, estimate_of, std_of
 from qrsim.interface.messages import user_key, user_normals
+from qrsim.interface.sources import FleetSource, whole
 from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
-from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.radio.contracts import Inbox
-from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
-from qrsim.models.sensors.camera import CameraReading, Picture
-from qrsim.models.sensors.contracts import Explained, Sensor
-from qrsim.models.sensors.fitting import Transit
+from qrsim.models.sensors.camera import CameraReading
+from qrsim.models.sensors.contracts import Explained
 from qrsim.models.site import Site
-from qrsim.world.episode import picture
 from qrsim.world.radio import heard
-from qrsim.world.state import Fleet, FleetState, State, World
+from qrsim.world.state import Fleet, State, World
 
 # Fields that a sensor has if it is asked for them, with the parameter that asks.
 _UNASKED = {**dict.fromkeys(OF_SATELLITES, "per_satellite"), "velocity": "velocity"}
 
 
-class SensorReading:
+class SensorReading(Tabled):
     """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
 
     Where a reading is NaN, ``reasons`` says why. ``time_of_reading`` is when it was true, and ``tick_of_reading`` the
@@ -47,24 +45,18 @@ class SensorReading:
     columns that the picture has; beyond them it is NaN.
     """
 
-    def __init__(
-        self,
-        name: str,
-        reading: Record,
-        site: Site,
-        withheld: Callable[[], Sequence[str]] = tuple,
-        picture: Callable[[], Picture] | None = None,
-        taken: Callable[[], int | Array] | None = None,
-        arrived: Callable[[], bool | Array] | None = None,
-        rows: slice = slice(None),
-        time_step: float = 0.0,
-    ):
-        self._taken, self._arrived, self._rows, self._time_step = taken, arrived, rows, time_step
-        self._name = name
-        self._reading = reading
-        self._site = site
-        self._withheld = withheld
-        self._picture = picture
+    def __init__(self, name: str, reading: Record | None, site: Site, source: FleetSource | None = None):
+        """Use ``reading.NAME``; the record is that of the source where it is None."""
+        self._name, self._given, self._site, self._source = name, reading, site, source
+        self._rows = slice(None) if source is None else source.rows
+        self._offsets = {} if source is None else source.offsets(name)
+
+    @property
+    def _reading(self) -> Record:
+        if self._given is None:
+            assert self._source is not None
+            self._given = self._source.record(self._name)
+        return self._given
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -76,7 +68,7 @@ class SensorReading:
         )  # fmt: skip
         if isinstance(self._reading, GnssReading):
             more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
-            if isinstance(self._reading, GnssFix) and self._taken is not None:
+            if isinstance(self._reading, GnssFix) and self._timed:
                 more.append("time_of_fix")
             return (*own, *(name for name in more if name not in own))
         if isinstance(self._reading, CameraReading):
@@ -89,31 +81,36 @@ class SensorReading:
 
         It is in double precision, but for compiled programs in single precision, where a day has steps of 8 ms.
         """
-        return self.tick_of_reading * self._time_step
+        return self.tick_of_reading * (0.0 if self._source is None else self._source.time_step)
 
     @property
     def tick_of_reading(self) -> Floats:
         """Tick (n,), a whole number, at which what is reported was true; exact in compiled programs too."""
-        return self._for_each(self._taken)
+        return self._for_each(FleetSource.taken)
 
     @property
     def fresh(self) -> Floats:
         """(n,) bool: the reading has arrived at this very tick, and is not held since an earlier one."""
-        return self._for_each(self._arrived)
+        return self._for_each(FleetSource.arrived)
 
-    def _for_each(self, told: Callable[[], Any] | None) -> Floats:
-        if told is None:
+    @property
+    def _timed(self) -> bool:
+        """Whether the times of its readings are known."""
+        return self._source is not None and self._source.time_step > 0.0
+
+    def _for_each(self, told: Callable[[FleetSource, str], Any]) -> Floats:
+        if self._source is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
         library: Any = library_of(leaf)
-        return cast(Floats, library.broadcast_to(told(), leaf.shape)[self._rows])
+        return cast(Floats, library.broadcast_to(told(self._source, self._name), leaf.shape)[self._rows])
 
     @property
     def reasons(self) -> list[str]:
         """Reasons why vehicles (n,) have no complete reading, "" for those that have one."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(self._reading)]
         complete = np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
-        withheld = self._withheld() or [""] * len(complete)
+        withheld = [""] * len(complete) if self._source is None else self._source.withheld(self._name)
         return [
             "" if whole else why or self._own_reason(i)
             for i, (whole, why) in enumerate(zip(complete, withheld, strict=True))
@@ -139,8 +136,11 @@ class SensorReading:
         return "no velocity: the fix before is missing" if known else "not available"
 
     def __getattr__(self, field: str) -> Floats:
-        if field.startswith("__"):
+        if field.startswith("_"):
             raise AttributeError(field)
+        offsets = self._offsets.get(field)
+        if offsets is not None and self._source is not None:
+            return self._source.state.at(offsets)[self._rows]  # type: ignore[attr-defined]
         if field not in self.fields:
             if field in _UNASKED and field in vars(self._reading):
                 raise AttributeError(f"sensor '{self._name}' has no '{field}'; give it {_UNASKED[field]}: true")
@@ -170,117 +170,104 @@ class SensorReading:
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
     def _of_picture(self, field: str) -> Floats:
-        if self._picture is None:
+        if self._source is None or not self._source.pictured:
             raise UsageError(
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
             )
-        seen = self._picture()
+        seen = self._source.picture(self._name)
         lib = library_of(seen.ratio)
         if field == "ratio":
             return seen.ratio  # type: ignore[return-value]
         parts = (seen.north, seen.east) if field == "corners_ned" else (seen.rows, seen.columns)
         return lib.stack(parts, axis=-1)
 
-    def __repr__(self) -> str:
-        return f"<reading of {self._name}: {', '.join(self.fields)}>"
+    def __dir__(self) -> list[str]:
+        """Return the fields too, for completion."""
+        return [*super().__dir__(), *self.fields]
+
+    @property
+    def _traced(self) -> bool:
+        """Whether it is a fix in a program that is being compiled, where there is no position on the ellipsoid."""
+        reading = self._reading
+        return isinstance(reading, GnssReading) and isinstance(reading.position_ned.x, jax.core.Tracer)
+
+    def _units(self) -> dict[str, str]:
+        """Return the unit of each field."""
+        own = {field.name: field_info(field).unit for field in dataclasses.fields(self._reading)}
+        return {name: own.get(name) or _UNITS.get(name, "") for name in self.fields}
+
+    def _cells(self, columns: int) -> list[tuple[str, ...]]:
+        """Return a row for each field: name, unit, and the numbers of each vehicle."""
+        rows = []
+        for name, unit in self._units().items():
+            if name in PICTURE_FIELDS:
+                cells: tuple[str, ...] = ("made when asked for", *[""] * (columns - 1))
+            elif name in _GEODETIC and self._traced:
+                continue
+            else:
+                cells = cells_of(getattr(self, name), columns, 9 if unit == "deg" else 4)
+            rows.append((name, unit, *cells))
+        return rows
+
+    def _table(self) -> Table:
+        names = range(jax.tree.leaves(self._reading)[0].shape[0]) if self._source is None else self._source.names
+        columns = columns_of(list(map(str, names)))
+        rows = self._cells(len(columns))
+        if self._timed:
+            rows.append(("time_of_reading", "s", *cells_of(self.time_of_reading, len(columns))))
+        return Table(f"reading of {self._name}", ("field", "unit", *columns), rows)
 
 
-class FleetReading:
+class FleetReading(Tabled):
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
-    def __init__(
-        self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site,
-        picture: Callable[[str], Picture] | None = None, time_step: float = 0.0, rows: slice = slice(None),
-    ):  # fmt: skip
-        self._picture, self._time_step, self._rows = picture, time_step, rows
-        self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
+    def __init__(self, source: FleetSource):
+        self._source = source
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors."""
-        return self._fleet.sensor_names
+        return self._source.fleet.sensor_names
 
     @property
     def estimate(self) -> EstimateReading:
         """Estimate of the fleet's own estimator now; without one, what its controller was fed with last."""
-        return estimate_of(self._state, self._rows)
+        return estimate_of(self._source.now, self._source.rows)
 
     @property
     def estimate_std(self) -> EstimateReading | None:
         """Standard deviations that the estimator reports, None where it reports none."""
-        return std_of(self._state, self._rows)
+        return std_of(self._source.now, self._source.rows)
 
     def __getattr__(self, sensor: str) -> SensorReading:
         if sensor.startswith("__"):
             raise AttributeError(sensor)
-        if sensor not in self.sensors:
+        if sensor not in self._source.fleet.sensor_names:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self.sensors)}")
-        picture = None if self._picture is None else partial(self._picture, sensor)
-        taken = partial(self._taken, sensor) if self._time_step else None
-        withheld = partial(self._withheld, sensor)
-        arrived = partial(self._arrived, sensor) if self._time_step else None
-        return SensorReading(
-            sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived, self._rows, self._time_step
-        )
+        return SensorReading(sensor, None, self._source.site, self._source)
 
-    def _taken(self, sensor: str) -> int | Array:
-        """Return the tick at which what a sensor reports was true."""
-        model, transit = self._delivery(sensor)
-        tick = cast(Array, self._tick)
-        taken = model.time_of_reading(tick, self._time_step) if transit is None else transit.time_of_reading(tick)
-        return cast(int, _on_host(taken))
+    def __dir__(self) -> list[str]:
+        """Return the sensors too, for completion."""
+        return [*super().__dir__(), *self.sensors]
 
-    def _arrived(self, sensor: str) -> bool | Array:
-        """Return whether a sensor's reading arrives at this tick."""
-        model, transit = self._delivery(sensor)
-        tick = cast(Array, self._tick)
-        return _on_host(model.fresh(tick, self._time_step) if transit is None else transit.fresh(tick))
-
-    def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
-        """Return a sensor's model, and what is on its way of its readings, if they are held back."""
-        number = self.sensors.index(sensor)
-        fitted = self._state.fitted[number] if self._state.fitted else None
-        return self._fleet.sensors[number], None if fitted is None else fitted.transit
-
-    def _reading(self, sensor: str) -> Record:
-        return self._state.readings[self.sensors.index(sensor)]
-
-    def _withheld(self, sensor: str) -> list[str]:
-        """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
-        violation = self._state.violation
-        stopped = [
-            f"stopped, {reason_text(int(code), float(value))}" if code else ""
-            for code, value in zip(violation.code, violation.value, strict=True)
+    def _cells(self, columns: int) -> list[tuple[str, ...]]:
+        """Return a row for each field of each sensor, and of the estimate."""
+        rows = [
+            (f"{sensor}.{row[0]}", *row[1:])
+            for sensor in self.sensors
+            for row in self.__getattr__(sensor)._cells(columns)
         ]
-        others = zip(self._faults(sensor), self._without_orbits(sensor), strict=True)
-        return [why or fault or sky for why, (fault, sky) in zip(stopped, others, strict=True)]
+        for name, believed in (("estimate", self.estimate), ("estimate_std", self.estimate_std)):
+            rows += [] if believed is None else [(f"{name}.{row[0]}", *row[1:]) for row in believed._cells(columns)]
+        return rows
 
-    def _faults(self, sensor: str) -> list[str]:
-        """Return which fault takes away the readings of each vehicle; of several, the one applied last."""
-        found = [""] * self._fleet.size
-        for fault, passed_on in zip(self._fleet.faults, self._state.passed_on, strict=True):
-            if fault.sensor != sensor or fault.kind == "biased":
-                continue
-            active, why = np.asarray(fault.active(self._tick)), "lost, by a fault of the scenario"  # type: ignore[arg-type]
-            if fault.kind == "frozen":
-                whole = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(passed_on)], axis=0)
-                active, why = active & ~whole, "frozen, by a fault of the scenario, while it had no reading"
-            found = [why if here else before for here, before in zip(active, found, strict=True)]
-        return found
-
-    def _without_orbits(self, sensor: str) -> list[str]:
-        """Say where a receiver has no fix because the orbits have ended, or have a gap."""
-        reading = self._reading(sensor)
-        if not isinstance(reading, GnssReading) or np.isfinite(self._sky().satellites_ned.z).any():
-            return [""] * self._fleet.size
-        why = "no fix: the orbits give no satellite's position at this time"
-        return [why if count == 0 else "" for count in np.asarray(reading.satellites)]
-
-    def __repr__(self) -> str:
-        return f"<readings of {', '.join(self.sensors)}>"
+    def _table(self) -> Table:
+        columns = columns_of(self._source.names)
+        title = f"readings of fleet '{self._source.fleet.name}'"
+        return Table(title, ("field", "unit", *columns), self._cells(len(columns)))
 
 
-class Reading:
+class Reading(Tabled):
     """Readings of the sensors of all fleets at one time; NaN for vehicles that are no longer valid.
 
     ``reading["pelicans"].gnss.position_ned`` is (n, 3), and ``reading["pelicans"].estimate.position_ned`` the estimate
@@ -292,33 +279,28 @@ class Reading:
     """
 
     def __init__(self, world: World, state: State, tick: int, site: Site, only: str | None = None):
-        self.time = _seconds(tick, world.time_step)
+        # In a program that is being compiled in the precision of its numbers.
+        self.time = (
+            tick * world.time_step if isinstance(tick, int) else cast(float, tick.astype(float)) * world.time_step
+        )
         self.tick = tick
         self._world, self._state, self._site, self._only = world, state, site, only
 
     @property
     def state(self) -> State:
         """The whole state, the truth included; policies under evaluation must not use it."""
-        return self._whole()
-
-    def _whole(self) -> State:
-        return self._state.whole() if isinstance(self._state, LazyTree) else self._state
+        return whole(self._state)
 
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
         # Not before somebody asks: not every step of a loop is looked at.
-        state = self._state
-        # Between two ticks of a rollout there is only what is needed for the readings themselves.
-        pictured = isinstance(state, State | LazyTree)
-        return {
-            fleet.name: FleetReading(
-                fleet, state.fleets[i], partial(getattr, state, "sky"), self.tick, self._site,
-                partial(_picture, self._world, self._whole, i) if pictured else None, self._world.time_step,
-                self._rows(fleet),
-            )
-            for i, fleet in enumerate(self._world.fleets)
-            if fleet.name in self.fleets
-        }  # fmt: skip
+        chosen = self._only and self.fleets
+        found = {}
+        for i, fleet in enumerate(self._world.fleets):
+            if chosen is None or fleet.name in chosen:
+                source = FleetSource(self._world, i, self._state, self.tick, self._site, self._rows(fleet))
+                found[fleet.name] = FleetReading(source)
+        return found
 
     @property
     def inbox(self) -> Inbox:
@@ -405,32 +387,35 @@ class Reading:
             )
         return getattr(next(iter(self._fleets.values())), sensor)
 
-    def __repr__(self) -> str:
-        return f"<reading at {self.time:.3f} s: {', '.join(f'{k}: {v!r}' for k, v in self._fleets.items())}>"
+    def __dir__(self) -> list[str]:
+        """Return what a single fleet has too, for completion."""
+        alone = dir(self[self.fleets[0]]) if len(self.fleets) == 1 else ()
+        return [*super().__dir__(), *alone]
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.fleets)
+
+    def _table(self) -> Table:
+        time = self._world.time_step * self.tick if isinstance(self.tick, int) else self.time
+        title = f"reading at {number_text(time)} s"
+        parts = [(name, part, columns_of(part._source.names)) for name, part in self._fleets.items()]
+        width = max(len(columns) for _, _, columns in parts)
+        if len(parts) == 1:
+            _, part, columns = parts[0]
+            return Table(title, ("field", "unit", *columns), part._cells(width))
+        rows: list[tuple[str, ...]] = []
+        for name, part, columns in parts:
+            rows.append((f"fleet '{name}'", "", *columns, *[""] * (width - len(columns))))
+            rows += [(*row, *[""] * (width - len(columns))) for row in part._cells(len(columns))]
+        return Table(title, ("field", "unit", *[""] * width), rows)
 
 
 # What a camera's picture has beside where and when it was taken.
 PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
-_developed = jax.jit(picture, static_argnums=(2, 3))
-
-
-def _picture(world: World, whole: Callable[[], State], number: int, camera: str) -> Picture:
-    """Return the picture that each vehicle (n,) of a fleet took last, as NumPy arrays outside of compiled functions."""
-    state = whole()
-    world = world.with_drawn(state.drawn)
-    if isinstance(state.sky.range_error, jax.core.Tracer):
-        return picture(world, state, number, camera)
-    x64 = np.asarray(world.fleets[0].start.position_ned.x).dtype == np.float64
-    with jax.enable_x64(bool(x64)):
-        found: Picture = jax.tree.map(np.asarray, _developed(world, state, number, camera))
-    return found
-
-
-def _on_host(value: Any) -> Any:
-    """Return an array as NumPy's, unless a program is being compiled."""
-    return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value
-
-
-def _seconds(tick: int | Array, time_step: float) -> float:
-    """Return the time [s] of a tick; in a program that is being compiled in the precision of its numbers."""
-    return cast(float, tick.astype(float) * time_step) if isinstance(tick, Array) else tick * time_step
+# What readings add to fixes, by the ellipsoid, outside of compiled functions.
+_GEODETIC = ("latitude_deg", "longitude_deg", "height")
+# Of fields that no model declares.
+_UNITS = {
+    "latitude_deg": "deg", "longitude_deg": "deg", "height": "m", "fix_type": "1", "time_of_fix": "s",
+    "quaternion": "1", "ratio": "1", "corners_ned": "m", "grid": "1",
+}  # fmt: skip

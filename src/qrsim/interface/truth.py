@@ -3,68 +3,88 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import jax
 import numpy as np
 
+from qrsim.core.tables import Table, Tabled, cells_of, columns_of
 from qrsim.interface.arrays import Floats, as_array
-from qrsim.models.vehicles.contracts import Vehicle, VehicleState, velocity_of
+from qrsim.interface.seen import Seen
+from qrsim.models.vehicles.contracts import Pose, velocity_of
 from qrsim.world.standing import on_ground
-from qrsim.world.state import FleetState, State, World, position_of
+from qrsim.world.state import State, World
+
+# What a table shows, with its unit.
+_UNITS = {
+    "position_ned": "m", "attitude": "rad", "velocity_ned": "m/s", "velocity_body": "m/s", "rates_body": "rad/s",
+    "thrust": "N", "specific_force": "m/s^2", "wind_ned": "m/s", "on_ground": "", "command": "",
+}  # fmt: skip
 
 
-class Truth:
-    """The true state of all n vehicles, fleets one after the other."""
+class Truth(Tabled):
+    """The true state of all n vehicles, fleets one after the other; every array is the user's own."""
 
-    def __init__(self, world: World, state: State):
-        self._world, self._state = world, state
+    def __init__(self, world: World, seen: Seen):
+        self._world, self._seen = world, seen
+        self._state = cast(State, seen)
 
-    def _gather(self, pick: Callable[[FleetState], object]) -> Floats:
-        fleets = self._state.fleets
-        return np.concatenate([as_array(pick(fleets[number])) for number in range(len(fleets))])
+    def _of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Floats:
+        """Return something of the states of all vehicles, by the number of their fleet."""
+        offsets = self._seen.offsets.of_vehicles(name, pick)
+        if offsets is not None:
+            return self._seen.at(offsets)
+        return np.concatenate([as_array(pick(self._world, self._state, i)) for i in range(len(self._world.fleets))])
 
-    def _of_vehicles(self, pick: Callable[[Vehicle, VehicleState], object]) -> Floats:
-        """Return something of the states of all vehicles, by their models."""
-        fleets = self._state.fleets
-        models = [fleet.vehicle for fleet in self._world.fleets]
-        return np.concatenate([as_array(pick(model, fleets[i].vehicle)) for i, model in enumerate(models)])
+    def _table(self) -> Table:
+        columns = columns_of([name for fleet in self._world.fleets for name in fleet.vehicle_names])
+        rows = [(name, unit, *cells_of(getattr(self, name), len(columns))) for name, unit in _UNITS.items()]
+        return Table("true state", ("field", "unit", *columns), rows)
 
     @property
     def position_ned(self) -> Floats:
         """(n, 3) position [m], in double precision."""
-        return self._gather(position_of)
+        high = self._of_vehicles("position_ned", lambda world, state, i: state.fleets[i].vehicle.position_ned)
+        if self._seen.offsets.in_two_parts:
+            low = self._of_vehicles("position_low_ned", lambda world, state, i: state.fleets[i].position_low_ned)
+            high = np.add(high, low, dtype=np.float64)
+        return high
 
     @property
     def attitude(self) -> Floats:
         """(n, 3) roll, pitch, yaw [rad]."""
-        return self._of_vehicles(lambda model, state: model.pose(state).attitude)
+        return self._of_vehicles("attitude", lambda world, state, i: _pose(world, state, i).attitude)
 
     @property
     def velocity_body(self) -> Floats:
         """(n, 3) velocity over ground in body axes [m/s]."""
-        return self._of_vehicles(lambda model, state: model.pose(state).velocity_body)
+        return self._of_vehicles("velocity_body", lambda world, state, i: _pose(world, state, i).velocity_body)
 
     @property
     def velocity_ned(self) -> Floats:
         """(n, 3) velocity over ground [m/s]."""
         # JAX would silently compute in single precision otherwise.
         with jax.enable_x64(True):
-            return np.asarray(self._of_vehicles(lambda model, state: velocity_of(model.pose(state))))
+            return np.asarray(
+                self._of_vehicles("velocity_ned", lambda world, state, i: velocity_of(_pose(world, state, i)))
+            )
 
     @property
     def rates_body(self) -> Floats:
         """(n, 3) body rates [rad/s]."""
-        return self._of_vehicles(lambda model, state: model.pose(state).rates_body)
+        return self._of_vehicles("rates_body", lambda world, state, i: _pose(world, state, i).rates_body)
 
     @property
     def thrust(self) -> Floats:
         """(n,) collective thrust [N], NaN where a vehicle has none."""
 
-        def thrust(model: Vehicle, state: VehicleState) -> Floats:
+        def thrust(world: World, state: State, i: int) -> object:
+            vehicle = state.fleets[i].vehicle
+            found = world.fleets[i].vehicle.load(vehicle).thrust
             # A load may be one number for all.
-            return np.broadcast_to(model.load(state).thrust, np.shape(state.position_ned.x))
+            return found if np.shape(found) else np.broadcast_to(found, np.shape(vehicle.position_ned.x))
 
-        return self._of_vehicles(thrust)
+        return self._of_vehicles("thrust", thrust)
 
     @property
     def on_ground(self) -> Floats:
@@ -76,12 +96,13 @@ class Truth:
     @property
     def specific_force(self) -> Floats:
         """(n, 3) mean specific force of the last step in body axes [m/s^2]."""
-        return self._gather(lambda fleet: fleet.specific_force)
+        return self._of_vehicles("specific_force", lambda world, state, i: state.fleets[i].specific_force)
 
     @property
     def wind_ned(self) -> Floats:
         """(n, 3) air velocity at the vehicle during the last step [m/s], gusts included."""
-        return self._gather(lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
+        mean = self._of_vehicles("mean_wind_ned", lambda world, state, i: state.fleets[i].mean_wind_ned)
+        return mean + self._of_vehicles("gust_ned", lambda world, state, i: state.fleets[i].gust_ned)
 
     @property
     def command(self) -> Floats:
@@ -103,3 +124,7 @@ class Truth:
         """(n, 13) position, Euler angles, body velocity, body rates, thrust, in double precision."""
         parts = (self.position_ned, self.attitude, self.velocity_body, self.rates_body, self.thrust[:, None])
         return np.concatenate(parts, axis=1)
+
+
+def _pose(world: World, state: State, fleet: int) -> Pose:
+    return world.fleets[fleet].vehicle.pose(state.fleets[fleet].vehicle)

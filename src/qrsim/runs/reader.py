@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from pydantic import TypeAdapter, ValidationError
 
+from qrsim.core.tables import Table, Tabled
 from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, shortened
 from qrsim.files.user_files import LARGEST_DATA, read_text
 from qrsim.files.yaml_text import parse_yaml
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from qrsim.scenarios.scenario import Scenario
 
 _INFO = TypeAdapter(RunInfo)
+# Columns of every stream.
+_EVERYWHERE = tuple(column.name for column in INDEX)
 # A part is written every few seconds: a run of a year has as many.
 MOST_PARTS = 10_000_000
 
@@ -67,7 +70,7 @@ def open_run(path: Path | str, *, skip_damaged: bool = False, code: bool = False
     return Run(folder, info, scenario_yaml, skip_damaged, code)
 
 
-class Run:
+class Run(Tabled):
     """One recorded run. ``run["truth"]["position_ned.x"]`` is an array of shape (T, n).
 
     Attributes:
@@ -84,6 +87,18 @@ class Run:
             for stream, count in info.parts.items()
         }
         self._streams: dict[str, Stream] = {}
+
+    def _table(self) -> Table:
+        rows = []
+        for stream, parts in self._parts.items():
+            columns = [column.name for column in parts.columns]
+            rows.append((stream, str(len(columns)), ", ".join(name for name in columns if name not in _EVERYWHERE)))
+        time, count = self.info.ticks * self.info.time_step, len(self.vehicles)
+        title = f"run {self.folder}: '{self.info.scenario}', {self.info.state}, {time:.10g} s, {count} vehicles"
+        return Table(title, ("stream", "columns", "names"), rows)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.streams)
 
     @cached_property
     def scenario(self) -> Any:
@@ -194,6 +209,10 @@ class _Episodes(Run):
     def __init__(self, folder: Path, found: list[Path], skip_damaged: bool, code: bool):
         self.folder, self._found, self._skip_damaged, self._code = folder, found, skip_damaged, code
 
+    def _table(self) -> Table:
+        names = [(folder.name,) for folder in self._found]
+        return Table(f"{self.folder}: {len(names)} episodes", ("episode",), names)
+
     @property
     def episodes(self) -> tuple[Run, ...]:
         return tuple(open_run(folder, skip_damaged=self._skip_damaged, code=self._code) for folder in self._found)
@@ -213,7 +232,7 @@ class Batch(NamedTuple):
     arrays: dict[str, npt.NDArray[Any]]
 
 
-class Stream:
+class Stream(Tabled):
     """One stream of a run as arrays of shape (T, n), n vehicles in the run's order.
 
     A column is read from disk each time it is asked for: keep it in a variable, or take many with ``arrays``.
@@ -223,6 +242,15 @@ class Stream:
         """Use ``run[stream]``."""
         self._parts = parts
         self.vehicles = tuple(vehicles)
+
+    def _table(self) -> Table:
+        count = len(self.vehicles)
+        title = f"stream '{self._parts.stream}' of {count} vehicle{'s' * (count != 1)}, at {len(self.time)} times"
+        rows = [(column.name, column.unit, column.dtype, column.doc) for column in self._parts.columns[len(INDEX) :]]
+        return Table(title, ("column", "unit", "type", "meaning"), rows)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns())
 
     @cached_property
     def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:

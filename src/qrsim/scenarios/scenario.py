@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
+from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.errors import ScenarioError, warn_user
 from qrsim.files.yaml_text import dump_yaml
 from qrsim.models.sensors.earth_field import earth_field_ned
@@ -43,7 +44,7 @@ __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
 
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Tabled):
     """A checked scenario.
 
     Attributes:
@@ -51,6 +52,21 @@ class Scenario:
     """
 
     spec: ScenarioSpec
+    __repr__ = Tabled.__repr__
+
+    def _table(self) -> Table:
+        spec, parts = self.spec, []
+        for name in type(spec.world).model_fields:
+            parts.append((f"world.{name}", getattr(spec.world, name)))
+        for title, fleet in spec.fleets.items():
+            parts += [(f"fleets.{title}.{name}", getattr(fleet, name)) for name in _OF_FLEETS]
+            parts += [(f"fleets.{title}.sensors.{name}", sensor) for name, sensor in fleet.sensors.items()]
+        parts.append(("task", spec.task))
+        typed = [(path, part) for path, part in parts if isinstance(part, BaseModel) and "type" in vars(part)]
+        rows = [(path, vars(part)["type"], _given(part)) for path, part in typed if vars(part)["type"] != "none"]
+        fleets = ", ".join(f"{len(fleet.vehicles)} of '{name}'" for name, fleet in spec.fleets.items())
+        title = f"scenario '{self.name}' of {self.duration:g} s in steps of {spec.time_step:g} s: {fleets}"
+        return Table(title, ("part", "type", "parameters"), rows)
 
     @property
     def name(self) -> str:
@@ -107,6 +123,22 @@ class Scenario:
     def to_yaml(self) -> str:
         """Return the scenario as YAML, every default written out; loading it gives the same scenario."""
         return dump_yaml(self.spec.model_dump(mode="json"))
+
+
+# Parts of a fleet that a table shows, besides its sensors.
+_OF_FLEETS = ("vehicle", "controller", "guidance", "battery")
+
+
+def _given(part: Any) -> str:
+    """Return the parameters of a part that are single numbers or words, with their units."""
+    texts = []
+    for name, field in type(part).model_fields.items():
+        value = getattr(part, name)
+        if name != "type" and isinstance(value, str | bool | int | float):
+            extra = field.json_schema_extra
+            unit = extra.get("unit", "") if isinstance(extra, dict) else ""
+            texts.append(f"{name} {number_text(value)}{f' {unit}' if unit not in ('', '1') else ''}")
+    return ", ".join(texts)
 
 
 def _of_content(content: dict[str, Any]) -> Scenario:

@@ -10,13 +10,14 @@ import dataclasses
 import inspect
 import threading
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from functools import lru_cache, wraps
 from typing import Any
 
 import jax
 import numpy as np
 
-from qrsim.core.noise import Key
+from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.core.tree import cast, record, replace
 from qrsim.errors import UsageError
 from qrsim.files.code import in_one_line, where_raised
@@ -56,6 +57,10 @@ _NO_NOISE = (
     "its noise is None, which draw_noise returns where a vehicle has none of its own; expected def draw_noise(self, "
     "draw, dt) that returns draw.normals(count), and normals = count"
 )
+# What draws the normals that a class declares.
+_DRAWING = {"sensor": ("init", "step"), "turbulence": ("init", "step"), "vehicle": ("draw_noise",)}
+# Of the trial that this thread makes: the most normals that each method of a component has drawn in one call.
+_DRAWN: ContextVar[dict[tuple[type, str], int]] = ContextVar("drawn")
 _LOCK = threading.Lock()
 # Structures of worlds that have passed.
 _PASSED: dict[Any, None] = {}
@@ -78,8 +83,9 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
     }
     if not strange:
         return
+    kinds, drawn = {component: kind for component, (_, kind) in strange.items()}, _DRAWN.set({})
     try:
-        _fly(scenario, {component: kind for component, (_, kind) in strange.items()})
+        _fly(scenario, kinds)
     except FaultError as error:
         component = error.args[1]
         yield f"{strange[component][0]}: {error.args[0]}"
@@ -90,6 +96,8 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
             f"{path} ({file_of_class(component)}: {component.__name__})" for component, (path, _) in strange.items()
         )
         yield f"{names}: the first tick cannot be traced: {in_one_line(error)}" + (f" ({place})" if place else "")
+    finally:
+        _DRAWN.reset(drawn)
 
 
 def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
@@ -120,10 +128,54 @@ def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
         if hasattr(world.area, "_watched"):
             # The metrics of a flight ask for it, no tick does.
             jax.eval_shape(lambda area, at: area.margin(at), world.area, world.fleets[0].start.position_ned)
+    for part in (world.turbulence, *(part for fleet in world.fleets for part in (fleet.vehicle, *fleet.sensors))):
+        if hasattr(part, "_watched"):
+            _check_normals(part, kinds[part._watched])
     with _LOCK:
         while len(_PASSED) >= MOST_PASSED:
             _PASSED.pop(next(iter(_PASSED)))
         _PASSED[key] = None
+
+
+def _check_normals(part: Any, kind: str) -> None:
+    """Refuse a component that draws fewer normals than it declares; more are refused as they are drawn."""
+    component, first = part._watched, getattr(part, "first_normals", 0)
+    if getattr(part, "draws_alone", False):
+        return
+    drawn = {method: count for (owner, method), count in _DRAWN.get().items() if owner is component}
+    if first and "init" in drawn and drawn.pop("init") < first:
+        found = _DRAWN.get()[component, "init"]
+        raise FaultError(_blamed(component, "init", _fewer(found, "first_normals", first)), component)
+    methods = [method for method in _DRAWING[kind] if method in drawn or not first or method != "init"]
+    most = max((drawn.get(method, 0) for method in methods), default=0)
+    if most < part.normals:
+        raise FaultError(_blamed(component, methods[-1], _fewer(most, "normals", part.normals)), component)
+
+
+def _fewer(drawn: int, name: str, declared: int) -> str:
+    count = f"{drawn or 'no'} normal{'' if drawn == 1 else 's'}"
+    return f"it draws {count}, and the class declares {name} = {declared}; expected {name} = {drawn}"
+
+
+class _Counted:
+    """Noise that notes how many normals a method draws from it.
+
+    Args:
+        noise: a ``Noise``.
+        where: component and method.
+    """
+
+    def __init__(self, noise: Any, where: tuple[type, str]):
+        self._noise, self._where = noise, where
+
+    def normals(self, count: int) -> Any:
+        """Return ``count`` arrays of normals."""
+        drawn = _DRAWN.get()
+        drawn[self._where] = max(drawn.get(self._where, 0), count)
+        return self._noise.normals(count)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._noise, name)
 
 
 def _tick(world: Any, key: Any) -> None:
@@ -166,9 +218,12 @@ def _free(component: type, name: str) -> bool:
 
 def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
     check = CHECKS.get((kind, name))
+    draws = name in _DRAWING.get(kind, ())
 
     @wraps(method)
     def called(self: Any, *args: Any, **kwargs: Any) -> Any:
+        if draws and not getattr(self, "draws_alone", False):
+            args = tuple(_Counted(arg, (component, name)) if isinstance(arg, Draw | Drawn) else arg for arg in args)
         try:
             result = method(self, *args, **kwargs)
         except FaultError:

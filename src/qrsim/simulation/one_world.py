@@ -7,9 +7,11 @@ from typing import Any
 from qrsim.engine.backend import Extent, Function, Program, Specialised
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import chosen_compiler
+from qrsim.interface.actions import ActionChecker
+from qrsim.interface.slots import Slot, slot_of
 from qrsim.simulation.placing import place
 from qrsim.world import tick as ticks_of
-from qrsim.world.state import State, World, WorldKeys
+from qrsim.world.state import Action, State, World, WorldKeys
 
 
 def _reset(world: World, own: tuple[Any, WorldKeys]) -> State:
@@ -45,11 +47,31 @@ class OneWorld:
         self._reset, self._tick, self._place = (
             Specialised(function, shared, extent, compiler) for function in (RESET, TICK, PLACE)
         )
+        self._flown_by: Program | None = None
+        self._bound: dict[type, tuple[Program, Slot | None]] = {}
 
     @property
     def flown_by(self) -> Program:
         """The program of the last tick."""
-        return self._tick.last
+        assert self._flown_by is not None
+        return self._flown_by
+
+    def taken(self, command: object) -> bool:
+        """Take a command that is bound to its slot, for ``advance_bound``; return False for another one."""
+        program, slot = self._bound.get(type(command), (None, None))
+        if program is None or not (slot is None or slot.take(command)):
+            return False
+        self._flown_by = program
+        return True
+
+    def bind(self, command: object, actions: tuple[Action, ...], checker: ActionChecker) -> None:
+        """Bind commands like one that was flown just now, in all of the world, to the program that flew it."""
+        program = self.flown_by
+        if program.slot is None or type(command) in self._bound:
+            return
+        slot = None if command is None else slot_of(command, actions, program.slot, checker)
+        if command is None or slot is not None:
+            self._bound[type(command)] = program, slot
 
     def reset(self, keys: WorldKeys) -> tuple[Packer, Buffers]:
         """Return the first state and its layout."""
@@ -73,14 +95,22 @@ class OneWorld:
             count: ticks.
             given: actions and estimates of each fleet.
         """
-        after: Buffers = self._tick.program(given, layout).run(state, tick, count)
+        self._flown_by = self._tick.program(given, layout)
+        after: Buffers = self._flown_by.run(state, tick, count)
+        return after
+
+    def advance_bound(self, state: Buffers, tick: int, count: int) -> Buffers:
+        """Do so by the command that was taken last."""
+        assert self._flown_by is not None
+        after: Buffers = self._flown_by.run(state, tick, count)
         return after
 
     def record(
         self, layout: Packer, state: Buffers, tick: int, count: int, given: Any, capacity: int
     ) -> tuple[Buffers, Buffers]:
         """Run ``count`` ticks; return the final state and the states of all ticks, each buffer (count, ...)."""
-        return self._tick.program(given, layout).record(state, tick, count, capacity)
+        self._flown_by = self._tick.program(given, layout)
+        return self._flown_by.record(state, tick, count, capacity)
 
     def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
         """Place vehicles and return the new state; see ``qrsim.simulation.placing.place``."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
+from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.engine.settings import device_mesh, use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.metrics import FLIGHT_METRICS
@@ -36,8 +37,12 @@ LARGEST_SEED = 2**63
 LARGEST_TICK = 2**31 - 2
 
 
+# Units of metrics, by the ends of their names.
+_UNITS = {"_m_s": "m/s", "_m": "m", "_s": "s", "_position_ned": "m", "position_ned": "m"}
+
+
 @dataclass
-class Rollout:
+class Rollout(Tabled):
     """Results of W worlds of n vehicles each.
 
     Attributes:
@@ -55,6 +60,17 @@ class Rollout:
     seeds: Array
     numbers: Array
     vehicles: tuple[str, ...]
+
+    __repr__ = Tabled.__repr__
+
+    def _table(self) -> Table:
+        count = len(self.seeds)
+        title = f"rollout of {count} world{'s' * (count != 1)} of {len(self.vehicles)}: {', '.join(self.vehicles)}"
+        rows = [_metric_row(name, np.asarray(values)) for name, values in self.metrics.items()]
+        return Table(title, ("metric", "unit", "shape", "least", "median", "greatest"), rows)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.metrics)
 
     def __iter__(self) -> Iterator[str]:
         """Return the names of the metrics, one after the other."""
@@ -88,6 +104,14 @@ class Rollout:
             raise UsageError(f"world: {world!r:.80} is none of this rollout; allowed: an integer from 0 to {count - 1}")
         codes, values = self.metrics["reason"][world], self.metrics["reason_value"][world]
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
+
+
+def _metric_row(name: str, values: Array) -> tuple[str, ...]:
+    """Return name, unit, shape, and three numbers of a metric; these only where each value is one number."""
+    unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
+    numbers = values[np.isfinite(values)] if values.ndim == 2 and values.dtype.kind in "fiub" else values[:0]
+    found = (numbers.min(), np.median(numbers), numbers.max()) if numbers.size else (None,) * 3
+    return name, unit, str(values.shape), *map(number_text, found)
 
 
 def rollout(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
-from functools import cached_property
+import weakref
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,16 @@ import numpy as np
 
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
+from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.core.tree import replace
-from qrsim.engine.layout import Buffers, LazyTree, Packer
+from qrsim.engine.layout import Buffers, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.crowds import warn_of_overfull
 from qrsim.interface.messages import Message, Say, messages, outboxes, receiver_number
 from qrsim.interface.readings import Reading
+from qrsim.interface.seen import Seen, StateOffsets
 from qrsim.interface.truth import Truth
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
@@ -32,7 +34,7 @@ from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
-from qrsim.world.state import FleetState, State, World, WorldKeys
+from qrsim.world.state import State, World, WorldKeys
 
 FloatArray = np.ndarray[Any, Any]
 # Ticks that a program of ``record`` is for where the user does not say.
@@ -55,25 +57,14 @@ class History:
 
 
 # Of a simulation, what a copy makes for itself.
-_MADE_AGAIN = ("_checker", "_ticks", "_numbers", "_host", "_lock", "_changes")
+_MADE_AGAIN = ("_checker", "_ticks", "_offsets", "_now", "_lock", "_changes")
 
 
-class _Snapshot:
-    """A copy of a packed state, unpacked when somebody looks at it."""
-
-    def __init__(self, layout: Packer, buffers: Buffers):
-        self._layout, self._buffers = layout, tuple(np.array(buffer) for buffer in buffers)
-
-    @cached_property
-    def state(self) -> State:
-        return self._layout.unpack(self._buffers)  # type: ignore[arg-type]
-
-    def view(self, numbers: State) -> State:
-        """Return a stand-in for the state, of which only parts are read."""
-        return LazyTree(self._layout, self._buffers, numbers, (State, FleetState))  # type: ignore
+def _nobody() -> None:
+    """Stand in for the reference to a state that nobody sees."""
 
 
-class Simulation(Alone):
+class Simulation(Alone, Tabled):
     """A world in flight.
 
     One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
@@ -110,9 +101,10 @@ class Simulation(Alone):
         with self.precision_context():
             self._ticks = OneWorld(world)
         self._layout: Packer | None = None
-        self._numbers: Any = None
+        self._offsets: StateOffsets | None = None
         self._state: Buffers | None = None
-        self._host: _Snapshot | None = None
+        # The present state, as long as somebody sees it.
+        self._now: Callable[[], Seen | None] = _nobody
         # Whether vehicles may come to have more others around them than they look at.
         self._crowded = True
 
@@ -129,9 +121,22 @@ class Simulation(Alone):
         self.__init__(kept["world"], seed=kept["seed"], number=kept["number"])  # type: ignore[misc]
         vars(self).update(kept)
         if self._state is not None and self._layout is not None:
-            self._numbers = self._layout.numbers
             with self.precision_context():
                 self._state = self._ticks.adopt(self._state)
+
+    def _table(self) -> Table:
+        where = f"at {number_text(self.time, 9)} s, tick {self.tick}" if self._state is not None else "not started"
+        title = f"simulation '{self.name}' {where}, seed {self.seed}, {self.precision}"
+        if self._state is None:
+            return Table(f"{title}: reset() starts it", (), ())
+        truth, reasons = self.truth, self.reasons
+        rows = [
+            (name, number_text(place), number_text(velocity), why or "flies")
+            for name, place, velocity, why in zip(
+                self.vehicle_names, truth.position_ned, truth.velocity_ned, reasons, strict=True
+            )
+        ]
+        return Table(title, ("vehicle", "position NED [m]", "velocity NED [m/s]", "state"), rows)
 
     @property
     def precision(self) -> str:
@@ -155,10 +160,8 @@ class Simulation(Alone):
             self.seed = checked_seed(seed)
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
-            self._numbers = self._layout.numbers
-            self.tick, self._host = 0, None
-            placed = LazyTree(self._layout, self._state, self._numbers, (State,)).placed
-            refuse_unplaced(self.world, placed)
+            self.tick, self._now = 0, _nobody
+            refuse_unplaced(self.world, self._seen().placed)
         return self.reading
 
     def _keys(self, seed: int, number: int) -> WorldKeys:
@@ -187,8 +190,8 @@ class Simulation(Alone):
         try:
             self._advance(command, ticks, estimate)
             if self._crowded:
-                self._crowded = warn_of_overfull(self.world, self._snapshot().state)
-            return Reading(self.world, self._snapshot().view(self._numbers), self.tick, self.site)
+                self._crowded = warn_of_overfull(self.world, self._seen())  # type: ignore[arg-type]
+            return Reading(self.world, self._seen(), self.tick, self.site)  # type: ignore[arg-type]
         finally:
             self._changes = False
             self._lock.release()
@@ -205,14 +208,22 @@ class Simulation(Alone):
             self._lock.release()
 
     def _advance(self, command: Any, ticks: int, estimate: Estimate | None) -> None:
+        if estimate is None and self._state is not None and self._ticks.taken(command):
+            count = self._checked_ticks(ticks)
+            self._let_go()
+            self._state = self._ticks.advance_bound(self._state, self.tick, count)
+            self.tick += count
+            return
         actions = self._checker.actions(command, lambda: self.valid)
         estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         layout, state = self._running()
+        self._let_go()
         with self.precision_context():
             self._state = self._ticks.advance(layout, state, self.tick, count, (actions, estimates))
             self.tick += count
-            self._host = None
+        if estimate is None:
+            self._ticks.bind(command, actions, self._checker)
 
     @alone
     def record(
@@ -237,11 +248,11 @@ class Simulation(Alone):
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}; give capacity={count}, or none")
         layout, state = self._running()
+        self._let_go()
         with self.precision_context():
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
             numbers = np.arange(self.tick + 1, self.tick + count + 1)
             self.tick += count
-            self._host = None
         return History(numbers, self.world.time_step, layout.unpack(rows))
 
     def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
@@ -273,7 +284,7 @@ class Simulation(Alone):
         for sender, payload, receiver in checked:
             radio = self.world.radio.handed(radio, sender, payload, receiver, self.tick)
         with self.precision_context():
-            self._state, self._host = self._ticks.adopt(layout.pack(replace(state, radio=radio))), None
+            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), _nobody
 
     def _checked(self, vehicle: str | int, payload: Any, to: str | int | None) -> tuple[int, Any, int]:
         """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""
@@ -328,7 +339,7 @@ class Simulation(Alone):
             changed = self._ticks.place(layout, before, self.tick, (rows, chosen, chosen & new_battery))
             fleets = layout.unpack(changed).fleets
             refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
-            self._state, self._host = changed, None
+            self._state, self._now = changed, _nobody
         return self.reading
 
     @alone
@@ -366,8 +377,8 @@ class Simulation(Alone):
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._state = self._ticks.adopt(buffers)
-            self._layout, self._numbers = layout, layout.numbers
-            self.tick, self.seed, self.number, self._host = saved.tick, saved.seed, saved.number, None
+            self._layout, self._now = layout, _nobody
+            self.tick, self.seed, self.number = saved.tick, saved.seed, saved.number
         return self.reading
 
     @alone
@@ -403,13 +414,25 @@ class Simulation(Alone):
     def state(self) -> State:
         """The whole state as NumPy arrays."""
         with self._lock:
-            return self._snapshot().state
+            return self._seen().whole()
 
-    def _snapshot(self) -> _Snapshot:
-        if self._host is None:
-            # A copy, because the next step overwrites the buffers themselves.
-            self._host = _Snapshot(*self._running())
-        return self._host
+    def _seen(self) -> Seen:
+        """Return the present state, to be looked at."""
+        seen = self._now()
+        if seen is None:
+            layout, state = self._running()
+            if self._offsets is None or self._offsets.layout is not layout:
+                self._offsets = StateOffsets(self.world, layout)
+            seen = Seen(self._offsets, state)
+            self._now = weakref.ref(seen)
+        return seen
+
+    def _let_go(self) -> None:
+        """Leave the present state to whom it is seen by, because the next tick overwrites its buffers."""
+        seen = self._now()
+        if seen is not None:
+            seen.keep()
+            self._now = _nobody
 
     @property
     def history(self) -> History:
@@ -423,24 +446,26 @@ class Simulation(Alone):
     def reading(self) -> Reading:
         """Present readings of the sensors."""
         with self._lock:
-            return Reading(self.world, self._snapshot().view(self._numbers), self.tick, self.site)
+            return Reading(self.world, self._seen(), self.tick, self.site)  # type: ignore[arg-type]
 
     @property
     def truth(self) -> Truth:
         """Present true state, all fleets in order."""
         with self._lock:
-            return Truth(self.world, self._snapshot().view(self._numbers))
+            return Truth(self.world, self._seen())
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(n,) whether each vehicle still flies."""
-        return np.concatenate([fleet.violation.code == 0 for fleet in self.state.fleets])
+        with self._lock:
+            return np.concatenate([fleet.violation.code == 0 for fleet in self._seen().fleets])
 
     @property
     def reasons(self) -> list[str]:
         """Why each of the n vehicles is invalid, "" while it is valid; kind, field and value."""
-        codes = np.concatenate([fleet.violation.code for fleet in self.state.fleets])
-        values = np.concatenate([fleet.violation.value for fleet in self.state.fleets])
+        with self._lock:
+            found = [fleet.violation for fleet in self._seen().fleets]
+        codes, values = (np.concatenate(each) for each in zip(*((one.code, one.value) for one in found), strict=True))
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:

@@ -12,6 +12,7 @@ from qrsim.control import Estimate, Mission, MissionState, Route, RouteState
 from qrsim.control.contracts import Controller, Estimator, Guidance
 from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
+from qrsim.core.tables import Table, Tabled, number_text, parameters_text
 from qrsim.core.tree import Record, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
@@ -141,6 +142,10 @@ class Fleet:
         return self.fittings[number] if self.fittings else None
 
 
+# Parts of a world that a table shows, besides its fleets.
+_SHOWN = ("wind", "turbulence", "gust", "sky", "area", "ground", "radio")
+
+
 @record
 class Range:
     """A number that every episode draws anew, uniformly."""
@@ -154,7 +159,7 @@ class Range:
 
 
 @record
-class World:
+class World(Tabled):
     """Read-only parameters of everything."""
 
     wind: Wind = quantity(doc="mean wind")
@@ -174,6 +179,21 @@ class World:
     skyline: Skyline | None = quantity(default=None, doc="what obstacles do to signals of satellites; None: nothing")
     radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: nobody has a radio")
     air: SiteAir = quantity(default=SiteAir(), doc="the atmosphere above the site")
+
+    __repr__ = Tabled.__repr__
+
+    def _table(self) -> Table:
+        parts = [(f"world.{name}", getattr(self, name)) for name in _SHOWN if getattr(self, name) is not None]
+        for fleet in self.fleets:
+            own = [("vehicle", fleet.vehicle), ("controller", fleet.controller), ("guidance", fleet.guidance)]
+            own += [("battery", fleet.battery)]
+            own += [(f"sensors.{name}", sensor) for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)]
+            parts += [(f"fleets.{fleet.name}.{name}", part) for name, part in own]
+        rows = [(path, type(part).__name__, parameters_text(part)) for path, part in parts]
+        fleets = ", ".join(f"{fleet.size} of '{fleet.name}'" for fleet in self.fleets)
+        title = f"world of {fleets}; time step {self.time_step:g} s, collision distance "
+        title += f"{number_text(self.collision_distance)} m"
+        return Table(title, ("part", "type", "parameters"), rows)
 
     @property
     def radii(self) -> Array | None:

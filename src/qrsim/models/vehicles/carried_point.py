@@ -39,6 +39,7 @@ class CarriedPoint(Vehicle):
     command_type: ClassVar[type[Any]] = NoCommand
     actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
     default_controller: ClassVar[str] = "none"
+    adds_position: ClassVar[bool] = True
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3

@@ -156,6 +156,9 @@ class Vehicle(Protocol):
         default_controller: name in the catalogue of what flies it where a scenario names no controller.
         rides: whether it moves on the ground, where it is put at a start.
         launches: whether it starts in flight: the velocity of a start is one through the air (``launched``).
+        adds_position: whether ``step`` does nothing with the position but add to it. Such a vehicle is given the second
+            part of its position in place of the first (``moving.py``), so that short steps far from the origin are
+            exact. Each class declares it for itself; a subclass does not inherit it.
     """
 
     command_type: ClassVar[type[Any]]
@@ -167,6 +170,7 @@ class Vehicle(Protocol):
     default_controller: ClassVar[str] = "waypoint"
     rides: ClassVar[bool] = False
     launches: ClassVar[bool] = False
+    adds_position: ClassVar[bool] = False
 
     def prepared(self, duration: float) -> Vehicle:
         """Return the vehicle of a run of a length [s], with the files read that it names.

@@ -6,7 +6,7 @@ import ast
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,6 +36,7 @@ class ExpressionQuadrotor(Quadrotor):
         default="", doc="d(rate)/dt of roll and pitch [rad/s^2] by command, angle, rate; empty: the published law"
     )
     yaw_law: str = setting(default="", doc="d(rate)/dt of yaw [rad/s^2] by command, rate; empty: the published law")
+    adds_position: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse a law that cannot be read."""

@@ -35,6 +35,7 @@ class FixedPoint(Vehicle):
     command_type: ClassVar[type[Any]] = NoCommand
     actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
     default_controller: ClassVar[str] = "none"
+    adds_position: ClassVar[bool] = True
 
     def prepared(self, duration: float) -> Vehicle:
         """Return itself, or the point that a path of its own carries.

@@ -99,6 +99,7 @@ class Quadrotor(Vehicle):
     # tilt overshoots it to 4.8 rad/s in steps of 0.02 s, and to 13 rad/s in the longest ones of 0.1 s.
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType({"rate": 20.0})
     default_controller: ClassVar[str] = "cascade"
+    adds_position: ClassVar[bool] = True
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
         """Return a state whose thrust carries the weight."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from jax import Array
 
 from qrsim.core.tree import parameter, record, replace
@@ -17,6 +19,7 @@ class SeparateQuadrotor(Quadrotor):
     kq0: Array = parameter(default=-3.25060e-04, unit="rad/raw", doc="pitch command scale")
     kq1: Array = parameter(default=1.79797e02, unit="1/s^2", doc="pitch stiffness")
     kq2: Array = parameter(default=-24.3536, unit="1/s", doc="pitch damping")
+    adds_position: ClassVar[bool] = True
 
     def handling(self) -> Handling | None:
         """Return the handling of the quadrotor, with its own gain of pitch."""

@@ -39,6 +39,7 @@ class FixedWing(Aeroplane, Vehicle):
     )
     default_controller: ClassVar[str] = "fixed_wing"
     launches: ClassVar[bool] = True
+    adds_position: ClassVar[bool] = True
 
     def in_air(self, air: SiteAir) -> FixedWing:
         """Return the vehicle at a site."""

@@ -1,0 +1,134 @@
+"""Tables of numbers with their units, as text and for notebooks."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.core.tree import field_info
+from qrsim.errors import QrsimError
+
+# Columns of vehicles, rows, and numbers of one cell that are shown.
+MOST_COLUMNS, MOST_ROWS, MOST_NUMBERS = 4, 60, 4
+# Characters of a cell.
+WIDEST = 100
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a title.
+
+    Attributes:
+        title: one line.
+        headings: of the columns.
+        rows: cells, as many as there are headings.
+        widest: characters of a cell; longer ones are cut.
+    """
+
+    title: str
+    headings: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    widest: int = WIDEST
+
+    def _shown(self) -> list[tuple[str, ...]]:
+        rows = [tuple(_shortened(cell, self.widest) for cell in row) for row in self.rows[:MOST_ROWS]]
+        left = len(self.rows) - len(rows)
+        return rows + ([(f"and {left} more", *[""] * (len(self.headings) - 1))] if left else [])
+
+    def text(self) -> str:
+        """Return the table as lines of text."""
+        rows = self._shown()
+        if not rows:
+            return self.title
+        every = [self.headings, *rows]
+        widths = [max(len(row[column]) for row in every) for column in range(len(self.headings))]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in every]
+        return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
+
+    def html(self) -> str:
+        """Return the table as HTML."""
+        head = "".join(f"<th>{html.escape(heading)}</th>" for heading in self.headings)
+        body = "".join(
+            f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown()
+        )  # fmt: skip
+        caption = f"<caption>{html.escape(self.title)}</caption>"
+        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+class Tabled:
+    """Base of objects that a prompt and a notebook show as a table.
+
+    A dataclass names ``__repr__ = Tabled.__repr__`` itself, or it gets one of its own.
+    """
+
+    def _table(self) -> Table:
+        raise NotImplementedError
+
+    def _table_or_fault(self) -> Table:
+        try:
+            return self._table()
+        except QrsimError as error:
+            return Table(f"<{type(self).__name__} that cannot be shown: {error}>", (), ())
+
+    def __repr__(self) -> str:
+        return self._table_or_fault().text()
+
+    def _repr_html_(self) -> str:
+        """Return the table for a notebook."""
+        return self._table_or_fault().html()
+
+
+def number_text(value: Any, digits: int = 4) -> str:
+    """Return a number, or the first of several, in a few digits; of a traced one its type and shape."""
+    if value is None:
+        return ""
+    if isinstance(value, jax.core.Tracer):
+        return f"{value.dtype}{list(value.shape)}"
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        return str(value)
+    flat = array.reshape(-1)
+    texts = [str(one) if array.dtype.kind in "iub" else f"{one:.{digits}g}" for one in flat[:MOST_NUMBERS].tolist()]
+    more = [f"... ({flat.size})"] if flat.size > MOST_NUMBERS else []
+    return ", ".join([*texts, *more])
+
+
+def cells_of(array: Any, columns: int, digits: int = 4) -> tuple[str, ...]:
+    """Return what an array (n, ...) has for each of the first vehicles, and "..." for the others."""
+    if isinstance(array, jax.core.Tracer):
+        return (number_text(array), *[""] * (columns - 1))
+    cells = [number_text(row, digits) for row in array[: min(columns, MOST_COLUMNS)]]
+    return (*cells, *["..."] * (columns - len(cells)))[:columns]
+
+
+def parameters_text(part: Any) -> str:
+    """Return the parameters of a component that are single numbers or words, with their units."""
+    if not dataclasses.is_dataclass(part):
+        return ""
+    texts = []
+    for field in dataclasses.fields(part):
+        value: Any = getattr(part, field.name)
+        info = field_info(field)
+        plain = isinstance(value, str | bool | int | float)
+        if plain or (isinstance(value, np.ndarray | np.generic | jax.Array) and np.shape(value) == ()):
+            unit = info.unit if info.unit not in ("", "1") and not isinstance(value, str) else ""
+            texts.append(f"{field.name} {number_text(value)}{' ' * bool(unit)}{unit}")
+    return ", ".join(texts)
+
+
+def columns_of(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the headings of the columns of vehicles: the first names, and how many there are where these are more."""
+    if len(names) <= MOST_COLUMNS:
+        return tuple(names)
+    return (*names[:MOST_COLUMNS], f"({len(names)} in all)")
+
+
+def _shortened(cell: str, widest: int) -> str:
+    line = " ".join(cell.split())
+    return line if len(line) <= widest else line[: widest - 3] + "..."

@@ -1,0 +1,189 @@
+"""A packed state as users see it: parts of its tree, and arrays by offsets that are computed once.
+
+The buffers of a state are overwritten tick after tick, so nothing here hands out a view of them: each array is copied
+when it is asked for, and the whole state only where somebody still sees a tick that is about to pass.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+import numpy.typing as npt
+
+from qrsim.core.tree import Record
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.engine.layout import Buffers, Packer
+from qrsim.interface.arrays import Floats
+from qrsim.world.state import FleetState, State, World
+
+Offsets = npt.NDArray[np.intp]
+# What is looked into; everything else is unpacked as a whole.
+_CONTAINERS = (tuple, State, FleetState)
+_FIELDS = frozenset(field.name for field in dataclasses.fields(State))
+
+
+class Leaf:
+    """Stand-in for an array of a state. A model that computes with it fails, so that what remains is a choice."""
+
+    __slots__ = ("number", "shape")
+
+    def __init__(self, number: int, shape: tuple[int, ...]):
+        self.number, self.shape = number, shape
+
+
+class StateOffsets:
+    """Where the numbers that users look at lie in a packed state.
+
+    Args:
+        world: its parameters.
+        layout: of the state.
+    """
+
+    def __init__(self, world: World, layout: Packer):
+        self.layout, self._world = layout, world
+        self._readings: dict[tuple[int, int], dict[str, Offsets]] = {}
+        self._of_vehicles: dict[str, Offsets | None] = {}
+
+    @cached_property
+    def _tree(self) -> Any:
+        return jax.tree.unflatten(self.layout.structure, map(Leaf, *zip(*enumerate(self.layout.shapes), strict=True)))
+
+    @cached_property
+    def in_two_parts(self) -> bool:
+        """Whether positions have a second part, as in single precision."""
+        return self._tree.fleets[0].position_low_ned is not None
+
+    def of_readings(self, fleet: int, sensor: int) -> Mapping[str, Offsets]:
+        """Return the offsets of each field of a sensor's reading, by name, of those that are arrays of floats."""
+        found = self._readings.get((fleet, sensor))
+        if found is None:
+            reading: Record = self._tree.fleets[fleet].readings[sensor]
+            each = {field.name: self._of(getattr(reading, field.name)) for field in dataclasses.fields(reading)}
+            found = self._readings[fleet, sensor] = {name: where for name, where in each.items() if where is not None}
+        return found
+
+    def of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Offsets | None:
+        """Return the offsets of something of all vehicles, (n, ...); None where it has to be computed.
+
+        Args:
+            name: of what it is.
+            pick: called with the world, a state and the number of a fleet.
+        """
+        if name not in self._of_vehicles:
+            parts = [self._picked(pick, number) for number in range(len(self._world.fleets))]
+            known = [part for part in parts if part is not None]
+            self._of_vehicles[name] = np.concatenate(known) if len(known) == len(parts) else None
+        return self._of_vehicles[name]
+
+    def _picked(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
+        try:
+            found = self._of(pick(self._world, self._tree, fleet))
+        except Exception:
+            # A model, perhaps a user's own, computes it.
+            return None
+        # One number may stand for all vehicles.
+        return None if found is None or found.shape[:1] != (self._world.fleets[fleet].size,) else found
+
+    def _of(self, value: object) -> Offsets | None:
+        if isinstance(value, Leaf):
+            layout, number = self.layout, value.number
+            if not layout.is_float[number]:
+                return None
+            part = layout.slices[number]
+            return np.arange(part.start, part.stop, dtype=np.intp).reshape(value.shape)
+        if isinstance(value, Vec3 | Euler):
+            axes = [self._of(axis) for axis in jax.tree.leaves(value)]
+            return self._stacked(axes, -1)
+        if isinstance(value, tuple) and value:
+            return self._stacked([self._of(part) for part in value], 1 if isinstance(value[0], Vec3) else -1)
+        return None
+
+    @staticmethod
+    def _stacked(parts: list[Offsets | None], axis: int) -> Offsets | None:
+        known = [part for part in parts if part is not None]
+        return np.stack(known, axis=axis) if len(known) == len(parts) else None
+
+
+class Part:
+    """A part of a state, of which only what somebody looks at is unpacked."""
+
+    def __init__(self, seen: Seen, numbers: Any):
+        self._seen, self._part = seen, numbers
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return self._seen.opened(getattr(self._part, name))
+
+    def __getitem__(self, number: int) -> Any:
+        return self._seen.opened(self._part[number])
+
+    def __iter__(self) -> Iterator[Any]:
+        return map(self._seen.opened, self._part)
+
+    def __len__(self) -> int:
+        return len(self._part)
+
+
+class Seen:
+    """A state at one tick. It reads like a ``State``, and its numbers stay those of that tick whatever flies on.
+
+    Whoever owns the buffers calls ``keep`` before they are overwritten. Another thread may read meanwhile: it reads
+    again where the buffers were exchanged under its hands, because only then they may have been overwritten.
+
+    Args:
+        offsets: of such states.
+        buffers: of the state.
+    """
+
+    __slots__ = ("__weakref__", "_buffers", "_kept", "_whole", "offsets")
+
+    def __init__(self, offsets: StateOffsets, buffers: Buffers):
+        self.offsets, self._buffers, self._kept = offsets, buffers, False
+        self._whole: State | None = None
+
+    def keep(self) -> None:
+        """Copy the buffers, unless they are a copy already."""
+        while not self._kept:
+            before = self._buffers
+            copy = (np.array(before[0]), np.array(before[1]))
+            if self._buffers is before:
+                self._buffers, self._kept = copy, True
+
+    def at(self, offsets: Offsets) -> Floats:
+        """Return the numbers at some offsets, an array of their shape."""
+        while True:
+            buffers = self._buffers
+            found: Floats = buffers[0].take(offsets)
+            if self._buffers is buffers:
+                return found
+
+    def opened(self, numbers: Any) -> Any:
+        """Return a part of the state by the numbers of its leaves."""
+        if isinstance(numbers, _CONTAINERS):
+            return Part(self, numbers)
+        return jax.tree.map(self._leaf, numbers)
+
+    def _leaf(self, number: int) -> Any:
+        while True:
+            buffers = self._buffers
+            found = np.array(self.offsets.layout.leaf(buffers, number))
+            if self._buffers is buffers:
+                return found
+
+    def whole(self) -> State:
+        """Return all of it, as arrays of NumPy."""
+        if self._whole is None:
+            self.keep()
+            self._whole = self.offsets.layout.unpack(self._buffers)
+        return self._whole
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _FIELDS:
+            raise AttributeError(name)
+        return self.opened(getattr(self.offsets.layout.numbers, name))

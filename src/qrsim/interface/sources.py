@@ -1,0 +1,139 @@
+"""What a fleet's sensors have read, with its times and with the reasons for what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, cast
+
+import jax
+import numpy as np
+from jax import Array
+
+from qrsim.core.tree import Record
+from qrsim.interface.seen import Offsets, Seen
+from qrsim.models.gnss.receivers import GnssReading
+from qrsim.models.scene.area import reason_text
+from qrsim.models.sensors.camera import Picture
+from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.fitting import Transit
+from qrsim.models.site import Site
+from qrsim.world.episode import picture
+from qrsim.world.state import FleetState, State, World
+
+
+class FleetSource:
+    """The last readings of one fleet in a state.
+
+    Args:
+        world: its parameters.
+        number: of the fleet.
+        state: of the world; between two ticks of a rollout only what readings need.
+        tick: of the state.
+        site: origin of the local frame.
+        rows: vehicles of the fleet that are shown.
+    """
+
+    def __init__(self, world: World, number: int, state: State, tick: int, site: Site, rows: slice):
+        self.world, self.number, self.state, self.tick, self.site, self.rows = world, number, state, tick, site, rows
+        self.fleet, self.time_step = world.fleets[number], world.time_step
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the vehicles that are shown."""
+        return self.fleet.vehicle_names[self.rows]
+
+    @cached_property
+    def now(self) -> FleetState:
+        """State of the fleet."""
+        return self.state.fleets[self.number]
+
+    def offsets(self, sensor: str) -> Mapping[str, Offsets]:
+        """Return where the fields of a sensor's reading lie; empty where they are no numbers in a packed state."""
+        state = self.state
+        if not isinstance(state, Seen):
+            return {}
+        return state.offsets.of_readings(self.number, self.fleet.sensor_names.index(sensor))
+
+    @property
+    def pictured(self) -> bool:
+        """Whether cameras have pictures: all but what lies between two ticks of a rollout is a whole state."""
+        return isinstance(self.state, State | Seen)
+
+    def picture(self, camera: str) -> Picture:
+        """Return the picture that each vehicle (n,) took last, as NumPy arrays outside of compiled functions."""
+        state = whole(self.state)
+        world = self.world.with_drawn(state.drawn)
+        if isinstance(state.sky.range_error, jax.core.Tracer):
+            return picture(world, state, self.number, camera)
+        x64 = np.asarray(world.fleets[0].start.position_ned.x).dtype == np.float64
+        with jax.enable_x64(bool(x64)):
+            found: Picture = jax.tree.map(np.asarray, _developed(world, state, self.number, camera))
+        return found
+
+    def taken(self, sensor: str) -> int | Array:
+        """Return the tick at which what a sensor reports was true."""
+        model, transit = self._delivery(sensor)
+        tick = cast(Array, self.tick)
+        taken = model.time_of_reading(tick, self.time_step) if transit is None else transit.time_of_reading(tick)
+        return cast(int, _on_host(taken))
+
+    def arrived(self, sensor: str) -> bool | Array:
+        """Return whether a sensor's reading arrives at this tick."""
+        model, transit = self._delivery(sensor)
+        tick = cast(Array, self.tick)
+        return _on_host(model.fresh(tick, self.time_step) if transit is None else transit.fresh(tick))
+
+    def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
+        """Return a sensor's model, and what is on its way of its readings, if they are held back."""
+        number = self.fleet.sensor_names.index(sensor)
+        fitted = self.now.fitted[number] if self.now.fitted else None
+        return self.fleet.sensors[number], None if fitted is None else fitted.transit
+
+    def record(self, sensor: str) -> Record:
+        """Return the last reading of a sensor."""
+        return self.now.readings[self.fleet.sensor_names.index(sensor)]
+
+    def withheld(self, sensor: str) -> list[str]:
+        """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
+        violation = self.now.violation
+        stopped = [
+            f"stopped, {reason_text(int(code), float(value))}" if code else ""
+            for code, value in zip(violation.code, violation.value, strict=True)
+        ]
+        others = zip(self._faults(sensor), self._without_orbits(sensor), strict=True)
+        return [why or fault or sky for why, (fault, sky) in zip(stopped, others, strict=True)]
+
+    def _faults(self, sensor: str) -> list[str]:
+        """Return which fault takes away the readings of each vehicle; of several, the one applied last."""
+        found = [""] * self.fleet.size
+        for fault, passed_on in zip(self.fleet.faults, self.now.passed_on, strict=True):
+            if fault.sensor != sensor or fault.kind == "biased":
+                continue
+            active, why = np.asarray(fault.active(self.tick)), "lost, by a fault of the scenario"  # type: ignore[arg-type]
+            if fault.kind == "frozen":
+                complete = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(passed_on)], axis=0)
+                active, why = active & ~complete, "frozen, by a fault of the scenario, while it had no reading"
+            found = [why if here else before for here, before in zip(active, found, strict=True)]
+        return found
+
+    def _without_orbits(self, sensor: str) -> list[str]:
+        """Say where a receiver has no fix because the orbits have ended, or have a gap."""
+        reading = self.record(sensor)
+        if not isinstance(reading, GnssReading) or np.isfinite(self.state.sky.satellites_ned.z).any():
+            return [""] * self.fleet.size
+        why = "no fix: the orbits give no satellite's position at this time"
+        return [why if count == 0 else "" for count in np.asarray(reading.satellites)]
+
+
+def whole(state: State) -> State:
+    """Return all of a state that is perhaps seen in parts."""
+    return state.whole() if isinstance(state, Seen) else state
+
+
+_developed = jax.jit(picture, static_argnums=(2, 3))
+
+
+def _on_host(value: Any) -> Any:
+    """Return an array as NumPy's, unless a program is being compiled."""
+    return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value
