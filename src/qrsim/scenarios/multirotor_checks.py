@@ -12,6 +12,7 @@ from qrsim.models.vehicles.multirotor.commands import MOST_ROTORS
 from qrsim.models.vehicles.multirotor.geometry import rank_of
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.vehicle_checks import grams_hint
 
 # Below this ratio of the weakest to the strongest of thrust and three torques a mixer has no authority.
 LEAST_AUTHORITY = 0.02
@@ -71,7 +72,7 @@ def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
     if lift <= heavy:
         yield (
             f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max, and it weighs "
-            f"{heavy:.4g} N; lower mass, or raise thrust_coefficient or speed_max"
+            f"{heavy:.4g} N; lower mass, or raise thrust_coefficient or speed_max{grams_hint(float(np.max(mass)))}"
         )
 
 
