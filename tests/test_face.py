@@ -11,6 +11,7 @@ import pytest
 import qrsim
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
+from qrsim.simulation.rollout import Rollout
 
 STILL: dict[str, Any] = {
     "name": "still",
@@ -89,3 +90,10 @@ def test_a_set_point_below_the_ground_is_told_that_z_is_down() -> None:
         checker.actions(qrsim.VelocityHeightSetpoint.of([[1.0, 0.0]], 12.0))
     with pytest.raises(UsageError, match="z is down"):
         checker.actions({"vehicles": qrsim.VelocityHeightSetpoint.of([[1.0, 0.0]], 0.5)})
+
+
+def test_a_rollout_is_shown_by_its_sizes() -> None:
+    flown = Rollout({"flown_s": np.zeros((9, 2))}, None, np.zeros(0), np.arange(9), np.arange(9), ("a", "b"))
+    assert repr(flown) == "<Rollout: 9 worlds of 2 vehicles, 1 metrics>"
+    flown.record_ticks = np.arange(4)
+    assert str(flown) == "<Rollout: 9 worlds of 2 vehicles, 1 metrics, recorded at 4 ticks>"

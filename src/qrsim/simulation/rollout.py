@@ -36,7 +36,7 @@ LARGEST_SEED = 2**63
 LARGEST_TICK = 2**31 - 2
 
 
-@dataclass
+@dataclass(repr=False)
 class Rollout:
     """Results of W worlds of n vehicles each.
 
@@ -55,6 +55,12 @@ class Rollout:
     seeds: Array
     numbers: Array
     vehicles: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return the sizes; the numbers are in ``metrics`` and ``recorded``."""
+        recorded = f", recorded at {len(self.record_ticks)} ticks" if len(self.record_ticks) else ""
+        worlds, vehicles, metrics = len(self.seeds), len(self.vehicles), len(self.metrics)
+        return f"<Rollout: {worlds} worlds of {vehicles} vehicles, {metrics} metrics{recorded}>"
 
     def __iter__(self) -> Iterator[str]:
         """Return the names of the metrics, one after the other."""
