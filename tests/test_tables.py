@@ -95,6 +95,8 @@ def test_a_rollout_shows_its_metrics() -> None:
     assert rows(repr(flown))["flown_s"] == ["s", "(2, 1)", "0.02", "0.04", "0.06"]
     assert rows(repr(flown))["wind_max_m_s"] == ["m/s", "(2, 1)"]
     assert flown._ipython_key_completions_() == ["flown_s", "wind_max_m_s"]
+    flown.record_ticks = np.arange(4)
+    assert repr(flown).startswith("rollout of 2 worlds of 1: pelicans_0; recorded at 4 ticks\n")
 
 
 def recorded(folder: Path) -> Path:

@@ -16,7 +16,7 @@ import inspect
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, make_dataclass
+from dataclasses import dataclass, fields, make_dataclass
 from typing import Annotated, Any, Protocol, Union
 
 import qrsim.starting  # noqa: F401 (before the others)
@@ -29,6 +29,7 @@ from qrsim.apps.autopilot import Ardupilot, Betaflight
 from qrsim.apps.cache import Clear, Info, Pack, Unpack
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare import Compare
+from qrsim.apps.complaints import in_a_sentence
 from qrsim.apps.data import Fetch, Where
 from qrsim.apps.discover import Discover
 from qrsim.apps.export import Export
@@ -215,7 +216,7 @@ def _dispatch(arguments: list[str]) -> int:
             raise UsageError(f"qrsim: the argument {argument!a} is no text in UTF-8")
     try:
         command = _parse(arguments, COMMANDS, "qrsim", DESCRIPTION)
-    except SystemExit as leaving:  # tyro has printed its help (0) or its complaint (2)
+    except SystemExit as leaving:  # tyro has printed its help
         return leaving.code if isinstance(leaving.code, int) else 2
     return command.run() or 0
 
@@ -229,20 +230,33 @@ def _parse(
     if isinstance(entry, Group):
         return _parse(arguments[1:], entry.commands, f"{program} {name}", entry.description)
     if entry is not None:
-        return tyro.cli(
-            entry,
-            prog=f"{program} {name}",
-            description=_help_text(inspect.getdoc(entry) or ""),
-            args=completed(arguments[1:]) if entry is Run else arguments[1:],
-            config=_TYRO_CONFIG,
-        )
+        return _filled_in(entry, f"{program} {name}", arguments[1:])
     if name and not name.startswith("-"):
         raise UsageError(f"{program}: no such command '{name}'{did_you_mean(name, commands)}")
+    if not arguments:
+        raise UsageError(f"{program}: expected a command: {', '.join(commands)} ('{program} --help' describes them)")
     if len(commands) == 1:
         description = _with_the_only(commands, description)
-        if not arguments:
-            raise UsageError(f"{program}: expected a command: {', '.join(commands)}")
-    return tyro.cli(_menu(commands), prog=program, description=description, args=arguments, config=_TYRO_CONFIG)
+
+    def parse() -> Any:
+        return tyro.cli(_menu(commands), prog=program, description=description, args=arguments, config=_TYRO_CONFIG)
+
+    with in_a_sentence(program, ("--help",), parse):
+        return parse()
+
+
+def _filled_in(entry: type[Command], program: str, arguments: list[str]) -> Command:
+    """Return a command with its options."""
+    given = completed(arguments) if entry is Run else arguments
+    named = [each.name for each in fields(entry) if "Positional" not in str(each.type)]  # type: ignore[arg-type]
+    options = [f"--{name.replace('_', '-')}" for name in named]
+
+    def parse() -> Command:
+        description = _help_text(inspect.getdoc(entry) or "")
+        return tyro.cli(entry, prog=program, description=description, args=given, config=_TYRO_CONFIG)
+
+    with in_a_sentence(program, options, parse):
+        return parse()
 
 
 def _with_the_only(commands: Mapping[str, type[Command] | Group], description: str) -> str:

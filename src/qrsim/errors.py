@@ -11,6 +11,14 @@ from typing import Any
 
 # To look for similar names takes the square of their lengths; messages are to be read.
 LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
+# What others call it, by words that look unlike it.
+SYNONYMS: dict[str, str] = {
+    "alt": "height", "altitude": "height", "bearing": "wind_from_deg", "compass": "magnetometer",
+    "direction": "wind_from_deg", "gps": "gnss", "lat": "latitude_deg", "latitude": "latitude_deg",
+    "lidar": "scan", "liion": "lithium_cells", "lipo": "lithium_cells", "lng": "longitude_deg",
+    "lon": "longitude_deg", "long": "longitude_deg", "longitude": "longitude_deg",
+    "winddirection": "wind_from_deg",
+}  # fmt: skip
 
 
 class QrsimError(Exception):
@@ -109,8 +117,16 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the known name closest to ``name``, None if none is close."""
     if len(name) > LONGEST_NAME:
         return None
-    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return matches[0] if matches else None
+    known = list(known)
+    called = SYNONYMS.get(name.lower().replace("-", "").replace("_", ""))
+    if called in known:
+        return called
+    found = next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.6)), None)
+    if found is None or not found.endswith("_rad") or name.endswith("rad"):
+        return found
+    # People have angles in degrees unless they say otherwise.
+    twin = f"{found.removesuffix('_rad')}_deg"
+    return twin if twin in known else found
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

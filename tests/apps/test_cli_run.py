@@ -358,7 +358,9 @@ def test_a_crash_is_in_the_table_and_in_the_events(crashed):
     [event] = [event for event in run.events if event.kind == "out_of_area"]
     assert (event.vehicle, event.field, run.info.state) == ("pelicans_0", "position_ned.z", "finished")
     assert event.value > -19.5
-    assert event.message == f"pelicans_0 stopped at {event.time:.2f} s, out_of_area: position_ned.z = {event.value:.4g}"
+    assert (
+        event.message == f"pelicans_0 stopped at {event.time:.2f} s, out_of_area: position_ned.z = {event.value:.4g} m"
+    )
     lines = crashed.printed.splitlines()
     assert event.message in lines
     stopped = {line.split()[0]: line.split()[-1] for line in lines if line.startswith("pelicans_") and line[10] == " "}

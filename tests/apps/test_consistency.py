@@ -53,6 +53,10 @@ def test_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert velocity.split(maxsplit=2) == ["velocity", "1.23", "95 % interval 1.10 to 1.37, errs by more than it states"]
     # One run has no interval.
     assert bias.split() == ["bias", "0.50"]
+    print_consistency([Row("position", 27.0, NAN, NAN, 1)])
+    *_, means, where = capsys.readouterr().out.splitlines()
+    assert means.startswith("  Above 1 the estimate errs by more than it states: GNSS errors last for minutes")
+    assert where.endswith("(docs/estimators.md).")
     print_consistency([])
     assert capsys.readouterr().out == ""
 

@@ -244,3 +244,33 @@ def test_the_distance_from_a_circle_is_to_its_nearest_point() -> None:
     offset = Vec3(jnp.array([183.0, 0.0, 0.0]), jnp.array([0.0, -168.0, 0.0]), jnp.array([4.0, -5.0, 0.0]))
     found = _distance_from_circle(offset, jnp.array([180.0, -180.0, 180.0]))
     np.testing.assert_allclose(found, [5.0, 13.0, 180.0], rtol=1e-6)
+
+
+@pytest.mark.long
+def test_time_on_the_ground_is_no_endurance(tmp_path: Path) -> None:
+    """Of a minute a vehicle flies some seconds: its battery lasts as long as in a hover, by rollout and log."""
+    content = {
+        "name": "hop",
+        "duration": 60.0,
+        "fleets": {
+            "a": {
+                "vehicle": {"type": "multirotor", "model": "x500"},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "battery": {"type": "lithium_cells", "cells": 4, "capacity": 5.0},
+                "vehicles": [
+                    {
+                        "position_ned": [0, 0, 0],
+                        "on_ground": True,
+                        "legs": [{"type": "fly", "to_ned": [0, 0, -3]}, {"type": "land"}],
+                    }
+                ],
+            }
+        },
+    }
+    scenario = qrsim.load_scenario(content)
+    flown = rollout(scenario.world(), ticks=scenario.ticks)
+    qrsim.fly(scenario, tmp_path / "run", seed=0, precision="float32")
+    (row,) = summarise(open_run(tmp_path / "run"))
+    # 5 Ah at the 21 A that a hover takes are 857 s; the whole minute would be taken for 6350 s.
+    assert 700.0 < flown["endurance_s"][0, 0] < 1000.0
+    assert row.endurance_s == pytest.approx(flown["endurance_s"][0, 0], rel=1e-3)

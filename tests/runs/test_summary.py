@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from flight import FIX_TICKS, GNSS_ERROR, SPEED, STEP, write_flight
 
 from qrsim.runs import open_run
-from qrsim.runs.summary import gnss_error, gnss_sensor, summarise, tracking_error, vectors
+from qrsim.runs.summary import _battery, gnss_error, gnss_sensor, summarise, tracking_error, vectors
 
 
 def path(*points: tuple[float, float, float]) -> np.ndarray:
@@ -147,3 +148,42 @@ def test_summary_of_a_run_that_was_killed_before_its_first_tick(tmp_path):
     assert math.isnan(summary.gnss_horizontal_rms_m)
     assert math.isnan(summary.tracking_error_rms_m)
     assert summary.distance_m == 0.0
+
+
+# ---------------------------------------------------------------- endurance
+
+
+class Truth(dict):
+    """A stream of 2 vehicles at 1 Hz."""
+
+    time = np.arange(7.0)
+
+
+class Recorded:
+    """A run with a truth and nothing else."""
+
+    vehicles = ("contact", "height")
+    scenario: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, **columns: np.ndarray):
+        self.truth = Truth(columns)
+
+    def __getitem__(self, stream: str) -> Truth:
+        return self.truth
+
+
+def test_time_on_the_ground_is_no_endurance() -> None:
+    """Of 6 s two are flown, each of which takes 0.1 of the charge; on the ground 0.01 of it are used in a second."""
+    flies = np.array([0, 0, 1, 1, 0, 0, 0], bool)
+    charge = 0.8 - np.cumsum(np.where(flies, 0.1, 0.01)) + 0.01
+    # The first stands on feet of 0.3 m, and says so; the second comes to 5 m.
+    height = np.stack([np.where(flies, 5.0, 0.3), np.where(flies, 5.0, 0.0)], axis=1)
+    ground = np.stack([~flies, np.zeros(7, bool)], axis=1)
+    place = np.stack([np.zeros_like(height), np.zeros_like(height), -height], axis=-1)
+    run: Any = Recorded(**{"battery.charge": np.stack([charge, charge], axis=1), "on_ground": ground})
+    least, endurance = _battery(run, place, np.ones((7, 2), bool))
+    np.testing.assert_allclose(least, 0.56)
+    np.testing.assert_allclose(endurance, 8.0)
+    # Who never flies has none.
+    run.truth["on_ground"][:] = True
+    assert np.isnan(_battery(run, place, np.ones((7, 2), bool))[1]).all()

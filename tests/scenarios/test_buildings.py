@@ -278,3 +278,23 @@ def test_a_table_is_kept_and_made_anew_where_it_is_damaged(monkeypatch: pytest.M
     kept.write_bytes(b"nonsense")
     np.testing.assert_array_equal(words(), first)
     assert kept.read_bytes() != b"nonsense"
+
+
+@pytest.mark.parametrize(
+    ("properties", "said"),
+    [
+        (
+            {"height": "ca. 12 m"},
+            r"feature 0: its height 'ca. 12 m' is not understood; expected metres.*taken to be 9 m",
+        ),
+        ({"building:levels": "four"}, "its building:levels 'four' is not understood"),
+        ({"height": "", "levels": True}, "its levels True is not understood"),
+    ],
+)
+def test_a_height_that_is_not_understood_is_told_as_it_is(
+    properties: dict[str, Any], said: str, written: Written
+) -> None:
+    content = written(feature(SQUARE, **properties), start=(0.0, 0.0, -3.0))
+    with pytest.warns(UserWarning, match=said) as caught:
+        load_scenario(content)
+    assert not [each for each in caught if "neither height" in str(each.message)]

@@ -58,3 +58,18 @@ def test_what_cannot_be_meant(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         forecast(**changes)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("speed", [4, 4.0, np.float32(4.0)])
+def test_a_number_is_a_speed_at_10_m_from_the_north(speed: Any) -> None:
+    """4 ln(20/0.15)/ln(32.808/0.15) = 3.6325 m/s at 20 ft."""
+    found = make_scenario([[0, 0, -10]], wind=speed)
+    assert found.spec.world.wind.speed_20ft == pytest.approx(3.6325, abs=1e-4)
+    air = found.world().wind.velocity_ned(np.float32([10.0]))
+    np.testing.assert_allclose([air.x[0], air.y[0]], [-4.0, 0.0], atol=1e-5)
+
+
+@pytest.mark.parametrize(("wind", "words"), [(-4.0, "speed: -4 m/s; allowed: 0 to 50"), (True, "expected keys")])
+def test_a_number_that_is_no_speed(wind: Any, words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        make_scenario([[0, 0, -10]], wind=wind)

@@ -404,5 +404,5 @@ def test_a_vehicle_that_flies_out_of_a_fence_stops_there(write_plan: Callable[..
     kind, _, value = reason.partition(" = -")
     assert kind == "out_of_area: fence"
     # It stopped within the step that crossed the edge.
-    assert 0.0 < float(value) < 15.0 * simulation.world.time_step
+    assert 0.0 < float(value.removesuffix(" m")) < 15.0 * simulation.world.time_step
     assert edge - 0.3 < float(simulation.truth.position_ned[0, 0]) <= edge

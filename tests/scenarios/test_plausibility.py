@@ -225,3 +225,40 @@ def test_its_wind_and_gusts_are_those_of_the_models(wind: dict[str, Any]) -> Non
     np.testing.assert_allclose(wind_limits.mean_wind(scenario.spec, heights), speed, rtol=1e-9, atol=1e-12)
     sigma = 0.1 * wind.get("speed_20ft", 4.0) * np.asarray(ratios.x)
     np.testing.assert_allclose(wind_limits.gust_sigma(scenario.spec, heights), sigma, rtol=1e-9)
+
+
+def test_a_mass_in_grams_is_one_warning_with_one_thrust() -> None:
+    """1650 kg x 9.81 m/s^2; wind is no matter for what cannot fly."""
+    (found,) = warned(f"{VEHICLE}.mass=1650", "world.wind.speed_20ft=4")
+    assert "1650 kg weigh 1.62e+04 N and the largest thrust, at 12 V, is 32.8 N" in found
+    assert found.endswith("it cannot stay in the air; masses are in kg: 1650 g are 1.65 kg")
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(60.0, 0), (500.0, 1)])
+def test_a_recorded_wind_that_is_none(speed: float, expected: int, tmp_path: Path) -> None:
+    path = tmp_path / "wind.csv"
+    path.write_text(f"time,north,east,down\n0,1,2,0\n5,{speed},0,0\n15,0,0,0\n50,0,0,0\n100,0,0,0\n")
+    found = warned(f"world.wind={{type: series, file: {path}, max_gap: 100}}", "world.turbulence=still", "duration=20")
+    about = [words for words in found if "plausible" in words]
+    assert len(about) == expected
+    for words in about:
+        assert f"{path}: the air moves at 500 m/s at 5 s of the run; plausible: up to 75 m/s" in words
+
+
+def test_a_motor_table_of_a_scenario_is_warned_of_once() -> None:
+    table = {"throttle_percent": [50, 100], "thrust_g": [510, 1390], "rpm": [39, 64], "power_W": [58, 270]}
+    own = {"mass": 3.5, "arm": 0.35, "rotors": 6, "attitude_bandwidth": 6.0, "motor_table": table}
+    vehicle = {"type": "multirotor", "own": own}
+    fleet = {"vehicle": vehicle, "sensors": "ideal", "vehicles": [{"position_ned": [0, 0, -20]}]}
+    content = {
+        "name": "hexas",
+        "fleets": {"a": fleet},
+    }
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_scenario(content)
+    (found,) = [str(each.message) for each in caught if "plausible" in str(each.message)]
+    assert found.startswith("hexas: fleets.a.vehicle.own.motor_table: rpm of row 2 is 64: the tips")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_scenario(content, quiet=True)

@@ -152,7 +152,7 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ),
     ("world.wind.type", REMOVED, "world.wind.type: missing; it names what this is: calm, log_shear"),
     ("fleets.alpha.vehicle", {"mass": "heavy"}, "fleets.alpha.vehicle.mass: 'heavy' is not a number"),
-    ("world.wind", 4.0, "world.wind: expected keys and values, found 4.0"),
+    ("world.wind", [4.0], "world.wind: expected keys and values, found [4.0]"),
     (
         "fleets.alpha.vehicle",
         "drone",

@@ -501,8 +501,8 @@ class TestSetState:
         partly[2, 1] = np.nan
         assert said(shared.set_state, partly).startswith("state: the row of vehicle 2 ('alpha_2') is partly not finite")
         for row, value, why in [
-            (1, [0.0, 60.0, -20.0], "out_of_area: position_ned.y = 60"),
-            (3, [10.5, 0.0, -20.0], "collision: distance = 0.5"),
+            (1, [0.0, 60.0, -20.0], "out_of_area: position_ned.y = 60 m"),
+            (3, [10.5, 0.0, -20.0], "collision: distance = 0.5 m"),
             (4, [-40.0, 40.0, -10.0], "collision: obstacle 0"),
         ]:
             wrong = apart.copy()

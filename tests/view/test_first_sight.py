@@ -40,7 +40,7 @@ def eventually(condition: Callable[[], Any]) -> Any:
 class Shown:
     """The default scenario with so many vehicles at their starts, and a page of it."""
 
-    def __init__(self, count: int, reasons: dict[int, str] | None = None):
+    def __init__(self, count: int, reasons: dict[int, str] | None = None, routes: bool = False):
         world = load_scenario(patrol(count)).world()
         starts = [fleet.start.position_ned for fleet in world.fleets]
         places = np.concatenate([np.stack(np.broadcast_arrays(*axes_of(own).T), axis=1) for own in starts])
@@ -49,7 +49,8 @@ class Shown:
         valid = np.ones(count, bool)
         valid[list(reasons or {})] = False
         self.server = start_server(0)
-        self.page = Page(self.server, cast_of(world, places), world, f"patrol of {count}, seed 1", None)
+        cast = cast_of(world, places) if routes else replace(cast_of(world, places), routes=())
+        self.page = Page(self.server, cast, world, f"patrol of {count}, seed 1", None)
         self.frame = Frame(1.0, places, nothing, places, places + 1.0, wind, nothing, valid, reasons or {})
         self.page.draw(self.frame, everything=True)
 
@@ -146,6 +147,29 @@ def test_all_vehicles_are_seen_at_first(count: int, show: Callable[..., Shown], 
     assert 0.3 <= part <= 0.9
     # What the page says of it is what is seen.
     assert part == pytest.approx(found["share"], abs=0.08)
+
+
+def test_the_route_of_one_vehicle_is_seen_at_first(show: Callable[..., Shown], browser: Browser):
+    """Route and vehicle fill what panels leave free, and the arrow that points north covers neither."""
+    shown = show(1, None, True)
+    for title in shown.page.scene.layers:
+        shown.page.scene.show(title, title == "routes")
+    look(browser, shown)
+    found = json.loads(browser.evaluate("JSON.stringify(window.qrsim.box())"))
+    assert 0.3 <= found["share"] <= 0.9
+    browser.evaluate(
+        "document.head.insertAdjacentHTML('beforeend', '<style>#qrsim-overlay {opacity: 0 !important}</style>')"
+    )
+    with_it = settled(browser)
+    shown.page.scene.show("routes", False)
+    time.sleep(1.0)
+    rows, columns = np.nonzero(np.abs(with_it - settled(browser)).sum(axis=2) > 60)
+    left, top, right, bottom = found["free"]
+    assert columns.min() >= left
+    assert columns.max() < right
+    assert rows.min() >= top
+    assert rows.max() < bottom
+    assert max(np.ptp(columns) / (right - left), np.ptp(rows) / (bottom - top)) > 0.3
 
 
 def test_labels_do_not_overlap(show: Callable[..., Shown], browser: Browser):

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from qrsim.view.frame import Cast
+from qrsim.scenarios.making import make_world
+from qrsim.view.frame import Cast, cast_of
 from qrsim.view.layers import Stage
 from qrsim.view.paths import Paths
 from qrsim.view.server import start_server
@@ -94,3 +95,28 @@ def test_unknown_positions_leave_a_path_where_it_was(server: Any):
     paths.extend(np.array([0.0, 1.0]), np.array([[[1.0, 2.0, 3.0]], [[np.nan, np.nan, np.nan]]]))
     assert np.isfinite(paths._points).all()
     np.testing.assert_array_equal(paths._points[paths._newest, -1, 0], [1.0, 2.0, 3.0])
+
+
+def test_routes_begin_at_the_starts_and_end_on_the_ground():
+    """Of two vehicles one is sent on a round and lands, and one holds where it is."""
+    legs = [{"type": "fly", "to_ned": [30, 0, -5]}, {"type": "land"}]
+    vehicles = [{"position_ned": [0, 0, -5], "legs": legs}, {"position_ned": [0, 9, -5]}]
+    world = make_world(vehicles, controller="cascade", guidance="mission", ground="parked")
+    cast = cast_of(world, np.array([[0.0, 0.0, -5.0], [0.0, 9.0, -5.0]]))
+    first, second = cast.routes
+    np.testing.assert_allclose(first[[0, 1]], [[0, 0, -5], [30, 0, -5]])
+    assert (first[-1, :2] == [30, 0]).all()
+    assert first[:, 2].max() <= 0.0
+    assert len(second) == 0
+    # Half of a view is what is seen of it.
+    np.testing.assert_allclose(cast.centre[:2], [15.0, 4.5])
+    assert cast.extent > 30.0
+
+
+def test_of_a_recorded_flight_the_whole_path_is_looked_at():
+    path = np.stack([np.linspace(0.0, 500.0, 5000), np.zeros(5000), np.full(5000, -9.0)], axis=1)
+    path[7] = np.nan
+    cast = Cast(("v",), np.zeros(1, int), path[:1], flown=path)
+    assert len(cast.ways) <= 300
+    assert np.isfinite(cast.ways).all()
+    assert 480.0 < cast.extent < 510.0

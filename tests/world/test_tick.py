@@ -155,7 +155,7 @@ def test_a_vehicle_stops_for_every_reason_where_it_was_and_the_others_fly_on(kin
     assert reason.startswith(f"{kind}: {'obstacle 0' if field == 'obstacle' else field}")
     assert all((text == "") == ok for text, ok in zip(simulation.reasons, simulation.valid, strict=True))
     if " = " in reason:
-        value = float(reason.partition(" = ")[2])
+        value = float(reason.partition(" = ")[2].split()[0])
         limits = {"limits": next(iter(case.get("limits", {"": 0.0}).values()))}
         if kind == "out_of_area":
             low, high = ALLOWED[field[-1]]

@@ -44,10 +44,14 @@ class CsvRows:
             strict: whether a stray quote is an error.
 
         Raises:
-            csv.Error: the header is no CSV.
+            csv.Error: there is no header, or it is no CSV.
         """
         found = iter(lines)
         first = next(found, "")
+        if not first.strip():
+            raise csv.Error(
+                "the file is empty" if not first else "its first line is empty; expected the names of columns"
+            )
         self.delimiter = delimiter_of(first)
         self._reader = csv.reader(chain([first], found), delimiter=self.delimiter, strict=strict)
         self.header = [name.strip() for name in next(self._reader, [])]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +17,10 @@ from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3, root
 from qrsim.interface.consistency import Looks
 from qrsim.interface.crowds import overfull_of_fleets, warn_of_overfull
+from qrsim.interface.endurance import Consumption, charges, endurance_s
 from qrsim.interface.extremes import Extreme
 from qrsim.interface.fix_errors import FixErrors
 from qrsim.models.vehicles.commands import fields_of
-from qrsim.models.vehicles.contracts import Charged
 from qrsim.world.state import FleetState, State, World
 
 T = TypeVar("T")
@@ -55,7 +55,6 @@ class Flight:
     ceiling: Array = quantity(unit="m", doc="smallest distance to its ceiling")
     floor: Array = quantity(unit="m", doc="smallest distance to its floor, NaN where that is the ground")
     charge: Array = quantity(unit="1", doc="lowest charge of the battery, NaN without one")
-    charge_first: Array = quantity(unit="1", doc="charge at the start")
     clipped: Array = quantity(doc="int32 ticks whose command was clipped")
     stopped: Array = quantity(doc="int32 tick at which it stopped, -1 while it flies")
     position_low_ned: Vec3 | None = quantity(
@@ -63,6 +62,7 @@ class Flight:
     )
     distance_low: Array | None = quantity(default=None, unit="m", doc="what single precision leaves out of distance")
     looks: Looks | None = quantity(default=None, doc="at what estimators state; None where none states anything")
+    consumption: Consumption | None = quantity(default=None, doc="of batteries in the air; None where none drains")
 
 
 class FlightMetrics:
@@ -84,10 +84,10 @@ class FlightMetrics:
             fixes=FixErrors.none(world, state, like),
             wind=none, closeness=none, outwards=none,
             sides=none.value, ceiling=none.value, floor=none.value,
-            charge=none.value, charge_first=_charges(world, state),
+            charge=none.value,
             clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
             position_low_ned=_low(state), distance_low=None if _low(state) is None else zero,
-            looks=Looks.none(world, state),
+            looks=Looks.none(world, state), consumption=Consumption.none(world, state),
         )  # fmt: skip
         return self.update(nothing, world, state, jnp.int32(0))
 
@@ -126,7 +126,7 @@ class FlightMetrics:
             sides=_least(flight.sides, sides, inside),
             ceiling=_least(flight.ceiling, ceiling, inside),
             floor=_least(flight.floor, floor, inside),
-            charge=jnp.fmin(flight.charge, _charges(world, state)),
+            charge=jnp.fmin(flight.charge, charges(world, state)),
             clipped=flight.clipped + _one(clipped & flying),
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
         )
@@ -136,6 +136,9 @@ class FlightMetrics:
             flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
         if flight.looks is not None:
             flight = replace(flight, looks=flight.looks.update(world, state, tick, flying))
+        if flight.consumption is not None:
+            in_time = flying & (tick > 0)
+            flight = replace(flight, consumption=flight.consumption.update(world, state, in_time))
         return replace(flight, fixes=flight.fixes.update(world, state, tick, flying))
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
@@ -159,7 +162,7 @@ class FlightMetrics:
             **flight.fixes.finish(dt),
             "clipped_s": flight.clipped * dt,
             "charge_min": flight.charge,
-            "endurance_s": _endurance(flight, dt),
+            "endurance_s": endurance_s(flight.consumption, np.asarray(flight.charge), dt),
             "fence_lateral_min_m": flight.sides,
             "fence_ceiling_min_m": flight.ceiling,
             "fence_floor_min_m": flight.floor,
@@ -231,25 +234,6 @@ def _moves(world: World) -> Array:
         for fleet in world.fleets
     ]
     return jnp.asarray(np.concatenate(each))
-
-
-def _charges(world: World, state: State) -> Array:
-    """Return the charge of the battery of each vehicle (n,), NaN where it has none that drains."""
-    return jnp.concatenate(
-        [
-            cast(Charged, now.battery).charge
-            if fleet.battery.drains
-            else jnp.full_like(now.vehicle.position_ned.x, jnp.nan)
-            for fleet, now in zip(world.fleets, state.fleets, strict=True)
-        ]
-    )
-
-
-def _endurance(flight: Flight, dt: float) -> Floats:
-    """Return the time (W, n) [s] for which the battery would have lasted at the flight's mean consumption."""
-    used = np.asarray(flight.charge_first, np.float64) - np.asarray(flight.charge, np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(used > 0.0, np.asarray(flight.charge_first) * (np.asarray(flight.ticks) * dt) / used, np.nan)
 
 
 def _unfinished(world: World, state: State) -> Floats:

@@ -144,8 +144,11 @@ class StreamParts:
 
     def _damage(self, number: int, reason: str) -> RunError:
         total = max(self.count, len(self.found))
-        advice = "" if self.skip_damaged else "; open_run(..., skip_damaged=True) reads the others"
-        return RunError(
+        error = RunError(
             f"{self.folder / part_name(number)} (part {number + 1} of {total} of '{self.stream}') "
-            f"cannot be read: {reason}{advice}"
+            f"cannot be read: {reason}"
         )
+        if not self.skip_damaged:
+            # Of use in Python, where notes are shown with the error; commands print its message alone.
+            error.add_note("open_run(..., skip_damaged=True) reads the others")
+        return error

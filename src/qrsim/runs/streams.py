@@ -344,7 +344,7 @@ class EventFinder:
         kind, field = REASONS[code]
         message = f"{name} stopped at {time:.2f} s, {reason_text(code, value)}"
         if kind == "collision" and field == "distance":
-            message += f" m to {self._nearest(history, row, vehicle)}"
+            message += f" to {self._nearest(history, row, vehicle)}"
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:

@@ -21,6 +21,8 @@ STREAMS = ("truth", "measurements", "commands", "wind")
 CHARGE = "battery.charge"
 # A set-point so far below the ground [m] is one of a landing.
 BELOW_M = 0.05
+# Without a contact that reports it, a vehicle is in the air at this height [m], or under way at this speed [m/s].
+AIRBORNE_M, AIRBORNE_M_S = 0.1, 0.1
 NOT_A_STOP = (
     "waypoint_reached",
     "command_clipped",
@@ -58,7 +60,8 @@ class VehicleSummary:
         stopped: why it stopped flying, "" if it did not.
         height_error_rms_m: true height minus that of the waypoint, or of the point of a path; NaN without one.
         charge_least: lowest charge of the battery, 1 full and 0 empty; NaN without one that drains.
-        endurance_s: how long the battery would last, from its charge at the start, at the mean consumption; NaN too.
+        endurance_s: how long the battery would last, from its charge at the start, at the mean consumption in the air;
+            NaN without one that drains, or without a flight.
     """
 
     vehicle: str
@@ -264,7 +267,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
     rows, windy = common_rows(run, "truth", "wind")
     air = vectors(run["wind"], "mean_ned", windy) + vectors(run["wind"], "gust_ned", windy)
     wind = np.linalg.norm(air, axis=-1) * flying[rows]
-    charge, endurance = _battery(run, flying)
+    charge, endurance = _battery(run, position, run["truth"]["valid"].astype(bool))
     events = run.events
     summaries = []
     for i, name in enumerate(run.vehicles):
@@ -288,14 +291,26 @@ def summarise(run: Run) -> list[VehicleSummary]:
     return summaries
 
 
-def _battery(run: Run, flying: Floats) -> tuple[Floats, Floats]:
+def _battery(run: Run, position: Floats, flying: Rows) -> tuple[Floats, Floats]:
     """Return the lowest charge of each vehicle (n,) and its endurance [s]; NaN without a battery that drains."""
-    if CHARGE not in run["truth"]:
+    truth = run["truth"]
+    if CHARGE not in truth or not len(position):
         none = np.full(len(run.vehicles), math.nan)
         return none, none
-    charge = np.asarray(run["truth"][CHARGE], np.float64)
-    least = np.fmin.reduce(charge, axis=0, initial=math.nan)
-    flown = np.nanmax(flying * run["truth"].time[:, None], axis=0, initial=0.0) - run["truth"].time[0]
-    used = charge[0] - least
+    charge = np.asarray(truth[CHARGE], np.float64)
+    airborne = (flying & _airborne(run, position))[1:]
+    used = np.sum(np.maximum(-np.diff(charge, axis=0), 0.0) * airborne, axis=0)
+    time = np.sum(np.diff(truth.time)[:, None] * airborne, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return least, np.where(used > 0.0, charge[0] * flown / used, math.nan)
+        endurance = np.where(used > 0.0, charge[0] * time / used, math.nan)
+    return np.fmin.reduce(charge, axis=0, initial=math.nan), endurance
+
+
+def _airborne(run: Run, position: Floats) -> Rows:
+    """Return which vehicles were in the air (T, n), those that drive under way, as the metrics of a rollout have it."""
+    truth = run["truth"]
+    height = terrain_of(run).down(position[..., 0], position[..., 1]) - position[..., 2]
+    found = height > AIRBORNE_M
+    if "velocity_body.x" in truth:
+        found = found | (np.linalg.norm(vectors(truth, "velocity_body"), axis=-1) > AIRBORNE_M_S)
+    return found & ~truth["on_ground"].astype(bool) if "on_ground" in truth else found

@@ -74,7 +74,15 @@ def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[Scenari
 
 def _tell(file: str, found: BuildingsFile, default: float) -> None:
     """Warn of buildings without a height, and of what is no building."""
-    without = [building.name for building in found.buildings if building.height is None]
+    unread = [building for building in found.buildings if building.unread]
+    if unread:
+        first, *others = unread
+        more = f" (and {len(others)} more of its kind)" if others else ""
+        warn_user(
+            f"{file}: {first.name}: its {first.unread} is not understood{more}; expected metres, feet and inches as "
+            f"39'5\", or a number of levels; taken to be {default:g} m high (world.buildings.default_height)"
+        )
+    without = [each.name for each in found.buildings if each.height is None and not each.unread]
     if without:
         who = f"{without[0]}, " if len(without) == 1 else f"{without[0]} is the first; "
         warn_user(

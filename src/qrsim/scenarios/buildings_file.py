@@ -32,6 +32,7 @@ _FEET = re.compile(
     rf"""\s*(?:{_DIGITS}\s*(?:'|\u2032|ft|feet))?\s*(?:{_DIGITS}\s*(?:"|\u2033|in))?\s*""", re.IGNORECASE
 )
 _FOOT = 0.3048
+_HEIGHTS, _LEVELS = ("height", "building:height"), ("building:levels", "levels")
 # Keys of OpenStreetMap: of a building and of a part of one, and others by which its exports are known.
 _TAGS = ("building", "building:part")
 _OTHER_TAGS = ("natural", "landuse", "leisure", "waterway", "highway", "barrier", "amenity", "@id")
@@ -48,12 +49,14 @@ class Building:
         rings: corners [north, east] [m] of its outline, then of each hole.
         height: of its roof over the ground [m]; None where the file says none.
         base: of its lowest floor over the ground [m].
+        unread: what the file says of its height that is none, for messages.
     """
 
     name: str
     rings: list[Ring]
     height: float | None
     base: float = 0.0
+    unread: str = ""
 
 
 @dataclass
@@ -111,7 +114,7 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
                 continue
             if height is None and _is_tree(properties):
                 height = trees
-            found.buildings.append(Building(path, placed, height, base))
+            found.buildings.append(Building(path, placed, height, base, "" if height else _unread(properties)))
     if problems:
         raise ScenarioError(file, problems)
     if not found.buildings:
@@ -323,8 +326,8 @@ def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
     The rules are those of OpenStreetMap's Simple 3D Buildings: ``height`` includes the roof, ``building:levels`` does
     not. A height or a number of levels of 0 is none.
     """
-    height = _length(properties, "height", "building:height") or None
-    levels = _levels(properties, "building:levels", "levels")
+    height = _length(properties, *_HEIGHTS) or None
+    levels = _levels(properties, *_LEVELS)
     if height is None and levels is not None:
         roof = _length(properties, "roof:height")
         height = levels * STOREY + ((_levels(properties, "roof:levels") or 0.0) * STOREY if roof is None else roof)
@@ -337,6 +340,16 @@ def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
     if not 0.0 <= base < (math.inf if height is None else height):
         raise UsageError(f"it begins at {base:g} m, which is not below its height, {height:g} m")
     return height, base
+
+
+def _unread(properties: dict[str, Any]) -> str:
+    """Return the first property of a building's height that has a value and is no height, "" where none has."""
+    for names, read in ((_HEIGHTS, _length), (_LEVELS, _levels)):
+        for name in names:
+            value = properties.get(name)
+            if value not in (None, "") and read(properties, name) is None:
+                return f"{name} {value!r:.60}"
+    return ""
 
 
 def _length(properties: dict[str, Any], *names: str) -> float | None:

@@ -16,6 +16,7 @@ from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.build import ground_if_any, vehicle_of
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.vehicle_checks import grams_hint
 from qrsim.scenarios.wind_limits import mean_wind
 
 # Steady bank of a circle; what is left up to the controller's limit keeps to it.
@@ -34,7 +35,8 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
     yield from _inertia(name, vehicle)
     cruise = float(np.min(np.asarray(vehicle.cruise_airspeed)))
     if cruise < stall:
-        yield f"fleets.{name}.vehicle.cruise_airspeed: {cruise:g} m/s {_stalls(stall)}"
+        hint = grams_hint(float(np.max(vehicle.mass)))
+        yield f"fleets.{name}.vehicle.cruise_airspeed: {cruise:g} m/s {_stalls(stall)}{hint}"
     for part, key in ((fleet.controller, "airspeed"), (fleet.guidance, "airspeed")):
         slow = np.ravel(np.asarray(vars(part).get(key, 0.0), float))
         slow = slow[(slow > 0.0) & (slow < stall)]

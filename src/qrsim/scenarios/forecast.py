@@ -11,6 +11,8 @@ from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS
 FORECAST = ("speed", "at_height", "gust")
 # Height of the anemometers of the WMO [m].
 USUAL_HEIGHT = 10.0
+# Where a wind that is a number alone comes from.
+USUAL_FROM_DEG = 0.0
 # Standard deviations between the mean of ten minutes and its largest mean of 3 s, of gusts that are correlated over 4
 # to 12 s, as at 10 m in 5 to 15 m/s.
 GUST_SIGMAS = 2.5
@@ -20,11 +22,15 @@ TURBULENT = ("dryden", "dryden_field", "dryden_first_order")
 def insert_forecast(content: dict[str, Any], source: str) -> None:
     """Replace, in place, ``speed``, ``at_height`` and ``gust`` of a log_shear by its ``speed_20ft`` and a turbulence.
 
+    A wind that is a number is a ``log_shear`` with that ``speed`` [m/s] from the north.
+
     Raises:
         ScenarioError: a number is missing, of the wrong kind or out of range.
     """
     world = content.get("world")
     wind = world.get("wind") if isinstance(world, dict) else None
+    if isinstance(world, dict) and isinstance(wind, int | float) and not isinstance(wind, bool):
+        wind = world["wind"] = {"type": "log_shear", "speed": wind, "wind_from_deg": USUAL_FROM_DEG}
     if not isinstance(world, dict) or not isinstance(wind, dict) or wind.get("type") != "log_shear":
         return
     given = {name: wind.pop(name) for name in FORECAST if name in wind}

@@ -31,5 +31,24 @@ def local_ned(site: Site, places: Sequence[tuple[float, float, float]]) -> list[
             raise UsageError(
                 f"latitude {place[0]:.6g} deg, longitude {place[1]:.6g} deg is {distance / 1000.0:.0f} km from the "
                 f"site; allowed: at most {FARTHEST / 1000.0:g} km (see site.latitude_deg and site.longitude_deg)"
+                + _if_swapped(site, place)
             )
     return [[float(north), float(east), -float(up)] for (north, east, _), up in zip(points, height, strict=True)]
+
+
+def swapped_hint(latitude: object, longitude: object) -> str:
+    """Return a hint where what is given as a latitude [deg] can only be a longitude, and the other way round."""
+    pair = [float(each) for each in (latitude, longitude) if isinstance(each, int | float)]
+    swapped = len(pair) == 2 and 90.0 < abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0
+    return "; latitude and longitude look swapped" if swapped else ""
+
+
+def _if_swapped(site: Site, place: tuple[float, float, float]) -> str:
+    """Return a hint where a place is near the site with its latitude and longitude [deg] swapped."""
+    latitude, longitude, height = place
+    if abs(longitude) > 90.0:
+        return ""
+    point = site.geodetic_to_ned(math.radians(longitude), math.radians(latitude), height)
+    distance = math.hypot(*map(float, point))
+    near = distance <= FARTHEST
+    return f"; with latitude and longitude swapped it is {distance / 1000.0:.3g} km away" if near else ""

@@ -13,6 +13,7 @@ from qrsim.models.vehicles.multirotor.geometry import rank_of
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.sites import air_of
+from qrsim.scenarios.vehicle_checks import grams_hint
 
 # Below this ratio of the weakest to the strongest of thrust and three torques a mixer has no authority.
 LEAST_AUTHORITY = 0.02
@@ -76,7 +77,7 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
             f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max"
             + (f" in the air of the site, {density:.4g} kg/m^3" if thin else "")
             + f", and it weighs {heavy:.4g} N; lower mass{', or site.height' if thin else ''}, or raise "
-            "thrust_coefficient or speed_max"
+            + f"thrust_coefficient or speed_max{grams_hint(float(np.max(mass)))}"
         )
 
 

@@ -20,6 +20,7 @@ from qrsim.scenarios.plan_parts import (
     LARGEST_LENGTH,
     PlanFaultError,
     check_kind,
+    degrees_of,
     number_of,
     of_kind,
     part_of,
@@ -257,9 +258,8 @@ class _Route:
                 )
             here: Home | Waypoint = self.waypoints[-1] if self.waypoints else self.home
             return here.latitude_deg, here.longitude_deg, height
-        latitude = number_of(params[4], f"{places[0]} (latitude)", 90.0, "deg")
-        longitude = number_of(params[5], f"{places[1]} (longitude)", 180.0, "deg")
-        return latitude, longitude, height
+        where = (f"{places[0]} (latitude)", f"{places[1]} (longitude)")
+        return (*degrees_of(params[4], params[5], where), height)
 
     def _note_params(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> dict[str, float]:
         """Return what an item asks a mission for beside its place, and record what it does not fly.

@@ -9,6 +9,7 @@ from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file, nearest
 from qrsim.files.user_files import read_text
+from qrsim.scenarios.local import swapped_hint
 
 KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
 
@@ -153,13 +154,18 @@ def number_of(value: Any, where: str, limit: float, unit: str) -> float:
     return float(value)
 
 
+def degrees_of(latitude: Any, longitude: Any, where: tuple[str, str]) -> tuple[float, float]:
+    """Return a latitude and a longitude [deg]; ``where`` names both."""
+    try:
+        return number_of(latitude, where[0], 90.0, "deg"), number_of(longitude, where[1], 180.0, "deg")
+    except PlanFaultError as fault:
+        raise PlanFaultError(f"{fault}{swapped_hint(latitude, longitude)}") from None
+
+
 def place_of(values: list[Any], where: str, count: int) -> tuple[float, ...]:
     """Return latitude, longitude and, where ``count`` is 3, altitude."""
     if len(values) != count:
         words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"
         raise PlanFaultError(f"{where}: expected [{words}], found {len(values)} values")
-    kinds = (("latitude", 90.0, "deg"), ("longitude", 180.0, "deg"), ("altitude", LARGEST_LENGTH, "m"))
-    return tuple(
-        number_of(value, f"{where}: {name}", limit, unit)
-        for value, (name, limit, unit) in zip(values, kinds, strict=False)
-    )
+    place = degrees_of(values[0], values[1], (f"{where}: latitude", f"{where}: longitude"))
+    return (*place, *(number_of(value, f"{where}: altitude", LARGEST_LENGTH, "m") for value in values[2:]))

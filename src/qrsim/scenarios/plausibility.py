@@ -24,6 +24,7 @@ from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.sky_of_receivers import RECEIVERS
+from qrsim.scenarios.vehicle_checks import grams_hint
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.
@@ -37,6 +38,8 @@ MOST_AH = 500.0
 IDENTIFIED_V = COMMAND_LIMITS["battery"]
 # Range errors of this std [m] and more are those of selective availability, which ended in 2000.
 ROUGH_STD_M = 5.0
+# Gusts of hurricanes reach this [m/s].
+FASTEST_WIND = 75.0
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
@@ -74,7 +77,7 @@ def _sky(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _wind(scenario: ScenarioSpec) -> Iterator[str]:
-    """Warn where the area reaches beyond the wind's data, whose edge then extends outwards."""
+    """Warn of a recorded wind that is faster than winds are, and of an area beyond its data."""
     try:
         wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
         found = wind.beyond(bounds_of(scenario.world.area), top_of(scenario.world.area))
@@ -82,6 +85,21 @@ def _wind(scenario: ScenarioSpec) -> Iterator[str]:
         return
     for words in found:
         yield f"world.wind: {words}; beyond its edge the air has the edge's velocity"
+    if scenario.world.wind.type in ("series", "grid"):
+        yield from _fast(scenario.world.wind.file, wind)
+
+
+def _fast(file: str, wind: Any) -> Iterator[str]:
+    """Warn of a recorded wind that is faster than winds are."""
+    axes = (np.asarray(axis, np.float64) for axis in (wind.air_ned.x, wind.air_ned.y, wind.air_ned.z))
+    speed = np.sqrt(sum(np.square(axis) for axis in axes))
+    row = int(np.unravel_index(int(np.argmax(speed)), speed.shape)[0])
+    if speed.max() > FASTEST_WIND:
+        time = float(wind.seconds[row]) + float(wind.fraction[row])
+        yield (
+            f"world.wind.file: {file}: the air moves at {speed.max():.4g} m/s at {time:g} s of the run; plausible: up "
+            f"to {FASTEST_WIND:g} m/s; the columns are in m/s"
+        )
 
 
 class _Constants:
@@ -116,7 +134,7 @@ def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
         words = "it cannot stay in the air" if most[i] <= weight[i] else "little is left to climb and to lean"
         yield (
             f"{where}: {of.mass[i]:g} kg weigh {weight[i]:.3g} N and the largest thrust, at {volts[i]:g} V, is "
-            f"{most[i]:.3g} N, {most[i] / weight[i]:.2f} of the weight: {words}"
+            f"{most[i]:.3g} N, {most[i] / weight[i]:.2f} of the weight: {words}{grams_hint(of.mass[i])}"
         )
     if (of.cth0 > weight).any():
         i, where = _worst(path, "vehicle.mass", fleet.vehicle.mass, of.cth0 - weight)

@@ -13,6 +13,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from qrsim.errors import MOST_PROBLEMS, did_you_mean
+from qrsim.models.vehicles.multirotor.sets import SETS
+from qrsim.scenarios.local import swapped_hint
 from qrsim.scenarios.slots import Slot
 
 _RANGES = ("greater_than_equal", "less_than_equal", "greater_than", "less_than")
@@ -73,6 +75,8 @@ class _Fault:
         self.field: FieldInfo | None = None
         self.annotation: Any = model
         self.in_degrees = False
+        # What the value is a part of.
+        self.beside: Any = None
         self._locate(data)
 
     def _locate(self, data: Any) -> None:
@@ -108,7 +112,7 @@ class _Fault:
         return self.path[-1]
 
     def _descend(self, part: Any, data: Any) -> Any:
-        name = str(part)
+        name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
             if name.endswith("_rad") and name not in data and twin in data:
@@ -124,7 +128,9 @@ class _Fault:
         value = self.details["input"]
         context = self.details.get("ctx", {})
         if kind == "extra_forbidden":
-            return f"{where}: no such parameter of '{self.owner_name}'{did_you_mean(self.path[-1], self._known())}"
+            hint = _as_model(value) if self.path[-1] == "model" else ""
+            hint = hint or did_you_mean(self.path[-1], self._known())
+            return f"{where}: no such parameter of '{self.owner_name}'{hint}"
         if kind == "missing":
             return f"{where}: missing{self._types() if self.path[-1] == 'type' else self._meaning() + self._twin()}"
         # Components are told apart by their types, what interferes with receivers by its kind.
@@ -133,7 +139,9 @@ class _Fault:
             return f"{where}.{key}: missing{self._types()}"
         if kind == "union_tag_invalid":
             known = [tag.strip().strip("'") for tag in context["expected_tags"].split(",")]
-            return f"{where}.{key}: no such {key} '{context['tag']}'{did_you_mean(str(context['tag']), known)}"
+            tag = str(context["tag"])
+            hint = (_as_model(tag) if "multirotor" in known else "") or did_you_mean(tag, known)
+            return f"{where}.{key}: no such {key} '{tag}'{hint}"
         if kind == "literal_error":
             allowed = self._choices()
             if self.path[-1] == "type":
@@ -161,12 +169,18 @@ class _Fault:
 
     def _fault(self, kind: str, context: dict[str, Any]) -> str:
         if kind in _RANGES:
-            return f"is out of range; allowed: {self._range()}"
+            return f"is out of range; allowed: {self._range()}{self._swapped()}"
         if kind == "string_pattern_mismatch":
             return f"is no name; allowed: {_characters(str(context['pattern']))}"
         if kind == "string_too_long":
             return f"is too long; allowed: at most {context['max_length']} characters"
         return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
+
+    def _swapped(self) -> str:
+        """Return a hint where a latitude is one beside which there is no longitude but a latitude."""
+        if self.path[-1] != "latitude_deg" or not isinstance(self.beside, dict):
+            return ""
+        return swapped_hint(self.details["input"], self.beside.get("longitude_deg"))
 
     def _known(self) -> list[str]:
         names = [name for name in (self.owner.model_fields if self.owner else {}) if name != "type"]
@@ -238,6 +252,11 @@ class _Fault:
         if self.in_degrees:
             text = text.removesuffix("rad") + "deg" if unit == "rad" else text.replace("[rad]", "[deg]")
         return f" ({text})"
+
+
+def _as_model(name: Any) -> str:
+    """Return how a parameter set of a multirotor is chosen, by its name; "" for other names."""
+    return f"; write {{type: multirotor, model: {name}}}" if isinstance(name, str) and name in SETS else ""
 
 
 def _number(value: float) -> str:

@@ -93,6 +93,11 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
         text = resources.files("qrsim.scenarios").joinpath(*f"{name}.yaml".split("/")).read_text("utf-8")
         return _as_mapping(parse_yaml(text, name), name)
     path = Path(name)
+    if (path / "run.json").is_file():
+        raise UsageError(
+            f"{path} is a run folder and no scenario: 'qrsim view {path}' shows the flight, and 'qrsim run "
+            f"{path / 'scenario.yaml'}' flies its scenario again"
+        )
     if not _is_file(name):
         hint = did_you_mean(name, built_in_names())
         raise UsageError(f"no scenario is called '{shortened(name, 200)}'{hint} (or give the path of a .yaml file)")

@@ -180,7 +180,7 @@ def load_scenario(
     anchor_files(content, Path.cwd())
     anchor_code(content, Path.cwd())
     insert_vehicle_files(content, name)
-    insert_vehicle_models(content, name)
+    odd = insert_vehicle_models(content, name)
     insert_forecast(content, name)
     insert_sensor_sets(content, name)
     if local:
@@ -197,7 +197,7 @@ def load_scenario(
     found = found or list(trial_problems(spec))
     if found:
         raise ScenarioError(name, found)
-    for words in () if quiet else plausibility_warnings(spec):
+    for words in () if quiet else (*odd, *plausibility_warnings(spec)):
         warn_user(f"{spec.name}: {words}")
     return Scenario(spec)
 

@@ -10,6 +10,9 @@ from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec
 
+# No vehicle of this simulator is so heavy [kg]; builders weigh theirs in grams.
+MOST_KG = 100.0
+
 
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """Yield what does not fit a fleet's vehicle: its controller; of one that takes no commands, battery and route."""
@@ -41,3 +44,8 @@ def can_fly(controller: Any, vehicle: Any) -> bool:
         # The vehicle's own command of tilt and throttle, if it has one.
         return vehicle.handling is not Vehicle.handling
     return any(issubclass(kind, controller.gives) for kind in vehicle.actions)
+
+
+def grams_hint(mass: float) -> str:
+    """Return a hint for a mass [kg] that is hardly one in kilograms, "" for others."""
+    return f"; masses are in kg: {mass:g} g are {mass / 1000.0:g} kg" if mass >= MOST_KG else ""

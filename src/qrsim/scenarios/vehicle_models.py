@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from qrsim.core.presets import filled
@@ -46,22 +48,26 @@ def _written(value: Any) -> Any:
     return {name: list(part) if isinstance(part, tuple) else part for name, part in vars(value).items()}
 
 
-def insert_vehicle_models(content: dict[str, Any], source: str) -> None:
+def insert_vehicle_models(content: dict[str, Any], source: str) -> list[str]:
     """Replace, in place, what names or derives the parameters of each multirotor by these; others beside it count.
 
     That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
+
+    Returns:
+        Warnings of numbers that are not plausible, one sentence each.
 
     Raises:
         ScenarioError: no model or arrangement has that name, or numbers are wrong.
     """
     fleets = content.get("fleets")
-    problems = []
+    problems: list[str] = []
+    odd: list[str] = []
     for name, fleet in fleets.items() if isinstance(fleets, dict) else ():
         vehicle = fleet.get("vehicle") if isinstance(fleet, dict) else None
         if not isinstance(vehicle, dict) or vehicle.get("type") != "multirotor" or not SHORT & set(vehicle):
             continue
         try:
-            fleet["vehicle"] = _written_out(vehicle)
+            fleet["vehicle"] = _written_out(vehicle, partial(_note, odd, name))
         except UsageError as error:
             problems.append(f"fleets.{name}.vehicle.{error}")
             continue
@@ -69,13 +75,18 @@ def insert_vehicle_models(content: dict[str, Any], source: str) -> None:
             _slow_down(fleet, float(vehicle["own"]["attitude_bandwidth"]))
     if problems:
         raise ScenarioError(source, problems)
+    return odd
+
+
+def _note(odd: list[str], fleet: str, words: str) -> None:
+    odd.append(f"fleets.{fleet}.vehicle.own.{words}")
 
 
 # Written in a scenario in place of parameters.
 SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
 
 
-def _written_out(vehicle: dict[str, Any]) -> dict[str, Any]:
+def _written_out(vehicle: dict[str, Any], warn: Callable[[str], None]) -> dict[str, Any]:
     """Return a multirotor with its parameters in place of what stands for them.
 
     Raises:
@@ -86,7 +97,7 @@ def _written_out(vehicle: dict[str, Any]) -> dict[str, Any]:
     if "own" in vehicle:
         if "model" in vehicle:
             raise UsageError("own: gives both 'own' and 'model'; give one")
-        found = numbers_of(_own(vehicle["own"], vehicle.get("geometry"), beside))
+        found = numbers_of(_own(vehicle["own"], vehicle.get("geometry"), beside, warn))
     elif "model" in vehicle:
         model = vehicle["model"]
         if not isinstance(model, str) or model not in SETS:
@@ -105,7 +116,7 @@ def _slow_down(fleet: dict[str, Any], attitude_bandwidth: float) -> None:
         controller.setdefault("velocity_gain", min(2.2, attitude_bandwidth / 3.6))
 
 
-def _own(own: Any, geometry: Any, beside: dict[str, Any]) -> Any:
+def _own(own: Any, geometry: Any, beside: dict[str, Any], warn: Callable[[str], None]) -> Any:
     """Return the multirotor of the six numbers of a scenario."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
@@ -119,7 +130,7 @@ def _own(own: Any, geometry: Any, beside: dict[str, Any]) -> Any:
     if TABLE in own and (both := [key for key in OF_TABLE if key in own]):
         raise UsageError(f"own.{both[0]}: is in the {TABLE} too; give one")
     try:
-        return own_multirotor(**{"geometry": geometry, **own, **known_numbers(beside)})
+        return own_multirotor(**{"geometry": geometry, **own, **known_numbers(beside)}, warn=warn)
     except UsageError as error:
         raise UsageError(f"own.{error}") from None
 

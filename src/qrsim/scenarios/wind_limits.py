@@ -48,6 +48,11 @@ class Limits:
     mean: Floats
     sigma: Floats
 
+    @property
+    def too_heavy(self) -> bool:
+        """Whether one of them cannot lift itself, and so holds no wind."""
+        return bool((self.own.by_thrust & (self.own.tilt == 0.0)).any())
+
 
 def voltages(fleet: FleetSpec) -> Any:
     """Return the voltage (n,) of each vehicle's full battery [V]."""
@@ -93,7 +98,7 @@ def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterat
     if not _blows(scenario) or is_outside("vehicle", fleet.vehicle.type):
         return
     limits = limits_of(fleet, scenario)
-    if limits is None:
+    if limits is None or limits.too_heavy:
         return
     mean, gusts = limits.mean, GUST_SIGMAS * limits.sigma
     cases = [(mean + gusts, limits.own.airspeed, limits.own, _by_itself)]

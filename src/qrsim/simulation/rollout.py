@@ -17,7 +17,7 @@ from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
 from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.engine.settings import device_mesh, use_compilation_cache
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, shortened
 from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function
 from qrsim.models.scene.area import reason_text
@@ -65,7 +65,9 @@ class Rollout(Tabled):
 
     def _table(self) -> Table:
         count = len(self.seeds)
-        title = f"rollout of {count} world{'s' * (count != 1)} of {len(self.vehicles)}: {', '.join(self.vehicles)}"
+        recorded = f"; recorded at {len(self.record_ticks)} ticks" if len(self.record_ticks) else ""
+        vehicles = shortened(", ".join(self.vehicles))
+        title = f"rollout of {count} world{'s' * (count != 1)} of {len(self.vehicles)}: {vehicles}{recorded}"
         rows = [_metric_row(name, np.asarray(values)) for name, values in self.metrics.items()]
         return Table(title, ("metric", "unit", "shape", "least", "median", "greatest"), rows)
 

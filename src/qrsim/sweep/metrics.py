@@ -90,7 +90,7 @@ METRICS: dict[str, Metric] = {
                                       low_is_bad=True, limits=(-np.inf, np.inf))
         for part in ("lateral", "ceiling", "floor")
     },
-    "endurance_s": Metric("s", "time for which the battery would last at the mean consumption, of the shortest",
+    "endurance_s": Metric("s", "time for which the battery would last at the mean consumption in the air, shortest",
                           _over(np.nanmin, "endurance_s"), low_is_bad=True),
     "charge_min": Metric("1", "lowest charge of a battery, its reserve at the end",
                          _over(np.nanmin, "charge_min"), low_is_bad=True, limits=(0.0, 1.0)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,11 +16,13 @@ from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.tasks.places import Places
 from qrsim.view.reasons import code_in_words
-from qrsim.world.state import FleetState, State, World, position_of
+from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 # Of a vehicle that says nothing of its looks: that of the AscTec Pelican [m].
 PELICAN_SPAN = 0.65
+# Places of routes and paths that a view is chosen by; a route that ends this near to its start [m] is none.
+MOST_WAYS, NO_WAY = 300, 1.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,8 @@ class Cast:
         around: (K, 3) corners of what is to be seen beside them [m]; None: nothing.
         outlines: looks of the vehicles of each fleet; none: all are quadrotors.
         places: that a task is about; None: none are known.
+        routes: of each vehicle its start and the places (W, 3) that it is sent to [m]; W is 0 where there are none.
+        flown: (K, 3) places along the paths of a recording [m]; None: it has not been flown yet.
     """
 
     names: tuple[str, ...]
@@ -107,6 +112,8 @@ class Cast:
     around: Floats | None = None
     outlines: tuple[Outline | None, ...] = ()
     places: Places | None = None
+    routes: tuple[Floats, ...] = ()
+    flown: Floats | None = None
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:
@@ -146,8 +153,16 @@ class Cast:
 
     @property
     def _seen(self) -> Floats:
-        parts = [self.start_ned] if self.around is None else [self.start_ned, self.around]
+        parts = [self.start_ned, self.ways]
+        parts += [] if self.around is None else [self.around]
         return np.vstack(parts if self.places is None else [*parts, self.places.goals])
+
+    @property
+    def ways(self) -> Floats:
+        """Places (K, 3) along routes and paths that a first view shows beside the vehicles [m]; K may be 0."""
+        found = np.vstack([np.zeros((0, 3)), *self.routes, *(() if self.flown is None else (self.flown,))])
+        found = found[np.isfinite(found).all(axis=1)]
+        return found[:: 1 + len(found) // MOST_WAYS]
 
     @property
     def centre(self) -> Floats:
@@ -165,7 +180,18 @@ def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Ca
         _contents_corners(world),
         tuple(fleet.vehicle.outline() for fleet in world.fleets),
         places,
+        tuple(route for fleet in world.fleets for route in _routes(fleet)),
     )
+
+
+def _routes(fleet: Fleet) -> Iterator[Floats]:
+    """Yield the start and the waypoints or ends of legs (W, 3) [m] of each vehicle; none for who is sent nowhere."""
+    starts, places = axes_of(fleet.start.position_ned), axes_of(fleet.route.position_ned)
+    for i, count in enumerate(np.ravel(np.asarray(fleet.route.count)).tolist()):
+        way = np.vstack([starts[i], places[:count, i]]).astype(np.float64)
+        # A landing leads on through the ground.
+        way[:, 2] = np.minimum(way[:, 2], max(0.0, way[0, 2]))
+        yield way if np.ptp(way, axis=0).max() > NO_WAY else way[:0]
 
 
 def _contents_corners(world: World) -> Floats | None:

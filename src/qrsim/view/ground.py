@@ -15,7 +15,7 @@ from qrsim.models.scene.prisms import Prisms
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.frame import Cast
-from qrsim.view.layers import MOST_LABELS, Layer, Stage, down_at
+from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
@@ -26,7 +26,7 @@ MOST_ALONG = 200
 
 
 class Ground(Layer):
-    """Ground with a grid, at z = 0 or as a surface; an arrow points north from the origin, or next to many vehicles.
+    """Ground with a grid, at z = 0 or as a surface; an arrow points north, west of all that is to be seen.
 
     Attributes:
         north: (3,) tip of the arrow [m].
@@ -71,11 +71,9 @@ class Ground(Layer):
 
 def arrow_of(cast: Cast, span: float, length: float) -> tuple[float, float, float]:
     """Return where the arrow begins, north and east [m], and its length [m], at most ``length``."""
-    if cast.size <= MOST_LABELS:
-        return 0.0, 0.0, length
-    places = cast.start_ned[:, :2]
-    # West of all vehicles, which it would cover, and no longer than half of their row.
-    length = min(length, max(span, 0.5 * float(np.ptp(places, axis=0).max())))
+    places = np.vstack([cast.start_ned, cast.ways])[:, :2]
+    # West of all vehicles and routes, which it would cover, and short beside them.
+    length = min(length, max(2.0 * span, 0.2 * float(np.ptp(places, axis=0).max())))
     south, west = places.min(axis=0).tolist()
     return south, west - span - 0.3 * length, length
 

@@ -40,7 +40,7 @@
     button.onclick = () => { act(); button.blur(); };
     return button;
   };
-  tool("Show all", "look at all vehicles (F)", () => frame(true));
+  tool("Show all", "look at all vehicles and routes (F)", () => frame(true));
   const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
   tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
   const legend = make("div", "qrsim-legend", root);
@@ -106,8 +106,8 @@
 
   // ---- the camera ----
 
-  const SHARE = data.names.length === 1 ? 0.35 : data.names.length <= 20 ? 0.6 : 0.75;
-  // The box of all vehicles as a camera sees them that looks at `middle` from `away` [three coordinates].
+  const SHARE = data.names.length + data.ways.length === 1 ? 0.35 : data.names.length <= 20 ? 0.6 : 0.75;
+  // The box of all vehicles and routes as a camera sees them that looks at `middle` from `away` [three coordinates].
   const boxOf = (points, middle, away, box) => {
     const forward = away.clone().negate().normalize(), up = m.camera.up;
     const right = forward.clone().cross(up).normalize(), above = right.clone().cross(forward);
@@ -125,7 +125,7 @@
     return { left, top, right: r, bottom, per, near, axes: [right, above] };
   };
   const share = (found, room) => Math.max((found.right - found.left) / room.width, (found.bottom - found.top) / room.height);
-  const all = () => data.names.map((_, vehicle) => three(vehicle));
+  const all = () => [...data.names.map((_, vehicle) => three(vehicle)), ...data.ways.map((place) => at3(...place))];
   const look = (middle, away, smooth) => {
     const eye = middle.clone().add(away), control = m.cameraControl;
     if (smooth) return control.setLookAt(...eye.toArray(), ...middle.toArray(), true);
@@ -365,7 +365,7 @@
     follow: (vehicle) => { wish = vehicle; },
     reasons: (found) => { reasons = found; seen = ""; },
     sky: skyIn(root),
-    // The box of all vehicles, what panels leave free, and how much of that it fills; pixels of the page.
+    // The box of all vehicles and routes, what panels leave free, and how much of that it fills; pixels of the page.
     box: () => {
       const box = canvasBox(), room = free(box), Vector = m.camera.position.constructor, control = m.cameraControl;
       const middle = control.getTarget(new Vector()), away = control.getPosition(new Vector()).sub(middle);

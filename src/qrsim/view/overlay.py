@@ -37,6 +37,7 @@ STOPPED = "stopped"
 # Of each layer: how its row of the legend is marked, the colours, the words.
 ROWS: dict[str, list[tuple[str, Any, str]]] = {
     "vehicles": [("body", [colours.STOPPED], STOPPED)],
+    "routes": [("thin", [colours.VEHICLES[0]], "route")],
     "true paths": [("line", [colours.VEHICLES[0]], "true path, last minute")],
     "estimated paths": [("thin", [colours.GREY], "estimated path")],
     "GNSS positions": [("ghost", [colours.GREY], "GNSS position")],
@@ -92,6 +93,7 @@ class Overlay:
             "mostLabels": MOST_LABELS,
             "trueSpan": stage.cast.true_span,
             "from": SOUTH,
+            "ways": np.round(stage.cast.ways, 2).tolist(),
             "frame": True,
             "north": north[0],
             "layers": [layer.path for layer in layers.values()],

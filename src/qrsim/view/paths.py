@@ -9,7 +9,7 @@ import numpy as np
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.frame import Frame
-from qrsim.view.layers import MANY, Layer
+from qrsim.view.layers import MANY, MOST_LABELS, Layer
 
 Floats = np.ndarray[Any, Any]
 LENGTH_S = 60.0
@@ -118,6 +118,23 @@ class Paths(Layer):
         if (colours == colours[0]).all():
             return tuple(colours[0].tolist())
         return np.repeat(np.tile(shapes.linear(colours), (self._corners, 1))[:, None], 2, axis=1)
+
+
+class Routes(Layer):
+    """Where each vehicle is sent: from its start to one waypoint, or end of a leg, after the other."""
+
+    title = "routes"
+    most = MOST_LABELS
+    every = 1000.0
+
+    def begin(self) -> None:
+        """Add them all as one node; they stay where they are."""
+        pairs = [np.stack([route[:-1], route[1:]], axis=1) for route in self.stage.cast.routes]
+        legs = np.concatenate(pairs).astype(np.float32)
+        colours = np.repeat(shapes.linear(self.stage.colours), [len(own) for own in pairs], axis=0)
+        self.stage.scene.add_line_segments(
+            f"{self.path}/legs", legs, np.repeat(colours[:, None], 2, axis=1), thickness=1.0, thickness_units="screen"
+        )
 
 
 class EstimatedPaths(Paths):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ from qrsim.world.state import World
 Floats = np.ndarray[Any, Any]
 # Of a plot [s].
 PLOT_S = 60.0
+# Times at which places along the paths are looked up.
+PATH_TIMES = 100
 
 
 class Recording:
@@ -80,7 +83,7 @@ class Recording:
         start = self._truth.at("position", self.time[0])
         try:
             world = self.run.built().world(self.run.info.precision)
-            cast = cast_of(world, start, self._places())
+            cast = replace(cast_of(world, start, self._places()), flown=self._flown())
             if cast.names == self.run.vehicles:
                 return world, cast
             why = "its vehicles are others"
@@ -91,7 +94,13 @@ class Recording:
             f"plumes and air: {why}"
         )
         count = len(self.run.vehicles)
-        return None, Cast(self.run.vehicles, np.zeros(count, int), np.nan_to_num(start).astype(np.float64))
+        starts = np.nan_to_num(start).astype(np.float64)
+        return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown())
+
+    def _flown(self) -> Floats:
+        """Return places (K, 3) [m] along all paths."""
+        times = self.time[:: 1 + len(self.time) // PATH_TIMES]
+        return np.vstack([self._truth.at("position", float(time)) for time in times])
 
     def _places(self) -> Places | None:
         """Return the places that the run's task is about, None without a task."""

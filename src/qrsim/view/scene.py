@@ -18,7 +18,7 @@ from qrsim.view.ground import Area, Ground, Obstacles
 from qrsim.view.interference import interference_layers
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
-from qrsim.view.paths import EstimatedPaths, Paths
+from qrsim.view.paths import EstimatedPaths, Paths, Routes
 from qrsim.view.radio import radio_layers
 from qrsim.view.task import task_layers
 from qrsim.world.state import World
@@ -72,7 +72,7 @@ class Scene:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
             solid += [*interference_layers(self.stage, world), *radio_layers(self.stage, world)]
-        solid += task_layers(self.stage, cast.places)
+        solid += [*task_layers(self.stage, cast.places), *([Routes(self.stage)] if any(map(len, cast.routes)) else [])]
         ground = Ground(self.stage, world)
         layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
@@ -84,7 +84,7 @@ class Scene:
         self._look()
 
     def _look(self) -> None:
-        """Let pages begin with a view from the south, of all starts."""
+        """Let pages begin with a view from the south, of all starts, routes and paths."""
         # Vehicles leave where they start; what they fly in is seen as a whole.
         self._begin(self.cast.centre, self.cast.extent * (1.15 if self.cast.around is None else 0.8))
         self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)

@@ -104,7 +104,8 @@ BAD = {
     "missing column": ("time,nort,east,down\n0,1,2,3\n", ["line 1", "no column 'north'", "did you mean 'nort'?"]),
     "no header": ("0,1,2,3\n1,1,2,3\n", ["line 1", "no column 'time'"]),
     "column twice": ("time,north,east,down,north\n", ["line 1", "'north' is there 2 times"]),
-    "empty": ("", ["line 1", "no column 'time'"]),
+    "empty": ("", ["line 1", "the file is empty"]),
+    "empty lines": ("\n\n", ["line 1", "its first line is empty"]),
     "one row": ("time,north,east,down\n0,1,2,3\n", ["1 rows under the header", "at least 2"]),
     "bad quotes": (GOOD + '2,"0"1,0,0\n', ["line 4", "not CSV"]),
 }

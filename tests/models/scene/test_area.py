@@ -15,7 +15,7 @@ from qrsim.core.noise import Key
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError
-from qrsim.models.scene.area import REASONS, BoxArea, StateLimits, Violation, collisions, reason_code
+from qrsim.models.scene.area import REASONS, BoxArea, StateLimits, Violation, collisions, reason_code, reason_text
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.scenarios.making import make_world
 from qrsim.scenarios.scenario import load_scenario
@@ -406,3 +406,20 @@ class TestRadii:
             "fleets.third.vehicles.0.position_ned: starts 1.3 m from fleets.small.vehicles.1; allowed: at least 1.4 m "
             "(the sum of their radii)",
         ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value", "expected"),
+    [
+        ("crashed", "impact_speed", 15.83, "crashed: impact_speed = 15.83 m/s"),
+        ("hit_ground", "tilt", 0.6, "hit_ground: tilt = 0.6 rad"),
+        ("hit_ground", "position_ned.z", 0.01, "hit_ground: position_ned.z = 0.01 m"),
+        ("state_limit", "rates_body.x", 3.5, "state_limit: rates_body.x = 3.5 rad/s"),
+        ("brown_out", "power", 900.0, "brown_out: power = 900 W"),
+        ("battery_empty", "charge", 0.0, "battery_empty: charge = 0"),
+        ("collision", "obstacle", 3.0, "collision: obstacle 3"),
+        ("not_finite", "state", 1.0, "not_finite: state"),
+    ],
+)
+def test_a_reason_has_its_unit(kind: str, field: str, value: float, expected: str) -> None:
+    assert reason_text(reason_code(kind, field), value) == expected

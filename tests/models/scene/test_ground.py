@@ -250,7 +250,7 @@ class TestRefused:
             (f"{HEADER}1 2 3\n4 5 6\n", "its header has no 'cellsize'"),
             (f"{HEADER}cellsize 10\nNCOLS 3\n1 2 3\n4 5 6\n", "its header has 'ncols' twice"),
             ("ncols 3\nnrows 2.5\n", "'nrows' of its header is 2.5; expected a whole number"),
-            (f"{HEADER}cellsize 10\n1 2 x 4 5 6\n", "a height is no number"),
+            (f"{HEADER}cellsize 10\n1 2 x 4 5 6\n", "line 6: the height 'x' is not a number"),
             ("", "its header has no 'ncols'"),
         ],
     )  # fmt: skip

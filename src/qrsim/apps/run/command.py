@@ -304,7 +304,7 @@ def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
     charged = [row for row in summaries if math.isfinite(row.charge_least)]
     if charged:
         row = min(charged, key=lambda each: each.charge_least)
-        lasts = f"; at this consumption it lasts {row.endurance_s / 60.0:.1f} min" if row.endurance_s > 0.0 else ""
+        lasts = f"; in the air it lasts {row.endurance_s / 60.0:.1f} min in all" if row.endurance_s > 0.0 else ""
         yield f"battery: {100.0 * row.charge_least:.0f} % left, at least, of {row.vehicle}{lasts}"
 
 

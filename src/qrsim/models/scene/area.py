@@ -43,6 +43,12 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("brown_out", "power"),
 )
 
+# Of the value of a reason, by its field; others have none.
+UNITS = {
+    "position_ned": "m", "attitude": "rad", "velocity_body": "m/s", "rates_body": "rad/s", "distance": "m",
+    "fence": "m", "speed": "m/s", "tilt": "rad", "impact_speed": "m/s", "power": "W",
+}  # fmt: skip
+
 
 def reason_code(kind: str, field: str) -> int:
     """Return the code of a reason."""
@@ -50,13 +56,15 @@ def reason_code(kind: str, field: str) -> int:
 
 
 def reason_text(code: int, value: float) -> str:
-    """Describe a reason in words: kind, field and value; "" for code 0."""
+    """Describe a reason in words: kind, field, value and unit; "" for code 0."""
     if code == 0:
         return ""
     kind, field = REASONS[code]
     if field == "obstacle":
         return f"{kind}: obstacle {value:.0f}"
-    return f"{kind}: {field}" if kind == "not_finite" else f"{kind}: {field} = {value:.4g}"
+    if kind == "not_finite":
+        return f"{kind}: {field}"
+    return f"{kind}: {field} = {value:.4g} {UNITS.get(field.partition('.')[0], '')}".rstrip()
 
 
 @record

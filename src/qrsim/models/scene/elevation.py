@@ -295,8 +295,9 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
         raise UsageError(f"{file}: {many} heights; its header says {height} rows of {width}, which are {asked}")
     try:
         heights = np.array(values, np.float64).reshape(height, width)
-    except ValueError as error:
-        raise UsageError(f"{file}: a height is no number: {error}") from None
+    except ValueError:
+        line, word = _first_text(data.decode("latin-1"), 2 * len(header))
+        raise UsageError(f"{file}: line {line}: the height {word[:40]!r} is not a number") from None
     heights = np.where((heights == header.get("nodata_value", -9999.0)) | ~np.isfinite(heights), np.nan, heights)
     # A corner is that of a cell, whose height is that of its middle.
     west = needed["xllcorner"] + (0.5 * dx if "xllcorner" in header else 0.0)
@@ -304,6 +305,19 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
     own: Frame = "geodetic" if max(dx, dy) < LARGEST_DEGREES else "local"
     kind: Frame = own if frame == "auto" else ("local" if frame == "local" else "geodetic")
     return Elevations(kind, south + dy * np.arange(height), west + dx * np.arange(width), heights[::-1])
+
+
+def _first_text(text: str, skipped: int) -> tuple[int, str]:
+    """Return the line and the text of the first word that is no number, after some words of a header."""
+    count = 0
+    for number, line in enumerate(text.split("\n"), 1):
+        for word in line.split():
+            count += 1
+            try:
+                float(word if count > skipped else "0")
+            except ValueError:
+                return number, word
+    return 1, text[:40]
 
 
 def _is_name(word: str) -> bool:

@@ -64,7 +64,8 @@ def envelope(vehicle: Vehicle, tilt_limit: Any, thrust_limit: Any = None) -> Env
             low, high = np.where(too_much, low, middle), np.where(too_much, middle, high)
         tilt = np.where(by_thrust, low, tilt)
         airspeed, thrust = balance(tilt)
-    return Envelope(airspeed, tilt, thrust, by_thrust)
+    # Who weighs more than that cannot stay in the air at all, and holds no wind.
+    return Envelope(airspeed, tilt, np.minimum(thrust, most), by_thrust)
 
 
 class _Balance:

@@ -238,3 +238,27 @@ def test_it_leans_as_fast_as_was_asked_for(six: dict[str, Any]) -> None:
     time = np.interp(0.632 * roll, flown[: np.argmax(flown) + 1], dt * np.arange(np.argmax(flown) + 1))
     assert time == pytest.approx(1.0 / six["attitude_bandwidth"], rel=0.05)
     assert flown.max() < 1.05 * roll
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "words"),
+    [
+        # A radius of 0.45 x 0.35 m = 0.1575 m; 64/min are 6.70 rad/s.
+        (
+            "rpm",
+            [39, 47, 53, 57.5, 64],
+            "rpm of row 5 is 64: the tips of a propeller of radius 0.157 m move at 1.06 m/s",
+        ),
+        # Momentum theory: 5.00 N^1.5 / (2 x 1.225 kg/m^3 x 0.0779 m^2)^0.5 = 25.6 W; 23.3 to 256 W.
+        (
+            "power_W",
+            [0.58, 1.04, 1.5, 1.95, 2.7],
+            "power_W of row 1 is 0.58 W for 5 N of thrust; with a propeller of ra",
+        ),
+        # (5300/53)^2 of the same thrust.
+        ("rpm", [3900, 4700, 4750, 4760, 9000], "thrust over rpm squared of row 5 is 0.4"),
+    ],
+)
+def test_a_table_of_no_motor_is_warned_of(column: str, values: list[float], words: str) -> None:
+    with pytest.warns(UserWarning, match=f"motor_table: {words}"):
+        own_multirotor(**HEXA, motor_table={**TABLE, column: values})

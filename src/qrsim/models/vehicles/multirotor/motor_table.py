@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,11 @@ COLUMNS = {
 }
 # Largest efficiency of a motor, shaft power over electrical power.
 MOST_EFFICIENT = 0.9
+# Speed of the tips at full throttle [m/s]; and the part of the electrical power that momentum theory accounts for.
+TIP_SPEEDS, IDEAL_SHARES = (20.0, 340.0), (0.1, 1.1)
+# Thrust over speed squared of a row, over that of the median row: at most this much, and at least 1 over it.
+MOST_APART = 2.0
+AIR_DENSITY = 1.225
 
 
 @dataclass(frozen=True)
@@ -118,6 +123,33 @@ class MotorTable:
             "throttle_curve": curve, "hover_throttle": float(np.interp(each, self.thrust, self.throttle)),
             "hover_power": power, "hover_speed": speed,
         }  # fmt: skip
+
+    def oddities(self, radius: float) -> Iterator[str]:
+        """Yield what no motor with a propeller of a radius [m] does, though the table may have it.
+
+        The radius may be a guess, so the ranges are wide.
+        """
+        tip = float(self.speed[-1]) * radius
+        if not TIP_SPEEDS[0] <= tip <= TIP_SPEEDS[1]:
+            yield (
+                f"rpm of row {len(self.speed)} is {self.speed[-1] * 30.0 / math.pi:.4g}: the tips of a propeller of "
+                f"radius {radius:.3g} m move at {tip:.3g} m/s; plausible: {TIP_SPEEDS[0]:g} to {TIP_SPEEDS[1]:g} m/s"
+            )
+        ideal = self.thrust**1.5 / math.sqrt(2.0 * AIR_DENSITY * math.pi * radius**2)
+        share = ideal / np.maximum(self.power, 1e-9)
+        for row in np.flatnonzero((share < IDEAL_SHARES[0]) | (share > IDEAL_SHARES[1]))[:1]:
+            least, most = (float(ideal[row]) / limit for limit in reversed(IDEAL_SHARES))
+            yield (
+                f"power_W of row {row + 1} is {self.power[row]:.3g} W for {self.thrust[row]:.3g} N of thrust; with a "
+                f"propeller of radius {radius:.3g} m plausible: {least:.3g} to {most:.3g} W"
+            )
+        lift = self.thrust / self.speed**2
+        apart = lift / np.median(lift)
+        for row in np.flatnonzero((apart > MOST_APART) | (apart < 1.0 / MOST_APART))[:1]:
+            yield (
+                f"thrust over rpm squared of row {row + 1} is {apart[row]:.3g} times that of the others; plausible: "
+                f"{1.0 / MOST_APART:g} to {MOST_APART:g}"
+            )
 
 
 def _numbers(name: str, values: Any) -> Floats:

@@ -7,11 +7,11 @@ Whatever is known better replaces what is derived here.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, warn_user
 from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
 from qrsim.models.vehicles.multirotor.motor_table import MOST_EFFICIENT, MotorTable
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
@@ -199,6 +199,7 @@ def own_multirotor(
     thrust_to_weight: float | None = None,
     motor_table: Mapping[str, Any] | None = None,
     geometry: str | None = None,
+    warn: Callable[[str], None] = warn_user,
     **parameters: Any,
 ) -> Multirotor:
     """Return a multirotor of six numbers, or of four and the table of its motor, for ``make_scenario(vehicle=...)``.
@@ -210,6 +211,7 @@ def own_multirotor(
         mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry: see ``own_parameters``.
         motor_table: columns of one motor with its propeller by name (``motor_table.py``), in place of hover throttle
             and thrust to weight; it also gives the electrical power.
+        warn: called with a sentence for each thing in the table that is not plausible.
         parameters: fields of ``Multirotor`` that are known better than by a rule.
 
     Raises:
@@ -220,7 +222,8 @@ def own_multirotor(
         _check({"mass": mass})
         kind = _geometry(rotors, geometry)
         try:
-            table = MotorTable.of(motor_table).numbers(mass * GRAVITY, kind.count)
+            columns = MotorTable.of(motor_table)
+            table = columns.numbers(mass * GRAVITY, kind.count)
         except UsageError as error:
             raise UsageError(f"{TABLE}: {error}") from None
         hover_throttle, thrust_to_weight = table["hover_throttle"], table["thrust_to_weight"]
@@ -233,6 +236,8 @@ def own_multirotor(
     )  # fmt: skip
     if table:
         derived |= _powered(derived, table)
+        for words in columns.oddities(float(derived["rotor_radius"])):
+            warn(f"{TABLE}: {words}")
     for name in parameters:
         if name not in Multirotor.__dataclass_fields__:
             known = list(Multirotor.__dataclass_fields__)
