@@ -39,6 +39,7 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.sites import at_site
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
+from qrsim.scenarios.updraft_slot import footprint
 from qrsim.world.state import Fleet, Start, World
 
 
@@ -103,6 +104,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         ground=ground,
         skyline=_skyline(scenario, obstacles),
         radio=with_fleets(network_of(scenario), scenario),
+        updrafts=tuple(updraft_of(scenario, i) for i in range(len(world.updrafts))),
     )
     return cast(built, dtype)
 
@@ -152,6 +154,17 @@ def wind_of(scenario: ScenarioSpec) -> Any:
     """Build the wind; a wind file is read for the length of the run, and for the area."""
     wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
     return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
+
+
+def updraft_of(scenario: ScenarioSpec, number: int) -> Any:
+    """Build an updraft for the area and its obstacles.
+
+    Raises:
+        UsageError: it cannot be there.
+    """
+    world = scenario.world
+    solids = [footprint(component(spec, known.OBSTACLES, scenario)) for spec in world.obstacles]
+    return component(world.updrafts[number], known.UPDRAFTS, scenario).built(bounds_of(world.area), solids)
 
 
 def ground_of(scenario: ScenarioSpec) -> Any:
