@@ -83,7 +83,7 @@ class Thermals(Updraft):
         if 2.0 * widest > min(sides):
             raise UsageError(
                 f"z_i: thermals of z_i = {depth:g} m are {2.0 * widest:.3g} m across, and world.area "
-                f"{min(sides):.4g} m; allowed: z_i up to {0.5 * min(sides) / widest * depth:.3g} m, or a larger area"
+                f"{min(sides):.4g} m; allowed: z_i up to {0.5 * min(sides) / widest * depth:.4g} m, or a larger area"
             )
         if number == 0:
             raise UsageError(
