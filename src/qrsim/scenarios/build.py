@@ -156,15 +156,16 @@ def wind_of(scenario: ScenarioSpec) -> Any:
     return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
 
 
-def updraft_of(scenario: ScenarioSpec, number: int) -> Any:
-    """Build an updraft for the area and its obstacles.
+def updraft_of(scenario: ScenarioSpec, number: int, **changes: Any) -> Any:
+    """Build an updraft, with some parameters changed, for the area and its obstacles.
 
     Raises:
         UsageError: it cannot be there.
     """
     world = scenario.world
     solids = [footprint(component(spec, known.OBSTACLES, scenario)) for spec in world.obstacles]
-    return component(world.updrafts[number], known.UPDRAFTS, scenario).built(bounds_of(world.area), solids)
+    updraft = replace(component(world.updrafts[number], known.UPDRAFTS, scenario), **changes)
+    return updraft.built(bounds_of(world.area), solids)
 
 
 def ground_of(scenario: ScenarioSpec) -> Any:

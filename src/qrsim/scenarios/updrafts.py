@@ -23,10 +23,14 @@ def updraft_problems(scenario: ScenarioSpec) -> Iterator[str]:
         if updraft.type == "ridge_lift" and ground is not None and ground.flat:
             yield f"{path}: 'ridge_lift' needs ground with slopes; world.ground is 'flat'; use one of type dem"
             continue
-        try:
-            updraft_of(scenario, i)
-        except UsageError as error:
-            yield f"{path}.{error}" if ": " in str(error) else f"{path}: {error}"
+        # The widest that an episode may draw.
+        deepest = [{"z_i": item.high} for item in scenario.ranges if item.path == f"{path}.z_i"]
+        for changes in ({}, *deepest):
+            try:
+                updraft_of(scenario, i, **changes)
+            except UsageError as error:
+                yield f"{path}.{error}" if ": " in str(error) else f"{path}: {error}"
+                break
 
 
 def updraft_warnings(scenario: ScenarioSpec) -> Iterator[str]:

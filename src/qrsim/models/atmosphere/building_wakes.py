@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from qrsim.core.fastmath import power
-from qrsim.core.tree import derived, parameter, record, replace
+from qrsim.core.tree import derived, record, replace, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import Bounds, Footprint, Updraft, Wind
@@ -29,7 +29,7 @@ _SLOWEST = 1e-3
 class BuildingWakes(Updraft):
     """Slower and reversed air behind the obstacles of a world."""
 
-    least_height: Array = parameter(
+    least_height: float = setting(
         default=2.0, unit="m", doc="lower obstacles have no wake", minimum=0.1, maximum=1000.0
     )
     corners: Any = derived(default=None, doc="north and east (B, V) of each footprint's corners, from its middle [m]")
@@ -47,7 +47,7 @@ class BuildingWakes(Updraft):
         Raises:
             UsageError: there are none that are high enough, or too many.
         """
-        least = float(self.least_height)
+        least = self.least_height
         tall = [solid for solid in solids if solid.bottom - solid.top >= least]
         if not tall:
             raise UsageError(f"least_height: no obstacle is {least:g} m high, so none has a wake; give world.obstacles")
