@@ -30,7 +30,7 @@ MAST = "world.obstacles=[{type: cylinder, x: 50, y: 0, radius: 3, z_min: -30}]"
         ([f"{THERMALS}, w_star: -2}}]"], "world.updrafts.0.w_star: -2 is out of range; allowed: above 0"),
         ([f"{THERMALS}, w_star: .nan}}]"], "world.updrafts.0.w_star: nan is not a finite number"),
         ([f"{THERMALS}, places_ned: [[0, .nan]]}}]"], "world.updrafts.0.places_ned.0.1: nan is not a finite number"),
-        ([f"{THERMALS}, z_i: 90}}]"], "world.updrafts.0.z_i: 90 is out of range; allowed: 100 to 6000"),
+        ([f"{THERMALS}, z_i: 90}}]"], "world.updrafts.0.z_i: 90 is out of range; allowed: 100 to 8000"),
         ([f"{THERMALS}, count: 1001}}]"], "world.updrafts.0.count: 1001 is out of range; allowed: 0 to 1000"),
         ([f"{THERMALS}, count: 1000}}]"], "world.updrafts.0.count: 1000 thermals of z_i = 1200 m in world.area"),
         ([f"{THERMALS}, z_i: 6000}}]", "world.area={type: box, x_min: -200, x_max: 200}"],

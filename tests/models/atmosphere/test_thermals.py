@@ -37,6 +37,27 @@ BY_HAND = [
     (-3.0, 0.0, 0.0, 0.0),
 ]
 
+# The same in a mixed layer of 7900 m, whose r1/r2 go through all rows of constants: height, distance, with sink.
+OF_ALL_ROWS = [
+    (1.6, 14.0, 0.3070358),
+    (1.6, 43.0, 0.0463530),
+    (16.0, 31.0, 0.6727181),
+    (16.0, 92.0, 0.0995849),
+    (158.0, 65.0, 1.2905990),
+    (158.0, 196.0, 0.1804271),
+    (474.0, 93.0, 1.6125969),
+    (474.0, 280.0, 0.2111841),
+    (1185.0, 124.0, 1.7395666),
+    (1185.0, 371.0, 0.2158779),
+    (2370.0, 150.0, 1.5874726),
+    (2370.0, 449.0, 0.2474135),
+    (4740.0, 173.0, 0.9256954),
+    (4740.0, 520.0, 0.3617131),
+    (6715.0, 180.0, 0.1936103),
+    (6715.0, 541.0, 0.0924810),
+    (6715.0, 721.0, -0.0518605),
+]
+
 
 def built(thermals: Thermals, precision: str = "float64") -> Any:
     return cast(thermals.built(SQUARE, ()), precision)
@@ -66,8 +87,14 @@ def test_the_vertical_velocity_is_that_of_the_paper(precision: str, tolerance: f
         np.testing.assert_allclose(air(free, -distance, height), without, atol=tolerance)
 
 
-def test_small_ones_are_20_m_wide_and_broad_ones_have_r1_at_most_of_four_fifths() -> None:
-    """At 1 m above ground r2 is 10 m; at z_i = 6000 m it is above 600 m only where r1/r2 would pass 0.8."""
+def test_broader_ones_have_the_constants_of_their_row() -> None:
+    height, distance, expected = np.transpose(OF_ALL_ROWS)
+    with jax.enable_x64(True):
+        deep = built(replace(LONE, z_i=7900.0))
+        np.testing.assert_allclose(air(deep, distance, height), expected, atol=1e-7)
+
+
+def test_small_ones_are_20_m_wide() -> None:
     with jax.enable_x64(True):
         low = replace(built(replace(LONE, sink=False)), z_i=np.float64(100.0))
         # r2 = 10 m, r1/r2 = 0.151: k = 1.5352, 2.5826, -0.0113, -0.1950; w = 2.56 0.01^(1/3) 0.989 3/1.173801.
