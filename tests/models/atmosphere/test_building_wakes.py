@@ -111,6 +111,15 @@ def test_wakes_turn_with_the_wind() -> None:
     np.testing.assert_allclose(found[0, :2], -6.0 * 0.3535534 * diagonal, atol=1e-6)
 
 
+def test_a_footprint_that_is_no_rectangle_counts_as_one_about_its_centroid() -> None:
+    """Half of a square of 20 m, its centroid 20/3 m from the right angle: 20 m across, 10 m along the wind."""
+    half = Footprint(np.array([[30.0, 40.0], [50.0, 40.0], [30.0, 60.0]]), 0.0, -10.0, 0.0)
+    lee = 30.0 + 20.0 / 3.0 + 5.0
+    places = [[lee + 0.5 * LENGTH, 50.0, 0.0], [lee + 2.0 * LENGTH, 55.0, 0.0], [lee + 1.0, 39.9, 0.0]]
+    # At half of the way to the side d is the root of 3/4 of the length: 1 - (0.4330127)^1.5 of the wind is left.
+    np.testing.assert_allclose(taken([half], places)[:, 0], [-7.5, -6.0 * 0.2849384, 0.0], atol=1e-6)
+
+
 def test_a_mast_has_a_wake_as_wide_as_it_is() -> None:
     """2 m across, pi/2 m deep, 10 m high: L_R = 1.8 2/(0.3^0.3 (1 + 0.048)) = 4.929471 m."""
     mast = Footprint(np.array([[0.0, 0.0]]), 1.0, -10.0, 0.0)

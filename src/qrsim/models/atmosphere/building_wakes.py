@@ -17,12 +17,11 @@ from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import Bounds, Footprint, Updraft, Wind
 from qrsim.models.atmosphere.wind import mean_wind_at
 
+Floats = np.ndarray[Any, Any]
 # Every vehicle looks at every building: of more, the cost of a tick is theirs.
 MOST_BUILDINGS = 200
 # Between these L/H, and up to this W/H, the length of the cavity was measured.
 FLATTEST, DEEPEST, WIDEST = 0.3, 3.0, 10.0
-# Slower than this the air has no direction [m/s].
-_SLOWEST = 1e-3
 
 
 @record
@@ -32,8 +31,8 @@ class BuildingWakes(Updraft):
     least_height: float = setting(
         default=2.0, unit="m", doc="lower obstacles have no wake", minimum=0.1, maximum=1000.0
     )
-    corners: Any = derived(default=None, doc="north and east (B, V) of each footprint's corners, from its middle [m]")
-    middle: Any = derived(default=None, doc="north and east (B,) of its middle [m]")
+    corners: Any = derived(default=None, doc="north and east (B, V) of each footprint's corners, from its centroid [m]")
+    middle: Any = derived(default=None, doc="north and east (B,) of its centroid [m]")
     more: Any = derived(default=None, doc="(B,) by which it reaches beyond its corners, the radius of a cylinder [m]")
     area: Any = derived(default=None, doc="(B,) of its footprint [m^2]")
     top: Any = derived(default=None, doc="(B,) down coordinate [m]")
@@ -61,7 +60,7 @@ class BuildingWakes(Updraft):
         corners = np.stack(
             [np.pad(each.corners, ((0, most - len(each.corners)), (0, 0)), mode="edge") for each in tall]
         )
-        middle = 0.5 * (corners.min(axis=1) + corners.max(axis=1))
+        middle = np.stack([_centroid(each.corners) for each in tall])
         offset = corners - middle[:, None]
         return replace(
             self,
@@ -96,10 +95,10 @@ class BuildingWakes(Updraft):
         places = Vec3(self.middle[0], self.middle[1], self.top)
         above = mean_wind_at(wind, tall, places.map(jnp.asarray), (seconds, fraction))
         speed = root(above.x * above.x + above.y * above.y)
-        north, east = (jnp.where(speed > _SLOWEST, axis / jnp.maximum(speed, _SLOWEST), 0.0) for axis in above.axes[:2])
+        north, east = (axis / jnp.maximum(speed, 1e-9) for axis in above.axes[:2])
         across = self.corners[1] * north[:, None] - self.corners[0] * east[:, None]
         left, right = jnp.min(across, axis=1), jnp.max(across, axis=1)
-        width = jnp.maximum(right - left + 2.0 * self.more, 1e-3)
+        width = jnp.maximum(right - left + 2.0 * self.more, 1e-9)
         deep = self.area / width
         length = cavity_length(width, deep, tall)
         # (B, n) from here on.
@@ -112,7 +111,7 @@ class BuildingWakes(Updraft):
         zone = length[:, None] * root(jnp.maximum(1.0 - beside * beside, 0.0) * jnp.maximum(1.0 - up * up, 0.0))
         along = wind_ned.x[None, :] * north[:, None] + wind_ned.y[None, :] * east[:, None]
         found = _along_wake(behind, zone, beside, along, speed[:, None]) - along
-        found = jnp.where((behind >= 0.0) & (zone > 1e-3), jnp.minimum(found, 0.0), 0.0)
+        found = jnp.where((behind >= 0.0) & (zone > 0.0), jnp.minimum(found, 0.0), 0.0)
         # Chosen by a sum of one, which is faster than looking it up.
         chosen = jnp.arange(found.shape[0])[:, None] == jnp.argmin(found, axis=0)[None, :]
         taken = jnp.where(chosen, found, 0.0)
@@ -130,8 +129,8 @@ def cavity_length(width: Array, deep: Array, tall: Array) -> Array:
 
 def _along_wake(behind: Array, zone: Array, beside: Array, along: Array, speed: Array) -> Array:
     """Return the velocity along the wind [m/s] in cavities of length ``zone`` [m] and after them."""
-    safe = jnp.maximum(zone, 1e-3)
-    inside = 1.0 - jnp.clip(behind / safe, 0.0, 1.0)
+    safe = jnp.maximum(zone, 1e-9)
+    inside = 1.0 - behind / safe
     reversed_flow = -speed * inside * inside * root(jnp.maximum(1.0 - jnp.abs(beside), 0.0))
     slower = along * (1.0 - power(safe / jnp.maximum(behind, safe), 1.5))
     return jnp.where(behind < safe, reversed_flow, slower)
@@ -139,6 +138,18 @@ def _along_wake(behind: Array, zone: Array, beside: Array, along: Array, speed: 
 
 def _area(solid: Footprint) -> float:
     """Return the area [m^2] of a footprint."""
-    x, y = solid.corners.T
-    polygon = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
-    return polygon + math.pi * solid.radius**2
+    return 0.5 * abs(float(np.sum(_turns(solid.corners)))) + math.pi * solid.radius**2
+
+
+def _centroid(corners: Floats) -> Floats:
+    """Return the centroid (2,) of a polygon of corners (V, 2), or the one corner."""
+    turns = _turns(corners)[:, None]
+    if not np.sum(turns):
+        return corners.mean(axis=0)
+    return np.sum((corners + np.roll(corners, -1, axis=0)) * turns, axis=0) / (3.0 * np.sum(turns))
+
+
+def _turns(corners: Floats) -> Floats:
+    """Return the cross products (V,) of each corner with the next."""
+    x, y = corners.T
+    return x * np.roll(y, -1) - y * np.roll(x, -1)

@@ -31,8 +31,6 @@ SHAPES = (
 # The smallest r2 [m]; the largest r1/r2; where thermals are counted, of z_i.
 NARROWEST, BROADEST, COUNTED_AT = 10.0, 0.8, 0.4
 MOST_THERMALS = 1000
-# Nearer to the ground than this part of z_i there is no air to speak of; farther out than this, in r2, only the sink.
-_LOWEST, _FARTHEST = 1e-6, 4.0
 
 
 @record
@@ -143,13 +141,13 @@ class Thermals(Updraft):
 
     def rise(self, distance: Array, height_agl: Array) -> Array:
         """Return the upward velocity (n,) [m/s] at distances (n,) [m] from the nearest thermal's axis."""
-        part = jnp.clip(height_agl / self.z_i, _LOWEST, 2.0)
+        part = jnp.maximum(height_agl / self.z_i, 1e-9)
         radius = mean_radius(part, self.z_i)
         outer = jnp.maximum(radius, NARROWEST)
         ratio = jnp.minimum(0.0011 * outer + 0.14, BROADEST)
         mean = self.w_star * power(part, 1.0 / 3.0) * (1.0 - 1.1 * part)
         peak = 3.0 / (1.0 + ratio + ratio * ratio)
-        x = jnp.minimum(distance / outer, _FARTHEST)
+        x = distance / outer
         bell = jnp.where(part < 1.0, jnp.maximum(_bell(x, ratio), 0.0), 0.0)
         ring = jnp.where((part > 0.5) & (part <= 0.9), 2.5 * (part - 0.5), 0.0)
         sine, _ = sincos(math.pi * jnp.minimum(x, 2.0))
@@ -177,7 +175,7 @@ def _bell(x: Array, ratio: Array) -> Array:
         broad = ratio >= 0.5 * (low + high)
         constants = [jnp.where(broad, new, old) for new, old in zip(shape, constants, strict=True)]
     k1, k2, k3, k4 = constants
-    return 1.0 / (1.0 + exp(k2 * log(jnp.maximum(k1 * jnp.abs(x + k3), 1e-6)))) + k4 * x
+    return 1.0 / (1.0 + exp(k2 * log(jnp.maximum(k1 * jnp.abs(x + k3), 1e-9)))) + k4 * x
 
 
 def _wrapped(offset: Array, side: Array) -> Array:
