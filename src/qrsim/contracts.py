@@ -28,7 +28,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.readings import Reading
 from qrsim.links.contracts import Order, Silence, Words
 from qrsim.links.shared.plant import Plant
-from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.atmosphere.contracts import Gust, Turbulence, Updraft, Wind
 from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.gnss.orbits import Ephemeris
 from qrsim.models.scene.area import reason_code
@@ -73,6 +73,7 @@ __all__ = [
     "State",
     "Task",
     "Turbulence",
+    "Updraft",
     "Vec3",
     "Vehicle",
     "Wind",

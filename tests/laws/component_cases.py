@@ -36,6 +36,8 @@ from qrsim.control.teams import mates_of
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.atmosphere.contracts import Footprint
+from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.wind import LogShear, mean_wind_at
 from qrsim.models.gnss.base_station import BaseSeen
 from qrsim.models.gnss.orbits import NominalConstellation
@@ -185,6 +187,7 @@ SLOTS = {
     "WINDS": "world.wind",
     "TURBULENCES": "world.turbulence",
     "GUSTS": "world.gust",
+    "UPDRAFTS": "world.updrafts.0",
     "ORBITS": "world.sky.orbits",
     "SKY_ERRORS": "world.sky.errors",
     "OBSTACLES": "world.obstacles.0",
@@ -205,7 +208,8 @@ SLOTS = {
 
 
 # A scenario writes these arrays another way, which tests/scenarios looks at.
-ARRAYS = {PolygonArea: ("north", "east"), PrismObstacle: ("north", "east", "north_to", "east_to")}
+ARRAYS = {PolygonArea: ("north", "east"), PrismObstacle: ("north", "east", "north_to", "east_to"),
+          Thermals: ("places_ned",)}  # fmt: skip
 
 
 def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInfo]]:
@@ -248,6 +252,8 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     if GROUPS[group][name] is PrismObstacle:
         of_numbers = {"z_min": given["z_min"]}
         return jax.tree.map(jnp.asarray, cast(PrismObstacle.of(given["corners_ned"], **of_numbers), dtype))
+    if GROUPS[group][name] is Thermals:
+        given["places_ned"] = np.zeros((0, 2))
     if "corners_ned" in given:
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
     if settings.get("frame") == "geodetic":
@@ -261,6 +267,9 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
         component = replace(component, beacon_ned=beacons)
     if group == "ORBITS":
         return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
+    if group == "UPDRAFTS":
+        solids = [Footprint(np.array([[-60.0, -50.0], [40.0, -60.0], [50.0, 55.0]]), 0.0, -40.0, 0.0)]
+        component = component.built((-1000.0, 1000.0, -1000.0, 1000.0), solids)
     if group == "GROUNDS":
         component = component.at(Site(), (-1000.0, 1000.0, -1000.0, 1000.0))
     return jax.tree.map(jnp.asarray, cast(component.at(30.0) if group == "WINDS" else component, dtype))
@@ -469,6 +478,19 @@ def _wind(wind: Any, given: Any, draws: Draws) -> Any:
 
 def _gust(gust: Any, given: Any, draws: Draws) -> Any:
     return {"gust": gust.velocity_ned(given["scene"]["position_ned"], *map(jnp.asarray, given["time"]))}
+
+
+def _updraft(updraft: Any, given: Any, draws: Draws) -> Any:
+    place, time = given["scene"]["position_ned"], tuple(map(jnp.asarray, given["time"]))
+    drawn = updraft.draw(draws("field", updraft.drawn_ids).draw) if updraft.drawn_ids else None
+    known = {
+        "wind": cast(LogShear(3.0, 0.7), draws.dtype),  # type: ignore[arg-type]
+        "ground": example("GROUNDS", "dem", draws.dtype),
+        "drawn": drawn,
+    }
+    more = {name: known[name] for name in updraft.reads}
+    air = updraft.velocity_ned(place, -place.z, given["mean_wind_ned"], *time, **more)
+    return {"air": air, "drawn": drawn}
 
 
 def _turbulence(turbulence: Any, given: Any, draws: Draws) -> Any:
@@ -692,6 +714,7 @@ EVALUATE: dict[str, Callable[[Any, Any, Draws], Any]] = {
     "WINDS": _wind,
     "TURBULENCES": _turbulence,
     "GUSTS": _gust,
+    "UPDRAFTS": _updraft,
     "ORBITS": _orbits,
     "SKY_ERRORS": _sky_errors,
     "OBSTACLES": _obstacle,

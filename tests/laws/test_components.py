@@ -20,6 +20,7 @@ from component_cases import (
     SLOTS,
     VEHICLES,
     Draws,
+    elevation_file,
     evaluate,
     example,
     fields_of,
@@ -311,6 +312,13 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         fleet["controller"] = {"type": "offboard"}
         sensors |= {"camera": {"type": "camera"}, "concentration": {"type": "concentration"}}
         world |= {"persons": {"type": "lying"}, "plume": {"type": "gaussian"}}
+    if group == "UPDRAFTS":
+        # Wide enough for the widest thermals, over hills for ridges, and with a mast that has a wake.
+        side = 1000.0 if part["type"] == "ridge_lift" else 2000.0
+        world["area"] = {"type": "box", **{f"{axis}_min": -side for axis in "xyz"}, "x_max": side, "y_max": side}
+        ground = {"type": "dem", "file": elevation_file()} if part["type"] == "ridge_lift" else {"type": "flat"}
+        mast = {"type": "cylinder", "x": 0.0, "y": 0.0, "radius": 1.0, "z_min": -1001.0}
+        world |= {"updrafts": [part], "ground": ground, "obstacles": [mast]}
     content: dict[str, Any] = {
         "name": "x",
         "duration": 1.0,

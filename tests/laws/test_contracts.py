@@ -19,7 +19,7 @@ from qrsim.control.contracts import Controller, Estimator, Guidance
 from qrsim.core.noise import Key
 from qrsim.core.tree import quantity, record, replace
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.atmosphere.contracts import Gust, Turbulence, Updraft, Wind
 from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.radio.contracts import Radio
 from qrsim.models.scene.contracts import Area, Ground, GroundCover, People, Plume
@@ -35,8 +35,8 @@ from qrsim.world.state import World
 
 SOURCE = Path(qrsim.__file__).parent
 CONTRACTS = {
-    "WINDS": Wind, "TURBULENCES": Turbulence, "GUSTS": Gust, "SKY_ERRORS": RangeErrors, "AREAS": Area,
-    "GROUNDS": Ground,
+    "WINDS": Wind, "TURBULENCES": Turbulence, "GUSTS": Gust, "UPDRAFTS": Updraft, "SKY_ERRORS": RangeErrors,
+    "AREAS": Area, "GROUNDS": Ground,
     "PLUMES": Plume, "TERRAINS": GroundCover, "PERSONS": People, "TASKS": Task, "VEHICLES": Vehicle,
     "BATTERIES": Battery, "CONTROLLERS": Controller, "FILTERS": Estimator, "GUIDANCE": Guidance, "SENSORS": Sensor,
 }  # fmt: skip

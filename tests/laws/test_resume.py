@@ -60,6 +60,11 @@ def content(number: int) -> dict[str, Any]:
     """Return the scenario of one of WORLDS, with every so-many-th of the controllers and sensors."""
     world = {key: part(group, number) for group, key in OF_A_WORLD.items()}
     world["sky"] = {"orbits": world.pop("orbits"), "errors": world.pop("errors")}
+    # One thermal, narrower than the polygon.
+    of_one = {"thermals": {"z_i": 600.0, "count": 1}}
+    hilly = world["ground"]["type"] != "flat"
+    names = [name for name in GROUPS["UPDRAFTS"] if name != "ridge_lift" or hilly]
+    world["updrafts"] = [{"type": name, **of_one.get(name, {})} for name in names]
     world["obstacles"] = [part("OBSTACLES", i) for i in range(len(GROUPS["OBSTACLES"]))]
     sensors = {name: {"type": name} for name in list(GROUPS["SENSORS"])[number :: len(WORLDS)]}
     faults = [{"sensor": name, "kind": "frozen", "start": 0.1, "end": 0.4} for name in sensors]
@@ -138,6 +143,7 @@ def test_between_them_the_worlds_hold_every_component() -> None:
     # The mouse flees in the worlds of cats_and_mouse.
     places["GUIDANCE"] = [*(fleet["guidance"] for fleet in fleets), {"type": "flee"}]
     places["SENSORS"] = [fleet["sensors"] for fleet in fleets]
+    places["UPDRAFTS"] = [spec["world"]["updrafts"] for spec in specs]
     places["OBSTACLES"] = [spec["world"]["obstacles"] for spec in specs]
     places["FILTERS"] = [fleet["estimator"] for fleet in fleets]
     assert set(places) | OF_TASKS == set(GROUPS), "a new kind of component needs its place in these worlds"

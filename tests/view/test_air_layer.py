@@ -128,10 +128,14 @@ def test_air_without_places_of_its_own_has_no_plane(turbulence: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("more", [{}, {"residual": "filter"}])
-def test_a_replay_has_the_air_of_the_flight(tmp_path: Path, more: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("more", "updrafts"),
+    [({}, []), ({"residual": "filter"}, []), ({}, [{"type": "thermals", "w_star": 9.0, "z_i": 800.0, "count": 60}])],
+)
+def test_a_replay_has_the_air_of_the_flight(tmp_path: Path, more: dict[str, Any], updrafts: list[Any]) -> None:
     """Where the vehicles were, it is what they met; a residual is each vehicle's own and is left out."""
-    held = scenario((0.0, 0.0, -15.0), (30.0, 5.0, -25.0), turbulence={"type": "dryden_field", "sweep": 0.3, **more})
+    field = {"type": "dryden_field", "sweep": 0.3, **more}
+    held = scenario((0.0, 0.0, -15.0), (30.0, 5.0, -25.0), turbulence=field, updrafts=updrafts)
     fly(held, tmp_path / "run", seed=SEED, precision="float32")
     recording = Recording(open_run(tmp_path / "run"))
     before, now = recording.frame(2.98), recording.frame(3.0)

@@ -39,6 +39,7 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.sites import air_of, at_site
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
+from qrsim.scenarios.updraft_slot import footprint
 from qrsim.world.state import Fleet, Start, World
 
 
@@ -109,6 +110,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         skyline=_skyline(scenario, obstacles),
         radio=with_fleets(network_of(scenario), scenario),
         air=air_of(scenario),
+        updrafts=tuple(updraft_of(scenario, i) for i in range(len(world.updrafts))),
     )
     return cast(built, dtype)
 
@@ -158,6 +160,18 @@ def wind_of(scenario: ScenarioSpec) -> Any:
     """Build the wind; a wind file is read for the length of the run, and for the area."""
     wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
     return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
+
+
+def updraft_of(scenario: ScenarioSpec, number: int, **changes: Any) -> Any:
+    """Build an updraft, with some parameters changed, for the area and its obstacles.
+
+    Raises:
+        UsageError: it cannot be there.
+    """
+    world = scenario.world
+    solids = [footprint(component(spec, known.OBSTACLES, scenario)) for spec in world.obstacles]
+    updraft = replace(component(world.updrafts[number], known.UPDRAFTS, scenario), **changes)
+    return updraft.built(bounds_of(world.area), solids)
 
 
 def ground_of(scenario: ScenarioSpec) -> Any:

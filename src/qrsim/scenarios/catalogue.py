@@ -33,9 +33,12 @@ from qrsim.control.teams import (
     FormationGuidance,
     VicsekGuidance,
 )
+from qrsim.models.atmosphere.building_wakes import BuildingWakes
 from qrsim.models.atmosphere.dryden import Dryden
 from qrsim.models.atmosphere.field import DrydenField
 from qrsim.models.atmosphere.gust import DiscreteGust, NoGust
+from qrsim.models.atmosphere.ridge_lift import RidgeLift
+from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
 from qrsim.models.atmosphere.wind import Calm, LogShear
 from qrsim.models.atmosphere.wind_grid import WindGridFile
@@ -97,6 +100,7 @@ TURBULENCES: Catalogue = {
     "dryden_field": DrydenField,
 }
 GUSTS: Catalogue = {"none": NoGust, "discrete": DiscreteGust}
+UPDRAFTS: Catalogue = {"thermals": Thermals, "ridge_lift": RidgeLift, "building_wakes": BuildingWakes}
 ORBITS: Catalogue = {
     "nominal_constellation": NominalConstellation,
     "nominal_constellations": NominalConstellations,
@@ -217,6 +221,7 @@ KINDS: dict[str, Catalogue] = {
     "wind": WINDS,
     "turbulence": TURBULENCES,
     "gust": GUSTS,
+    "updraft": UPDRAFTS,
     "sky": SKY_ERRORS,
     "orbits": ORBITS,
     "controller": CONTROLLERS,

@@ -16,7 +16,16 @@ from typing import Any, get_type_hints
 from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.tree import INFO, FieldInfo, field_info
 from qrsim.errors import nearest
-from qrsim.models.atmosphere.contracts import GUST_READS, TURBULENCE_READS, WIND_READS, Gust, Turbulence, Wind
+from qrsim.models.atmosphere.contracts import (
+    GUST_READS,
+    TURBULENCE_READS,
+    UPDRAFT_READS,
+    WIND_READS,
+    Gust,
+    Turbulence,
+    Updraft,
+    Wind,
+)
 from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.gnss.orbits import Ephemeris
 from qrsim.models.scene.contracts import Area, Ground, Placement
@@ -32,6 +41,7 @@ CONTRACTS: dict[str, type] = {
     "wind": Wind,
     "turbulence": Turbulence,
     "gust": Gust,
+    "updraft": Updraft,
     "sky": RangeErrors,
     "orbits": Ephemeris,
     "controller": Controller,
@@ -68,6 +78,7 @@ READABLE = {
     "wind": WIND_READS,
     "turbulence": TURBULENCE_READS,
     "gust": GUST_READS,
+    "updraft": UPDRAFT_READS,
 }
 
 

@@ -38,6 +38,7 @@ from qrsim.scenarios.skylines import skyline_problems
 from qrsim.scenarios.spacing import clearance_of, close_starts, inside_obstacles, obstacle_problems
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
+from qrsim.scenarios.updrafts import updraft_problems
 from qrsim.scenarios.vehicle_checks import controller_problems
 from qrsim.world.state import PROCESS, TURBULENCE
 
@@ -77,6 +78,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_standing_problems(scenario),
         *fault_problems(scenario),
         *contents_problems(scenario),
+        *updraft_problems(scenario),
         *range_problems(scenario),
         *radio_problems(network_of(scenario), scenario),
         *task_problems(scenario),

@@ -21,7 +21,7 @@ from qrsim.world.state import World
 
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (
-    "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
+    "area", "ground", "wind", "turbulence", "gust", "updrafts", "sky", "plume", "terrain", "persons", "obstacles",
     "buildings", "base_station", "interference", "beacons", "collision_distance", "radio",
 )  # fmt: skip
 FLEET_PARTS = (
@@ -59,8 +59,8 @@ def make_scenario(
         vehicles: those of a single fleet, ``vehicles``: positions NED (3,) [m], or dicts as in YAML.
         fleets: several fleets by name, each a dict with ``vehicles`` and any of the parts of a fleet.
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
-            site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, sky, plume, terrain,
-            persons, obstacles, buildings, base_station, interference, beacons, collision_distance, radio), and
+            site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, updrafts, sky, plume,
+            terrain, persons, obstacles, buildings, base_station, interference, beacons, collision_distance, radio), and
             with ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement,
             and ground, which is the world's unless it is "stop" or "parked"). A component is the name of its type, a
             dict as in YAML, or an object such as ``LogShear(...)``. Sensors are

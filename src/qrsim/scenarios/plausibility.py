@@ -24,6 +24,7 @@ from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.sky_of_receivers import RECEIVERS
+from qrsim.scenarios.updrafts import updraft_warnings
 from qrsim.scenarios.vehicle_checks import grams_hint
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
 
@@ -46,6 +47,7 @@ PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     yield from air_warnings(scenario)
+    yield from updraft_warnings(scenario)
     yield from _sky(scenario)
     yield from _wind(scenario)
     for name, fleet in scenario.fleets.items():

@@ -26,6 +26,9 @@ def _parts(content: Any) -> Iterator[tuple[str, str, Any]]:
     world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
     for kind in WORLD_KINDS:
         yield f"world.{kind}", kind, world.get(kind)
+    updrafts = world.get("updrafts")
+    for i, part in enumerate(updrafts if isinstance(updrafts, list) else ()):
+        yield f"world.updrafts.{i}", "updraft", part
     for kind, part in SKY_KINDS.items():
         yield f"world.sky.{part}", kind, _mapping(world, "sky").get(part)
     for name in fleets:

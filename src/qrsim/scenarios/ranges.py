@@ -94,6 +94,7 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
     if where is None:
         parts_known = [
             *IN_WORLD,
+            "world.updrafts.NUMBER",
             "world.interference.NUMBER",
             *(f"fleets.NAME.{part}" for part in IN_FLEET),
             "fleets.NAME.sensors.NAME",
@@ -117,6 +118,8 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
+    if parts[:2] == ["world", "updrafts"]:
+        return known.UPDRAFTS
     if parts[0] == "world":
         return GROUPS.get(parts[-1])
     names = {
@@ -161,6 +164,9 @@ def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
     for prefix, where in IN_WORLD.items():
         if path.startswith(f"{prefix}.") and (prefix != "world.base_station" or base_station(scenario) is not None):
             return (*where, *path.removeprefix(f"{prefix}.").split("."))
+    if path.startswith("world.updrafts."):
+        _, _, number, *rest = path.split(".")
+        return ("updrafts", int(number), *rest)
     if path.startswith("world.interference."):
         return interference_path(scenario, path)
     parts = path.split(".")

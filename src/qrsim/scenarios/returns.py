@@ -376,6 +376,7 @@ CHECKS: dict[tuple[str, str], Check] = {
     ("sensor", "step"): _next_reading,
     ("wind", "velocity_ned"): _vector_of(0),
     ("gust", "velocity_ned"): _vector_of(0),
+    ("updraft", "velocity_ned"): _vector_of(0),
     ("turbulence", "step"): _state_only,
     ("turbulence", "gust_ned"): _vector_of(1),
     ("turbulence", "gust_rates_ned"): _vector_of(1),

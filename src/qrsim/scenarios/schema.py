@@ -33,6 +33,7 @@ from qrsim.scenarios.sensor_sets import or_a_set
 from qrsim.scenarios.site_schema import PlanSpec, SiteSpec, or_its_file
 from qrsim.scenarios.sky_of_receivers import with_sky
 from qrsim.scenarios.slots import Maker, slot, slot_of
+from qrsim.scenarios.updraft_slot import MOST_UPDRAFTS, updraft_slot
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
@@ -163,6 +164,7 @@ AreaSlot: Any = slot(_areas)
 GroundSlot: Any = slot_of(known.GROUNDS)
 ObstacleSlot: Any = obstacle_slot(known.OBSTACLES)
 GustSlot: Any = slot_of(known.GUSTS)
+UpdraftSlot: Any = updraft_slot(known.UPDRAFTS)
 PlumeSlot: Any = slot_of(known.PLUMES)
 TerrainSlot: Any = slot_of(known.TERRAINS)
 PersonsSlot: Any = slot_of(known.PERSONS)
@@ -209,6 +211,9 @@ class WorldSpec(Strict):
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="random gusts", validate_default=True)
     gust: GustSlot = Field({"type": "none"}, description="discrete gust", validate_default=True)
+    updrafts: list[UpdraftSlot] = Field(
+        [], description="rising air, and what terrain and buildings do to the wind", max_length=MOST_UPDRAFTS
+    )
     sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
     base_station: BaseStationModel | None = Field(
         None, description="a receiver on the ground that sends corrections to others"
@@ -419,6 +424,7 @@ _SLOTS: dict[str, Any] = {
     "wind": WindSlot,
     "turbulence": TurbulenceSlot,
     "gust": GustSlot,
+    "updraft": UpdraftSlot,
     "area": AreaSlot,
     "ground": GroundSlot,
     "plume": PlumeSlot,

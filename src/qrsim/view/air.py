@@ -60,7 +60,7 @@ class Air(Contents):
         self.cell = side / (ALONG - 1)
         height = float(np.median(-cast.start_ned[:, 2]))
         self.height = float(round(height)) if height >= LOWEST else LOW
-        self.shows = GUST if blows_as_a_field(self.world) else WHOLE
+        self.shows = GUST if blows_as_a_field(self.world) or self.world.updrafts else WHOLE
         steps = self.cell * (np.arange(ALONG) - ALONG // 2)
         north, east = np.meshgrid(steps, steps, indexing="ij")
         self._offsets = np.stack([north.ravel(), east.ravel(), np.zeros(ALONG**2)], axis=1)
@@ -122,7 +122,7 @@ def blows_as_a_field(world: World) -> bool:
 
 def has_a_plane(world: World) -> bool:
     """Return whether the air differs from place to place in a way that is known without vehicles."""
-    return blows_as_a_field(world) or "position_ned" in world.wind.reads
+    return blows_as_a_field(world) or "position_ned" in world.wind.reads or bool(world.updrafts)
 
 
 def air_at(world: World, drawn: Any, field: object, tick: Array, places: Array) -> tuple[Array, Array, Array]:

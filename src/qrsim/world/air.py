@@ -10,6 +10,7 @@ from jax import Array
 
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.atmosphere.contracts import Turbulence
+from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.vehicles.contracts import Around, Pose
 from qrsim.models.vehicles.wake import Wake, jet_velocity
 from qrsim.world.state import Fleet, FleetState, World
@@ -31,11 +32,28 @@ def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, fi
 
 
 def gust_at(world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time) -> Vec3:
-    """Return the gust (n,) [m/s], random and discrete, at positions (n,) [m]; ``memory`` is the turbulence's state."""
-    inputs = turbulence_inputs(world.turbulence, position_ned, time, field)
+    """Return the gust (n,) [m/s], random and discrete, and the updrafts at positions (n,) [m].
+
+    ``memory`` is the turbulence's state.
+    """
+    shared, drawn = _parted(world, field)
+    inputs = turbulence_inputs(world.turbulence, position_ned, time, shared)
     random = world.turbulence.gust_ned(memory, height_agl, **inputs)
     carried: dict[str, Any] = {name: world.turbulence.convection_velocity_ned(world.wind) for name in world.gust.reads}
-    return random + world.gust.velocity_ned(position_ned, *time, **carried)
+    gust = random + world.gust.velocity_ned(position_ned, *time, **carried)
+    if not world.updrafts:
+        return gust
+    mean = mean_wind_at(world.wind, height_agl, position_ned, time)
+    for updraft, own in zip(world.updrafts, drawn, strict=True):
+        known: dict[str, Any] = {"wind": world.wind, "ground": world.ground, "drawn": own}
+        given = {name: known[name] for name in updraft.reads}
+        gust = gust + updraft.velocity_ned(position_ned, height_agl, mean, *time, **given)
+    return gust
+
+
+def _parted(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
+    """Return what the turbulence of all vehicles shares, and what each updraft has drawn."""
+    return (field.turbulence, field.updrafts) if world.updrafts else (field, ())
 
 
 def gust_rates_at(
@@ -44,7 +62,7 @@ def gust_rates_at(
     """Return the rotation of the air (n,) [rad/s] in NED, None where the turbulence gives none."""
     if not world.turbulence.rates:
         return None
-    inputs = turbulence_inputs(world.turbulence, position_ned, time, field)
+    inputs = turbulence_inputs(world.turbulence, position_ned, time, _parted(world, field)[0])
     return world.turbulence.gust_rates_ned(memory, height_agl, **inputs)
 
 

@@ -25,6 +25,8 @@ from qrsim.world.state import (
     PLUME,
     RANGE,
     TERRAIN,
+    UPDRAFT,
+    AirField,
     Fleet,
     FleetState,
     Start,
@@ -46,6 +48,7 @@ def episode_streams(world: World) -> list[str]:
     )
     names = [f"{name}/start" for name, part in parts if part.random]
     names += [FIELD] if world.turbulence.field_ids else []
+    names += [f"{UPDRAFT}/{i}" for i, updraft in enumerate(world.updrafts) if updraft.drawn_ids]
     names += [] if world.radio is None else [FIELD_STREAM]
     names += [f"{PLACEMENT}/{fleet.name}" for fleet in world.fleets if fleet.placement.random]
     return names + [f"{RANGE}/{item.name}" for item in world.ranges]
@@ -59,6 +62,7 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
         FIELD_STREAM: 1 if world.radio is None else world.radio.field_ids,
         f"{PLUME}/start": world.contents.plume.ids,
         f"{PERSONS}/start": world.contents.persons.most,
+        **{f"{UPDRAFT}/{i}": updraft.drawn_ids for i, updraft in enumerate(world.updrafts)},
     }
     draws = {}
     for i, name in enumerate(episode_streams(world)):
@@ -92,11 +96,16 @@ def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
 
 
 def draw_field(world: World, draws: dict[str, Draw]) -> object:
-    """Draw the shared field of an episode's gusts, None if they share nothing."""
-    turbulence = world.turbulence
-    if not turbulence.field_ids:
-        return None
-    return turbulence.draw_field(draws[FIELD], **({"wind": world.wind} if turbulence.sees_wind else {}))
+    """Draw what the gusts of an episode share, None if they share nothing; with updrafts an ``AirField``."""
+    turbulence, shared = world.turbulence, None
+    if turbulence.field_ids:
+        shared = turbulence.draw_field(draws[FIELD], **({"wind": world.wind} if turbulence.sees_wind else {}))
+    if not world.updrafts:
+        return shared
+    drawn = (
+        updraft.draw(draws[f"{UPDRAFT}/{i}"]) if updraft.drawn_ids else None for i, updraft in enumerate(world.updrafts)
+    )
+    return AirField(shared, tuple(drawn))
 
 
 def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:

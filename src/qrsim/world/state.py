@@ -15,7 +15,7 @@ from qrsim.core.pairs import joined
 from qrsim.core.tables import Table, Tabled, number_text, parameters_text
 from qrsim.core.tree import Record, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.atmosphere.contracts import Gust, Turbulence, Updraft, Wind
 from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
@@ -41,6 +41,7 @@ Action = object
 SKY = "/sky"
 PLUME, TERRAIN, PERSONS, PLACEMENT, RANGE = "/plume", "/terrain", "/persons", "/placement", "/range"
 FIELD = "/turbulence"
+UPDRAFT = "/updrafts"
 # What a sensor draws for the delivery of its readings is the stream of its name and this.
 DELIVERY = "/delivery"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
@@ -179,11 +180,15 @@ class World(Tabled):
     skyline: Skyline | None = quantity(default=None, doc="what obstacles do to signals of satellites; None: nothing")
     radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: nobody has a radio")
     air: SiteAir = quantity(default=SiteAir(), doc="the atmosphere above the site")
+    updrafts: tuple[Updraft, ...] = quantity(
+        default=(), doc="rising air, and what terrain and buildings do to the wind"
+    )
 
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
         parts = [(f"world.{name}", getattr(self, name)) for name in _SHOWN if getattr(self, name) is not None]
+        parts += [(f"world.updrafts.{i}", updraft) for i, updraft in enumerate(self.updrafts)]
         for fleet in self.fleets:
             own = [("vehicle", fleet.vehicle), ("controller", fleet.controller), ("guidance", fleet.guidance)]
             own += [("battery", fleet.battery)]
@@ -265,7 +270,9 @@ class FleetState:
     specific_force: Vec3 = quantity(unit="m/s^2", doc="mean specific force of the last step, body axes")
     turbulence: object = quantity(doc="gust filters")
     mean_wind_ned: Vec3 = quantity(unit="m/s", doc="mean wind at the vehicle during the last step")
-    gust_ned: Vec3 = quantity(unit="m/s", doc="gusts at the vehicle during the last step, random and discrete")
+    gust_ned: Vec3 = quantity(
+        unit="m/s", doc="gusts at the vehicle during the last step, random and discrete, and updrafts"
+    )
     gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None where the turbulence gives none")
     estimate: Estimate = quantity(
         doc="what the controller was last fed with; keeps its last value where a reading is NaN, and is at rest once a "
@@ -300,6 +307,14 @@ class FleetState:
 
 
 @record
+class AirField:
+    """What the air of an episode has drawn, of a world with updrafts."""
+
+    turbulence: object = quantity(doc="what its gusts share; None where they share nothing")
+    updrafts: tuple[object, ...] = quantity(doc="of each updraft; None where it draws nothing")
+
+
+@record
 class State:
     """Everything that changes in a world."""
 
@@ -311,7 +326,9 @@ class State:
     contents_keys: StreamKeys | None = quantity(default=None, doc="keys of the plume's randomness; None if it has none")
     drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
-    field: object = quantity(default=None, doc="what the gusts of the episode share; None where they share nothing")
+    field: object = quantity(
+        default=None, doc="what the gusts of the episode share, or an AirField; None where nothing is"
+    )
     radio: object = quantity(default=None, doc="messages on their way and in inboxes; None without a radio")
 
 

@@ -1,4 +1,4 @@
-"""Protocols of mean wind, turbulence and discrete gusts, as worlds use them.
+"""Protocols of mean wind, turbulence, discrete gusts and updrafts, as worlds use them.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here. An argument with a default may be left out of a component's own method.
@@ -9,9 +9,11 @@ enough for runs of any length.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.core.noise import Draw, Noise
@@ -26,6 +28,8 @@ WIND_READS = ("position_ned",)
 TURBULENCE_READS = ("position_ned", "seconds", "fraction", "field")
 # What a discrete gust may.
 GUST_READS = ("convection_ned",)
+# What an updraft may.
+UPDRAFT_READS = ("wind", "ground", "drawn")
 
 
 @runtime_checkable
@@ -147,3 +151,67 @@ class Gust(Protocol):
     @abstractmethod
     def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
         """Return its part of the air's velocity (n,) [m/s] at positions (n,) [m]."""
+
+
+class Footprint(NamedTuple):
+    """An upright obstacle: the corners (V, 2) of its footprint, north and east [m], or the middle of a cylinder.
+
+    Attributes:
+        corners: in order.
+        radius: of a cylinder, else 0 [m].
+        top, bottom: down coordinates [m].
+    """
+
+    corners: np.ndarray[Any, Any]
+    radius: float
+    top: float
+    bottom: float
+
+
+@runtime_checkable
+class Updraft(Protocol):
+    """A part of the air's motion that belongs to places: rising air, or what terrain and buildings do to the wind.
+
+    Attributes:
+        reads: of "wind" (the mean ``Wind``), "ground" (a ``Ground``) and "drawn" (what ``draw`` returned), what
+            ``velocity_ned`` is handed by these names.
+        drawn_ids: numbers of what ``draw`` draws for, once an episode for the whole world; 0: nothing is drawn.
+    """
+
+    reads: ClassVar[tuple[str, ...]] = ()
+    drawn_ids: int = 0
+
+    def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> Updraft:
+        """Return the updraft of a world, before the run; by default itself.
+
+        Args:
+            bounds: of the area, None where it has none.
+            solids: the obstacles, upright.
+
+        Raises:
+            UsageError: it cannot be in such a world; the message begins with the parameter.
+        """
+        return self
+
+    def draw(self, draw: Draw) -> object:
+        """Draw what ``drawn_ids`` asks for, once an episode."""
+        return None
+
+    @abstractmethod
+    def velocity_ned(
+        self,
+        position_ned: Vec3,
+        height_agl: Array,
+        wind_ned: Vec3,
+        seconds: Array,
+        fraction: Array,
+        *args: Any,
+        **reads: Any,
+    ) -> Vec3:
+        """Return the velocity (n,) [m/s] to be added to the mean wind.
+
+        Args:
+            position_ned, height_agl: places (n,) [m] and their heights above ground.
+            wind_ned: mean wind (n,) [m/s] there.
+            seconds, fraction: () time since the start of the run [s].
+        """

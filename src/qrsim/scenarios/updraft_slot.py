@@ -1,0 +1,44 @@
+"""The schema of updrafts, and the obstacles of a scenario as they see them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from qrsim.models.atmosphere.contracts import Footprint
+from qrsim.models.atmosphere.thermals import MOST_THERMALS, Thermals
+from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
+from qrsim.scenarios.component_schema import Strict, component_model
+from qrsim.scenarios.legs import Corner
+from qrsim.scenarios.slots import slot
+
+MOST_UPDRAFTS = 20
+
+
+@cache
+def _model(name: str, kind: type) -> type[Strict]:
+    if kind is not Thermals:
+        return component_model(name, kind)
+    text = "[north, east] [m] of each at the start; empty: drawn once an episode"
+    places: dict[str, Any] = {"places_ned": (list[Corner], Field([], description=text, max_length=MOST_THERMALS))}
+    return component_model(name, kind, arrays=places)
+
+
+def updraft_slot(choices: Mapping[str, type]) -> Any:
+    """Return the annotation of an updraft of any kind."""
+    return slot(lambda: {name: partial(_model, name, kind) for name, kind in choices.items()})
+
+
+def footprint(solid: Any) -> Footprint:
+    """Return an obstacle as an updraft sees it."""
+    heights = float(solid.z_min), float(solid.z_max)
+    if isinstance(solid, CylinderObstacle):
+        return Footprint(np.array([[float(solid.x), float(solid.y)]]), float(solid.radius), *heights)
+    if isinstance(solid, BoxObstacle):
+        south, north, west, east = (float(side) for side in (solid.x_min, solid.x_max, solid.y_min, solid.y_max))
+        return Footprint(np.array([[south, west], [north, west], [north, east], [south, east]]), 0.0, *heights)
+    return Footprint(np.asarray(solid.rings()[0], np.float64), 0.0, *heights)
