@@ -26,7 +26,7 @@ from qrsim.models.scene.contents import Surroundings
 from qrsim.models.vehicles.contracts import Charged, VehicleState
 from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
-from qrsim.world.air import around_of, gust_at, gust_rates_at, wakes_at
+from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.commanding import by_kind, command_fleet
 from qrsim.world.draws import draw_fleet, draw_sky, keys_of
 from qrsim.world.episode import (
@@ -64,6 +64,7 @@ from qrsim.world.state import (
     period_ticks,
     when_due,
 )
+from qrsim.world.wakes import wakes_on
 
 
 def reset(world: World, key: Key | WorldKeys) -> State:
@@ -178,6 +179,9 @@ def _fly(
     gust = gust_at(world, whole.field, turbulence, *at)
     gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
+    wakes = wakes_on(world, whole.fleets, fleet, pose, direction)
+    if wakes is not None:
+        air = air + wakes[0]
 
     flown = command_fleet(world, whole, fleet, state, tick, action, believed)
     load = model.load(state.vehicle)
@@ -189,8 +193,8 @@ def _fly(
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
-        wakes, failed = wakes_at(world, whole.fleets, fleet), failed_rotors(fleet.rotor_faults, tick)
-        around = around_of(world, pose.attitude, gust_rates, wakes, failed)
+        failed = failed_rotors(fleet.rotor_faults, tick)
+        around = around_of(world, pose.attitude, gust_rates, None if wakes is None else wakes[1], failed)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         vehicle, low, force = move(

@@ -26,7 +26,9 @@ from qrsim.models.vehicles.wake import Wake
 # A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
 Check = tuple[int, Array, Array]
 # What a vehicle may declare in ``reads``.
-AROUND = ("ground", "air_rates", "downwash")
+AROUND = ("ground", "air_rates")
+# A place in body axes [m]; numbers, or arrays (n,) where vehicles differ.
+Point = tuple[Any, Any, Any]
 
 
 @record
@@ -121,16 +123,13 @@ class Around:
 
     Attributes:
         ground: positions (n,) [m] -> the down coordinate (n,) [m] of the ground below, and its normal (n,), upwards.
-        air_rates: rotation of the air (n,) [rad/s] in body axes; zero where the turbulence gives none.
-        downwash: positions (n,) [m] -> the velocity (n,) [m/s] in NED that wakes of other vehicles add to the air,
-            as these were at the end of the step before.
+        air_rates: rotation of the air (n,) [rad/s] in body axes, by gusts and by the wakes of other vehicles.
         failed_rotors: of each rotor that a fault may concern its number, how fast it still turns (n,), 1 where it is
             well, and whether that is known to the autopilot (n,) bool.
     """
 
     ground: Callable[[Vec3], tuple[Array, Vec3]]
     air_rates: Vec3
-    downwash: Callable[[Vec3], Vec3]
     failed_rotors: tuple[tuple[int, Array, Array], ...] = ()
 
 
@@ -150,6 +149,7 @@ class Vehicle(Protocol):
         default_controller: name in the catalogue of what flies it where a scenario names no controller.
         rides: whether it moves on the ground, where it is put at a start.
         launches: whether it starts in flight: the velocity of a start is one through the air (``launched``).
+        downwash: whether the wakes of other vehicles are part of its air: ``felt``, ``at_centre`` or ``ignored``.
     """
 
     command_type: ClassVar[type[Any]]
@@ -161,6 +161,7 @@ class Vehicle(Protocol):
     default_controller: ClassVar[str] = "waypoint"
     rides: ClassVar[bool] = False
     launches: ClassVar[bool] = False
+    downwash: Any = "felt"
 
     def prepared(self, duration: float) -> Vehicle:
         """Return the vehicle of a run of a length [s], with the files read that it names.
@@ -226,6 +227,10 @@ class Vehicle(Protocol):
     def wake(self) -> Wake | None:
         """Return what its wake depends on, None if it leaves none; the thrust is that of its ``load``."""
         return None
+
+    def wake_points(self) -> tuple[Point, ...]:
+        """Return the points in body axes [m], evenly about them, over which the wakes of others are averaged."""
+        return ((0.0, 0.0, 0.0),)
 
     @abstractmethod
     def load(self, state: Any) -> Load:

@@ -125,9 +125,7 @@ def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> 
     at = vehicle.initial_state(Vec3(zero, zero, zero - 1000.0), Euler(zero, -tilt, zero), none, none)
     state = vehicle.with_thrust(at, thrust)
     noise = vehicle.draw_noise(Drawn((zero,) * vehicle.normals), 1.0)
-    around = Around(
-        ground=lambda place: (zero, Vec3(zero, zero, zero - 1.0)), air_rates=none, downwash=lambda place: none
-    )
+    around = Around(ground=lambda place: (zero, Vec3(zero, zero, zero - 1.0)), air_rates=none)
     more = (around,) if vehicle.reads else ()
     wind = Vec3(-airspeed, zero, zero)
     # A step so short that the thrust stays what it is.

@@ -16,7 +16,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, root
-from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Load, Outline, Point, Pose, Vehicle
 from qrsim.models.vehicles.fixed_wing.aerodynamics import air_data, propeller
 from qrsim.models.vehicles.fixed_wing.commands import AttitudeCommand, SurfaceCommand, shown
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
@@ -74,6 +74,11 @@ class FixedWing(Aeroplane, Vehicle):
     def shown(self, command: Any) -> AttitudeCommand:
         """Return a command as a world's state keeps it; NaN in the fields that it has not."""
         return shown(command)
+
+    def wake_points(self) -> tuple[Point, ...]:
+        """Return the points of the span that stand for all of it, by Gauss and Legendre."""
+        lever = self.span * (1.0 / math.sqrt(12.0))
+        return ((0.0, -lever, 0.0), (0.0, lever, 0.0))
 
     def load(self, state: FixedWingState) -> Load:
         """Return the thrust of the propeller; a wing carries the weight."""
