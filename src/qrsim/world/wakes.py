@@ -11,11 +11,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.nearest import nearest_squared
+from qrsim.core.tree import concatenated
 from qrsim.core.vectors import Rotation, Vec3, rotation
 from qrsim.models.vehicles.contracts import Point, Pose
-from qrsim.models.vehicles.wake import EDGE, Wake, first_jet_speed, half_width, jet_axis, jet_speed
+from qrsim.models.vehicles.wake import EDGE, SPREAD, Wake, first_jet_speed, half_width, jet_axis, jet_speed
 from qrsim.world.state import Fleet, FleetState, World
 
+# Vehicles of a world from which on a search of neighbours comes before all pairs.
+FEW = 40
 # From a wake, a thrust, and the place along and beside its axis to the speed along it.
 _Law = Callable[[Wake, Array, Array, Array], Array]
 
@@ -61,9 +65,15 @@ def wakes_on(
         return total, total * 0.0
     points = model.wake_points()
     extent = functools.reduce(jnp.maximum, [jnp.sqrt(jnp.asarray(x * x + y * y + z * z)) for x, y, z in points])
-    near = [_reached(jets, pose.position_ned, extent) & _others(jets, fleet, same) for jets, same in found]
+    none = Vec3.zeros(pose.position_ned.x.shape, pose.position_ned.x.dtype)
+    nothing = (none, none)
 
-    def felt() -> tuple[Vec3, Vec3]:
+    def by_pairs() -> tuple[Vec3, Vec3]:
+        near = [_reached(jets, pose.position_ned, extent) & _others(jets, fleet, same) for jets, same in found]
+        anyone = functools.reduce(operator.or_, [jnp.any(each) for each in near])
+        return jax.lax.cond(anyone, lambda: felt(near), lambda: nothing)  # type: ignore[no-any-return]
+
+    def felt(near: list[Array]) -> tuple[Vec3, Vec3]:
         places = [pose.position_ned + turned.to_ned(_vector(point, pose.position_ned.x)) for point in points]
         winds = [
             _sum([_sum_at(jets, place, inside, jet_speed) for (jets, _), inside in zip(found, near, strict=True)])
@@ -71,10 +81,30 @@ def wakes_on(
         ]
         return _sum(winds) * (1.0 / len(points)), _rotation_of(points, [turned.to_body(wind).z for wind in winds])
 
-    none = Vec3.zeros(pose.position_ned.x.shape, pose.position_ned.x.dtype)
-    anyone = functools.reduce(operator.or_, [jnp.any(each) for each in near])
-    result: tuple[Vec3, Vec3] = jax.lax.cond(anyone, felt, lambda: (none, none))
-    return result
+    if sum(each.size for each in world.fleets) < FEW:
+        return by_pairs()
+    apart = _apart(world, before, [jets for jets, _ in found], jnp.max(extent))
+    return jax.lax.cond(apart, lambda: nothing, by_pairs)  # type: ignore[no-any-return]
+
+
+def _apart(world: World, before: tuple[FleetState, ...], jets: list[_Jets], extent: Array) -> Array:
+    """Return whether no wake can reach anybody, () bool, for the work of a search of neighbours; False if in doubt.
+
+    A wake is a cone of EDGE SPREAD about an axis that leans by t. Of two vehicles s apart on the map and at most h in
+    height, one is in the wake of the other only if s cos t - h sin t < EDGE SPREAD (h + s sin t) + edge of its start.
+    """
+    places: Vec3 = concatenated(
+        [fleet.vehicle.pose(now.vehicle).position_ned for fleet, now in zip(world.fleets, before, strict=True)]
+    )
+    height = jnp.max(places.z) - jnp.min(places.z)
+    level = functools.reduce(jnp.maximum, [jnp.max(each.axis.x**2 + each.axis.y**2) for each in jets])
+    start = functools.reduce(jnp.maximum, [jnp.max(half_width(each.wake, 0.0 * each.thrust)) for each in jets])
+    spread, sine, cosine = EDGE * SPREAD, jnp.sqrt(level), jnp.sqrt(jnp.maximum(1.0 - level, 0.0))
+    share = cosine - spread * sine
+    reach = (height * (spread + sine) + EDGE * start + (1.0 + spread) * extent) / jnp.maximum(share, 1e-3)
+    nearest = nearest_squared(places.x, places.y, 0.0 * places.z, reach)
+    # Written so that a NaN is no proof.
+    return jnp.all(nearest >= reach * reach)
 
 
 def _sum(vectors: list[Vec3]) -> Vec3:

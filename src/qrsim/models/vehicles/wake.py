@@ -24,8 +24,8 @@ MERGED = 2.5
 AIR_DENSITY = 1.225
 # Profile 1/(1 + a (r/half width)^2)^2, whose momentum is rho pi w0^2 (half width)^2/(3 a).
 _PROFILE = math.sqrt(2.0) - 1.0
-# Half widths beside the axis at which a wake ends; there it has 0.4 % of its speed.
-EDGE = 6.0
+# Half widths beside the axis at which a wake ends; there it has 0.8 % of its speed.
+EDGE = 5.0
 
 
 @record

@@ -76,9 +76,8 @@ class FixedWing(Aeroplane, Vehicle):
         return shown(command)
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return the points of the span that stand for all of it, by Gauss and Legendre."""
-        lever = self.span * (1.0 / math.sqrt(12.0))
-        return ((0.0, -lever, 0.0), (0.0, lever, 0.0))
+        """Return the middles of six equal parts of its span."""
+        return tuple((0.0, self.span * (part / 12.0), 0.0) for part in (-5.0, -3.0, -1.0, 1.0, 3.0, 5.0))
 
     def load(self, state: FixedWingState) -> Load:
         """Return the thrust of the propeller; a wing carries the weight."""
