@@ -119,19 +119,18 @@ def _jets_of(fleet: Fleet, state: FleetState, wake: Wake) -> _Jets:
     pose = fleet.vehicle.pose(state.vehicle)
     turned = rotation(pose.attitude)
     thrust = fleet.vehicle.load(state.vehicle).thrust
-    flies = (state.violation.code == 0) & jnp.isfinite(thrust)
     wind = state.mean_wind_ned + state.gust_ned - turned.to_ned(pose.velocity_body)
+    # Whose state is not a number ends its own flight, and nobody else's.
+    flies = (state.violation.code == 0) & jnp.isfinite(thrust + wind.dot(wind) + turned.down.dot(pose.position_ned))
     high, push = Wake(upper(wake.size), upper(wake.disc_area)), upper(jnp.where(flies, thrust, 0.0))
     axis = jet_axis(high, push, turned.down.map(upper), wind.map(upper))
     return _Jets(high, push, axis, pose.position_ned.map(upper))
 
 
 def _others(jets: _Jets, fleet: Fleet, same: bool) -> Array:
-    """Return which pairs (m, n) are of two vehicles."""
-    lower = jnp.arange(fleet.size)
-    if same:
-        return lower[:, None] != lower[None, :]
-    return jnp.ones((jets.thrust.shape[0], fleet.size), bool)
+    """Return which pairs (m, n) are of a vehicle with a wake and another one."""
+    lower = jnp.arange(fleet.size)[None, :]
+    return (jets.thrust > 0.0) & ((lower != lower.T) if same else (lower >= 0))
 
 
 def _cylindrical(jets: _Jets, position_ned: Vec3) -> tuple[Array, Array]:
@@ -145,13 +144,13 @@ def _reached(jets: _Jets, position_ned: Vec3, extent: Array) -> Array:
     """Return which wakes touch vehicles (m, n) that extend so far [m] from their place."""
     along, beside_squared = _cylindrical(jets, position_ned)
     edge = EDGE * half_width(jets.wake, along) + extent
-    return (along > -extent) & (beside_squared < edge * edge) & (jets.thrust > 0.0)
+    return (along > -extent) & (beside_squared < edge * edge)
 
 
 def _sum_at(jets: _Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:
     """Return the sum of the wakes that count (m, n) at places (n,)."""
-    speed = jnp.where(counts, law(jets.wake, jets.thrust, *_cylindrical(jets, position_ned)), 0.0)
-    return jets.axis.map(lambda axis: jnp.sum(axis * speed, axis=0))
+    speed = law(jets.wake, jets.thrust, *_cylindrical(jets, position_ned))
+    return jets.axis.map(lambda axis: jnp.sum(jnp.where(counts, axis * speed, 0.0), axis=0))
 
 
 def _vector(point: Point, like: Array) -> Vec3:
