@@ -120,6 +120,12 @@ class Wrapped(Vehicle):
     def load(self, state: Any) -> Any:
         return self.inside.load(state)
 
+    def wake(self) -> Any:
+        return self.inside.wake()
+
+    def wake_points(self) -> Any:
+        return self.inside.wake_points()
+
     def pose(self, state: Any) -> Any:
         return self.inside.pose(state)
 
@@ -189,7 +195,8 @@ def test_a_vehicle_that_reads_is_handed_what_is_around_it() -> None:
     np.testing.assert_allclose(around.air_rates.stack(), [[1.0, -1.0, 1.0]] * 2, atol=1e-6)
     # ISO 2533 has 1.11164 kg/m^3 at 1000 m.
     np.testing.assert_allclose(around.air_density, [1.225, 1.11164], rtol=1e-5)
-    np.testing.assert_array_equal(around.downwash(normal).stack(), np.zeros((2, 3)))
+    turned = around_of(world, Pose(place, Euler(*jnp.zeros((3, 2))), still, still), None, Vec3(*jnp.full((3, 2), 0.5)))
+    np.testing.assert_array_equal(turned.air_rates.stack(), np.full((2, 3), 0.5))
 
 
 @record

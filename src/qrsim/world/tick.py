@@ -23,10 +23,11 @@ from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.scene.sweeping import obstacle_hit
 from qrsim.models.vehicles.contracts import Charged, VehicleState
 from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
-from qrsim.world.air import around_of, gust_at, gust_rates_at, wakes_at
+from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.commanding import by_kind, command_fleet
 from qrsim.world.draws import draw_fleet, draw_sky, keys_of
 from qrsim.world.episode import (
@@ -64,6 +65,7 @@ from qrsim.world.state import (
     period_ticks,
     when_due,
 )
+from qrsim.world.wakes import wakes_on
 
 
 def reset(world: World, key: Key | WorldKeys) -> State:
@@ -178,6 +180,9 @@ def _fly(
     gust = gust_at(world, whole.field, turbulence, *at)
     gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
+    wakes = wakes_on(world, whole.fleets, fleet, pose, direction)
+    if wakes is not None:
+        air = air + wakes[0]
 
     flown = command_fleet(world, whole, fleet, state, tick, action, believed)
     load = model.load(state.vehicle)
@@ -189,8 +194,8 @@ def _fly(
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
-        wakes, failed = wakes_at(world, whole.fleets, fleet), failed_rotors(fleet.rotor_faults, tick)
-        around = around_of(world, pose, gust_rates, wakes, failed)
+        failed = failed_rotors(fleet.rotor_faults, tick)
+        around = around_of(world, pose, gust_rates, None if wakes is None else wakes[1], failed)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         vehicle, low, force = move(
@@ -231,11 +236,11 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
     for old, new in zip(before, flown, strict=True):
         moving = old.violation.code == 0
         positions.append(select(moving, new.vehicle.position_ned, old.vehicle.position_ned))
-    together = concatenated(positions)
-    collided = collisions(together, world.collision_distance, world.radii)
+    came_from = concatenated([old.vehicle.position_ned for old in before])
+    collided = collisions(concatenated(positions), world.collision_distance, world.radii, came_from)
     checked, first = [], 0
     for fleet, old, new in zip(world.fleets, before, flown, strict=True):
-        own = Violation.first(own_checks(world, fleet, new), new.vehicle.position_ned.x)
+        own = Violation.first(own_checks(world, fleet, new, old.vehicle.position_ned), new.vehicle.position_ned.x)
         in_collision = map_tree(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
         first += fleet.size
         violation = old.violation.or_else(own.or_else(in_collision))
@@ -254,8 +259,15 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
     return tuple(checked)
 
 
-def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
-    """Check each vehicle (n,) of a fleet alone, without the others; (code, value, broken)."""
+def own_checks(
+    world: World, fleet: Fleet, state: FleetState, before_ned: Vec3 | None = None
+) -> list[tuple[int, Array, Array]]:
+    """Check each vehicle (n,) of a fleet alone, without the others; (code, value, broken).
+
+    Args:
+        world, fleet, state: of the fleet.
+        before_ned: positions (n,) [m] from which it came in a straight line; None: it was put where it is.
+    """
     pose = fleet.vehicle.pose(state.vehicle)
     # One after the other: side by side in one array they would be written to memory first.
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
@@ -265,7 +277,7 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *ground_checks(world, fleet, state),
         *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
-        _hits_obstacle(world, fleet, pose.position_ned),
+        _hits_obstacle(world, fleet, pose.position_ned if before_ned is None else before_ned, pose.position_ned),
         *_empty_battery(fleet, state),
         *fleet.battery.own_checks(state.battery),
         *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body, state.turns),
@@ -280,11 +292,9 @@ def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Ar
     return [(reason_code("battery_empty", "charge"), charge, charge <= 0.0)]
 
 
-def _hits_obstacle(world: World, fleet: Fleet, position_ned: Vec3) -> tuple[int, Array, Array]:
-    """Return the check (code, number of the obstacle, hit) of positions (n,)."""
-    distance, number = world.obstacles.nearest(position_ned)
-    # Whatever the distance kept from obstacles is, none can be touched or flown through.
-    hit = (distance < world.radius_of(fleet)) | (distance <= 0.0)
+def _hits_obstacle(world: World, fleet: Fleet, start_ned: Vec3, end_ned: Vec3) -> tuple[int, Array, Array]:
+    """Return the check (code, number of the obstacle, hit) of ways (n,)."""
+    number, hit = obstacle_hit(world.obstacles, start_ned, end_ned, world.radius_of(fleet))
     return reason_code("collision", "obstacle"), number, hit
 
 

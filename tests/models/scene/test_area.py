@@ -366,6 +366,29 @@ class TestInAWorld:
         assert REASONS[trouble[1][-1].fleets[0].violation.code[yaw]] == ("state_limit", "attitude.yaw")
 
 
+class TestOnTheWay:
+    """Vehicles that pass each other within a step: 1 m apart, while both ends are farther."""
+
+    def ways(self, *beside: float) -> tuple[Vec3, Vec3]:
+        """Return where pairs, far from each other, come from and are: one flies 3 m east, one west, so far aside."""
+        north = np.array([[100.0 * i, 100.0 * i + each] for i, each in enumerate(beside)], F32).ravel()
+        east = np.tile(np.array([-1.5, 1.5], F32), len(beside))
+        zero = np.zeros_like(north)
+        return Vec3(north, east, zero), Vec3(north, -east, zero)  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("radius", [None, np.full(4, 1.0, F32)])
+    def test_they_collide_where_they_are_nearest(self, radius: Any) -> None:
+        before, after = self.ways(1.0, 2.1)
+        assert not np.any(collisions(after, F32(2.0), radius).code)  # type: ignore[arg-type]
+        found = collisions(after, F32(2.0), radius, before)  # type: ignore[arg-type]
+        assert [REASONS[code] for code in found.code] == [("collision", "distance")] * 2 + [("valid", "")] * 2
+        np.testing.assert_allclose(found.value, [1.0, 1.0, 0.0, 0.0], rtol=1e-6)
+
+    def test_without_a_distance_nobody_collides(self) -> None:
+        before, after = self.ways(0.0)
+        assert not np.any(collisions(after, F32(0.0), None, before).code)  # type: ignore[arg-type]
+
+
 class TestRadii:
     """Vehicles of different sizes collide where their spheres touch."""
 

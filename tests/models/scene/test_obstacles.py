@@ -10,6 +10,8 @@ import pytest
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle, Obstacles
+from qrsim.models.scene.prisms import PrismObstacle, prisms_of
+from qrsim.models.scene.sweeping import obstacle_hit
 
 BOX = cast(BoxObstacle(x_min=0.0, x_max=2.0, y_min=-1.0, y_max=1.0, z_min=-5.0), np.float32)
 MAST = cast(CylinderObstacle(x=10.0, y=0.0, radius=2.0, z_min=-8.0), np.float32)
@@ -90,3 +92,48 @@ def test_in_numpy_it_is_the_same() -> None:
         plain = solid.distance(Vec3(*points.T))  # type: ignore[arg-type]
         assert isinstance(plain, np.ndarray)
         np.testing.assert_allclose(plain, solid.distance(Vec3.of(jnp.asarray(points))), atol=1e-5)
+
+
+WALL = cast(BoxObstacle(x_min=5.0, x_max=5.1, y_min=-3.0, y_max=3.0, z_min=-5.0), np.float32)
+POLE = cast(CylinderObstacle(x=5.0, y=8.0, radius=0.05, z_min=-5.0), np.float32)
+
+
+def thin(wall: bool) -> Obstacles:
+    """Return a wall of 0.1 m, a box or a prism, and a pole of 0.1 m."""
+    boxes, poles = jax.tree.map(lambda leaf: np.atleast_1d(leaf), (WALL, POLE))
+    if not wall:
+        boxes = jax.tree.map(lambda leaf: leaf[:0], boxes)
+    corners = [[5.0, -3.0], [5.1, -3.0], [5.1, 3.0], [5.0, 3.0]]
+    prisms = None if wall else cast(prisms_of([PrismObstacle.of(corners, -5.0)], [7], 0.1), np.float32)
+    return Obstacles(boxes, poles, np.array([7.0, 3.0] if wall else [3.0], np.float32), prisms)
+
+
+@pytest.mark.parametrize("box", [True, False])
+@pytest.mark.parametrize(
+    ("start", "end", "radius", "number"),
+    [
+        # Through the wall and out of it: of vehicles without a size, and of 0.1 m.
+        ((4.8, 0.0, -2.0), (5.3, 0.0, -2.0), 0.0, 7.0),
+        ((4.5, 0.0, -2.0), (5.6, 0.4, -2.5), 0.1, 7.0),
+        # Beside its end, over it, and away from it.
+        ((4.8, 3.11, -2.0), (5.4, 3.11, -2.0), 0.1, None),
+        ((4.8, 3.09, -2.0), (5.4, 3.09, -2.0), 0.1, 7.0),
+        ((4.8, 0.0, -5.11), (5.4, 0.0, -5.11), 0.1, None),
+        ((4.8, 0.0, -2.0), (4.3, 0.0, -2.0), 0.1, None),
+        # Across the pole: its radius and that of the vehicle are 0.15 m.
+        ((4.0, 8.14, -2.0), (6.0, 8.14, -2.0), 0.1, 3.0),
+        ((4.0, 8.16, -2.0), (6.0, 8.16, -2.0), 0.1, None),
+    ],
+)
+def test_a_way_through_what_is_thin_is_a_hit(
+    box: bool, start: tuple[float, ...], end: tuple[float, ...], radius: float, number: float | None
+) -> None:
+    found, hit = obstacle_hit(thin(box), at(start), at(end), jnp.float32(radius))  # type: ignore[arg-type]
+    assert bool(hit[0]) == (number is not None)
+    if number is not None:
+        assert found[0] == number
+
+
+def test_both_ends_of_a_way_through_a_wall_are_free() -> None:
+    for place in ((4.8, 0.0, -2.0), (5.3, 0.0, -2.0)):
+        assert not obstacle_hit(thin(True), at(place), at(place), jnp.float32(0.1))[1][0]

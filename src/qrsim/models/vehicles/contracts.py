@@ -27,7 +27,9 @@ from qrsim.models.vehicles.wake import Wake
 # A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
 Check = tuple[int, Array, Array]
 # What a vehicle may declare in ``reads``.
-AROUND = ("ground", "air_rates", "downwash", "air_density")
+AROUND = ("ground", "air_rates", "air_density")
+# A place in body axes [m]; numbers, or arrays (n,) where vehicles differ.
+Point = tuple[Any, Any, Any]
 
 
 @record
@@ -125,9 +127,7 @@ class Around:
 
     Attributes:
         ground: positions (n,) [m] -> the down coordinate (n,) [m] of the ground below, and its normal (n,), upwards.
-        air_rates: rotation of the air (n,) [rad/s] in body axes; zero where the turbulence gives none.
-        downwash: positions (n,) [m] -> the velocity (n,) [m/s] in NED that wakes of other vehicles add to the air,
-            as these were at the end of the step before.
+        air_rates: rotation of the air (n,) [rad/s] in body axes, by gusts and by the wakes of other vehicles.
         failed_rotors: of each rotor that a fault may concern its number, how fast it still turns (n,), 1 where it is
             well, and whether that is known to the autopilot (n,) bool.
         air_density: density of the air (n,) [kg/m^3]; None outside a world.
@@ -135,7 +135,6 @@ class Around:
 
     ground: Callable[[Vec3], tuple[Array, Vec3]]
     air_rates: Vec3
-    downwash: Callable[[Vec3], Vec3]
     failed_rotors: tuple[tuple[int, Array, Array], ...] = ()
     air_density: Array | None = None
 
@@ -159,6 +158,7 @@ class Vehicle(Protocol):
         adds_position: whether ``step`` does nothing with the position but add to it. Such a vehicle is given the second
             part of its position in place of the first (``moving.py``), so that short steps far from the origin are
             exact. Each class declares it for itself; a subclass does not inherit it.
+        downwash: whether the wakes of other vehicles are part of its air: ``felt``, ``at_centre`` or ``ignored``.
     """
 
     command_type: ClassVar[type[Any]]
@@ -171,6 +171,7 @@ class Vehicle(Protocol):
     rides: ClassVar[bool] = False
     launches: ClassVar[bool] = False
     adds_position: ClassVar[bool] = False
+    downwash: Any = "felt"
 
     def prepared(self, duration: float) -> Vehicle:
         """Return the vehicle of a run of a length [s], with the files read that it names.
@@ -240,6 +241,10 @@ class Vehicle(Protocol):
     def wake(self) -> Wake | None:
         """Return what its wake depends on, None if it leaves none; the thrust is that of its ``load``."""
         return None
+
+    def wake_points(self) -> tuple[Point, ...]:
+        """Return the points in body axes [m], evenly about them, over which the wakes of others are averaged."""
+        return ((0.0, 0.0, 0.0),)
 
     @abstractmethod
     def load(self, state: Any) -> Load:

@@ -129,7 +129,6 @@ def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> 
         # So far below that it is not felt.
         ground=lambda place: (zero + 1000.0, Vec3(zero, zero, zero - 1.0)),
         air_rates=none,
-        downwash=lambda place: none,
     )
     more = (around,) if vehicle.reads else ()
     wind = Vec3(-airspeed, zero, zero)

@@ -23,7 +23,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
 from qrsim.models.vehicles.commands import clipped, fields_of, limits_of
-from qrsim.models.vehicles.contracts import Around, Handling, Load, Pose, Vehicle, smaller
+from qrsim.models.vehicles.contracts import Around, Handling, Load, Point, Pose, Vehicle, smaller
 from qrsim.models.vehicles.process_noise import NORMALS, ProcessNoise, white_accelerations
 from qrsim.models.vehicles.wake import Wake
 
@@ -49,6 +49,8 @@ COMMAND_FIELDS = fields_of(Command)
 COMMAND_LIMITS = limits_of(Command)
 # The published controllers' throttle that carries the weight, and the highest voltage.
 IDLE_THROTTLE, IDLE_BATTERY = 0.59, 12.0
+# Distance between opposite rotors of a Pelican [m].
+SIZE = 0.42
 
 
 @record
@@ -92,6 +94,11 @@ class Quadrotor(Vehicle):
         default=0.2, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
     )
     integrator: Literal["heun", "rk4"] = setting(default="heun", doc="fixed-step rule")
+    downwash: Literal["felt", "at_centre", "ignored"] = setting(
+        default="felt",
+        doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
+        "edition's law; ignored: not felt",
+    )
     command_type: ClassVar[type[Any]] = Command
     actions: ClassVar[tuple[type[Any], ...]] = (Command,)
     normals: ClassVar[int] = NORMALS
@@ -161,7 +168,12 @@ class Quadrotor(Vehicle):
     def wake(self) -> Wake:
         """Return the wake of the Pelican: rotors of 10 inches, 0.42 m apart."""
         one = jnp.ones_like(jnp.asarray(self.mass))
-        return Wake(0.42 * one, 4.0 * math.pi * 0.127**2 * one)
+        return Wake(SIZE * one, 4.0 * math.pi * 0.127**2 * one)
+
+    def wake_points(self) -> tuple[Point, ...]:
+        """Return the hubs of the Pelican's rotors."""
+        arm = 0.5 * SIZE
+        return ((arm, 0.0, 0.0), (0.0, arm, 0.0), (-arm, 0.0, 0.0), (0.0, -arm, 0.0))
 
     def upright_share(self, command: Command) -> Array:
         """Return the cosine of the tilt at which a command settles."""

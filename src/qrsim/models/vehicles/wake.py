@@ -1,8 +1,10 @@
 """The wake of a vehicle that hangs on rotors: one round turbulent jet, which others fly through.
 
 L. Bauersfeld et al., "Robotics meets fluid dynamics: a characterization of the induced airflow below a quadrotor as a
-turbulent jet", RA-L 2024: below two and a half vehicle sizes the flows of all propellers are one jet. Its decay and
-spread are those of S. B. Pope, "Turbulent Flows", 2000, section 5.1, with the momentum of the thrust.
+turbulent jet", RA-L 2024: the flows of all propellers merge into one jet. Its profile and spread are those of S. B.
+Pope, "Turbulent Flows", 2000, section 5.1; its momentum is the thrust at every distance. It begins at the far wake of
+momentum theory, at twice the induced velocity in half of the disc area: J. G. Leishman, "Principles of Helicopter
+Aerodynamics", 2006, section 2.2.
 """
 
 from __future__ import annotations
@@ -17,10 +19,13 @@ from qrsim.core.vectors import Vec3
 
 # Velocity decay and spreading rate of a round jet (Pope, table 5.1); half width over distance.
 DECAY, SPREAD = 6.0, 0.096
-# From so many sizes below the vehicle on its jet is one [1].
+# Distance in vehicle sizes from which the first edition's jet spreads.
 MERGED = 2.5
 AIR_DENSITY = 1.225
+# Profile 1/(1 + a (r/half width)^2)^2, whose momentum is rho pi w0^2 (half width)^2/(3 a).
 _PROFILE = math.sqrt(2.0) - 1.0
+# Half widths beside the axis at which a wake ends; there it has 0.8 % of its speed.
+EDGE = 5.0
 
 
 @record
@@ -31,28 +36,50 @@ class Wake:
     disc_area: Array = quantity(unit="m^2", doc="area of all rotor discs")
 
 
-def jet_velocity(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3, offset_ned: Vec3) -> Vec3:
-    """Return the velocity [m/s] that a wake adds to the air at an offset from its vehicle (V32).
-
-    Its axis is that of the flow through the rotors: twice the induced velocity of hover along body down, and the
-    relative wind.
+def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Vec3:
+    """Return the direction of a wake: the flow through the rotors, twice the induced velocity and the relative wind.
 
     Args:
         wake: of the upper vehicle.
         thrust: its thrust [N].
-        down_ned: the direction that its rotors blow to.
-        relative_wind_ned: velocity of the air as it sees it [m/s].
-        offset_ned: from it to the place [m]; shapes may broadcast.
+        down_ned: direction that its rotors blow to.
+        relative_wind_ned: velocity of the air relative to it [m/s].
     """
-    push = jnp.maximum(thrust, 0.0)
-    exhaust = jnp.sqrt(2.0 * push / (AIR_DENSITY * wake.disc_area))
-    through = down_ned * exhaust + relative_wind_ned
-    axis = through * (1.0 / jnp.sqrt(jnp.maximum(through.dot(through), 1e-12)))
-    along = offset_ned.dot(axis)
-    far = jnp.maximum(along, 1e-3)
+    through = down_ned * _exhaust(wake, thrust) + relative_wind_ned
+    return through * (1.0 / jnp.sqrt(jnp.maximum(through.dot(through), 1e-12)))
+
+
+def jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
+    """Return the speed [m/s] of a wake along its axis (V32); the momentum at every distance is the thrust.
+
+    Args:
+        wake: of the upper vehicle.
+        thrust: its thrust [N].
+        along: distance from its rotors along the axis [m].
+        beside_squared: squared distance from the axis [m^2].
+    """
+    width = half_width(wake, along)
+    middle = jnp.sqrt(jnp.maximum(thrust, 0.0) * (3.0 * _PROFILE / (AIR_DENSITY * math.pi))) / width
+    return _profile(middle, width, along, beside_squared)
+
+
+def half_width(wake: Wake, along: Array) -> Array:
+    """Return the half width [m] of a wake: that of a jet, at least that whose speed is twice the induced velocity."""
+    return jnp.maximum(SPREAD * along, jnp.sqrt(wake.disc_area * (1.5 * _PROFILE / math.pi)))
+
+
+def first_jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
+    """Return the speed of ``jet_speed`` by the first edition's law: a third of the momentum near the rotors."""
+    push, far = jnp.maximum(thrust, 0.0), jnp.maximum(along, 1e-3)
     width = SPREAD * jnp.maximum(along, MERGED * wake.size)
-    beside_squared = jnp.maximum(offset_ned.dot(offset_ned) - along * along, 0.0)
-    middle = jnp.minimum(exhaust, DECAY * jnp.sqrt(4.0 * push / (AIR_DENSITY * math.pi)) / far)
+    middle = jnp.minimum(_exhaust(wake, push), DECAY * jnp.sqrt(4.0 * push / (AIR_DENSITY * math.pi)) / far)
+    return _profile(middle, width, along, beside_squared)
+
+
+def _exhaust(wake: Wake, thrust: Array) -> Array:
+    return jnp.sqrt(2.0 * jnp.maximum(thrust, 0.0) / (AIR_DENSITY * wake.disc_area))
+
+
+def _profile(middle: Array, width: Array, along: Array, beside_squared: Array) -> Array:
     shape = 1.0 + _PROFILE * beside_squared / (width * width)
-    speed = jnp.where(along > 0.0, middle / (shape * shape), 0.0)
-    return axis * speed
+    return jnp.where(along > 0.0, middle / (shape * shape), 0.0)

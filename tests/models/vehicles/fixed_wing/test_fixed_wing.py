@@ -105,7 +105,7 @@ def flown(model: Any, rows: dict[str, Any], dt: float, air: tuple[float, float, 
             quaternion=Quaternion(*first[6:10]), rates_body=Vec3(*first[10:]),  # type: ignore[arg-type]
         )  # fmt: skip
         wind, spins = Vec3(*(jnp.full(1, part) for part in air)), Vec3(*(jnp.full(1, float(part)) for part in rates))
-        around = Around(lambda place: (zero, still), spins, lambda place: still)
+        around = Around(lambda place: (zero, still), spins)
         columns = [rows[name][:-1, None] for name in ("elevator", "aileron", "rudder", "throttle")]
 
         @jax.jit

@@ -44,7 +44,7 @@ class Flown:
             zero = jnp.zeros(count, dtype)
             still = Vec3(zero, zero, zero)
             lost = tuple(zip(failed, health, known, strict=True))
-            around = Around(lambda p: (zero, Vec3(zero, zero, zero - 1.0)), still, lambda p: still, lost)
+            around = Around(lambda p: (zero, Vec3(zero, zero, zero - 1.0)), still, lost)
             after, force = model.step(
                 state[0], command, lambda trig: trig.rotation().to_body(air), ProcessNoise(still, still), dt, around
             )

@@ -119,7 +119,7 @@ def test_rotors_close_on_the_largest_speed(powered: bool) -> None:
         still, one = vec(0.0, 0.0, 0.0), each(1.0)
         command = Powered(command, 16.5 * one)
         lost = ((0, 0.5 * one, one < 0.0),)
-        around = Around(lambda _: (0.0 * one, vec(0.0, 0.0, -1.0)), still, lambda _: still, lost)
+        around = Around(lambda _: (0.0 * one, vec(0.0, 0.0, -1.0)), still, lost)
     after, _ = flown(start(50.0, speed=600.0), command, around=around)
     first = 500.0 + 100.0 * DOWN if powered else 1000.0 - 400.0 * UP
     np.testing.assert_allclose(after.rotor_speed[0], first, rtol=1e-9)

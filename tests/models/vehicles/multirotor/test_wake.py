@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,46 +12,64 @@ import pytest
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.multirotor.aerodynamics import near_ground
-from qrsim.models.vehicles.wake import Wake, jet_velocity
+from qrsim.models.vehicles.wake import Wake, first_jet_speed, jet_axis, jet_speed
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
 
-def below(thrust: float, radius: float, count: int, beside: float, z: float, wind: float = 0.0) -> Vec3:
-    one = jnp.ones(1)
-    wake = Wake(0.49 * one, count * math.pi * radius**2 * one)
-    level = Vec3(0.0 * one, 0.0 * one, one)
-    return jet_velocity(
-        wake, thrust * one, level, Vec3(wind * one, 0.0 * one, 0.0 * one), Vec3(beside * one, 0.0 * one, z * one)
-    )
+ONE: Any = np.ones(1)
+# Rotor radius [m], rotors, distance between the farthest [m] and mass [kg]: an X500 and a Pelican.
+X500, PELICAN = (0.128, 4, 0.49, 2.0643), (0.127, 4, 0.42, 1.68)
 
 
-@pytest.mark.parametrize(("mass", "radius", "count", "speed"), [(2.0643, 0.128, 4, 5.5), (4.0, 0.1905, 6, 7.7)])
-def test_speed_five_metres_below(mass: float, radius: float, count: int, speed: float) -> None:
-    found = below(mass * 9.81, radius, count, 0.0, 5.0)
-    assert float(found.z[0]) == pytest.approx(speed, abs=0.06)
-    assert float(found.x[0]) == 0.0
+def wake_of(radius: float, count: int, size: float) -> Wake:
+    return Wake(size * ONE, count * math.pi * radius**2 * ONE)
 
 
-def test_it_spreads_decays_and_begins_at_the_rotors() -> None:
-    middle = float(below(20.25, 0.128, 4, 0.0, 5.0).z[0])
-    # Half as fast at 0.096 z beside, half as fast at twice the distance.
-    assert float(below(20.25, 0.128, 4, 0.48, 5.0).z[0]) == pytest.approx(middle / 2.0, rel=1e-3)
-    assert float(below(20.25, 0.128, 4, 0.0, 10.0).z[0]) == pytest.approx(middle / 2.0, rel=1e-9)
-    # Nearer than two and a half vehicle sizes, 1.225 m, it is as wide as there.
-    near = [float(below(20.25, 0.128, 4, beside, 0.6).z[0]) for beside in (0.0, 0.096 * 1.225)]
-    assert near[1] == pytest.approx(near[0] / 2.0, rel=1e-3)
-    # No faster than the far wake of hover by momentum theory, 12.7 m/s; nothing above.
-    assert float(below(20.25, 0.128, 4, 0.0, 0.5).z[0]) == pytest.approx(12.67, abs=0.02)
-    assert float(below(20.25, 0.128, 4, 0.0, -0.5).z[0]) == 0.0
+def speed(law: Any, vehicle: Any, thrust: float, z: float, beside: Any = 0.0) -> Any:
+    return np.asarray(law(wake_of(*vehicle[:3]), thrust * ONE, z * ONE, np.atleast_1d(np.square(beside))))
+
+
+@pytest.mark.parametrize("vehicle", [X500, PELICAN, (0.1905, 6, 0.96, 4.0)])
+@pytest.mark.parametrize("radii", [0.5, 2.0, 5.0, 10.0, 16.0, 60.0])
+def test_its_momentum_is_the_thrust_at_every_distance(vehicle: Any, radii: float) -> None:
+    """The integral of rho w^2 over a plane, by the trapezoidal rule in rings."""
+    thrust = vehicle[3] * 9.81
+    r = np.linspace(0.0, 12.0, 120_001)
+    w = speed(jet_speed, vehicle, thrust, radii * vehicle[0], r)
+    assert 1.225 * np.trapezoid(w * w * 2.0 * math.pi * r, r) == pytest.approx(thrust, rel=2e-3)
+
+
+def test_it_begins_at_twice_the_induced_velocity_and_spreads_as_a_jet() -> None:
+    """By hand: sqrt(2 T/(rho A)) = 12.67 m/s; half as fast 0.788 sqrt(A/pi) = 0.202 m beside, until 0.096 z is more."""
+    at = functools.partial(speed, jet_speed, X500, 20.25)
+    assert at(0.1)[0] == at(2.0)[0] == pytest.approx(12.67, abs=0.01)
+    assert at(0.5, 0.2018)[0] == pytest.approx(12.67 / 2.0, abs=0.01)
+    # Half as fast at 0.096 z beside, half as fast at twice the distance; nothing above.
+    assert at(5.0)[0] == pytest.approx(5.326, abs=0.005)
+    assert at(5.0, 0.48)[0] == pytest.approx(5.326 / 2.0, abs=0.005)
+    assert at(10.0)[0] == pytest.approx(5.326 / 2.0, abs=0.005)
+    assert at(-0.1)[0] == 0.0
+
+
+def test_the_first_law_stays() -> None:
+    """Half as fast 0.096 x 1.225 m beside, two and a half sizes; a third of the momentum there, 1.07 farther below."""
+    at = functools.partial(speed, first_jet_speed, X500, 20.25)
+    assert at(5.0)[0] == pytest.approx(5.5, abs=0.06)
+    assert at(0.6, 0.096 * 1.225)[0] == pytest.approx(12.67 / 2.0, abs=0.02)
+    assert at(-0.5)[0] == 0.0
+    r = np.linspace(0.0, 12.0, 120_001)
+    for z, share in ((0.6, 0.343), (3.0, 1.068)):
+        w = at(z, r)
+        assert 1.225 * np.trapezoid(w * w * 2.0 * math.pi * r, r) / 20.25 == pytest.approx(share, abs=0.005)
 
 
 def test_wind_blows_it_aside() -> None:
-    """The flow through the rotors is 12.67 m/s down and 8 m/s along: at 5 m below the jet is 3.16 m aside."""
-    aside = 5.0 * 8.0 / 12.67
-    found = below(20.25, 0.128, 4, aside, 5.0, wind=8.0)
-    assert float(found.x[0] / found.z[0]) == pytest.approx(8.0 / 12.67, rel=1e-3)
-    assert float(below(20.25, 0.128, 4, 0.0, 5.0, wind=8.0).z[0]) < 0.05 * float(found.z[0])
+    """The flow through the rotors is 12.67 m/s down and 8 m/s along: the axis is 0.631 m aside at 1 m below."""
+    zero = 0.0 * ONE
+    axis = jet_axis(wake_of(*X500[:3]), 20.25 * ONE, Vec3(zero, zero, ONE), Vec3(8.0 * ONE, zero, zero))
+    assert float(axis.x[0] / axis.z[0]) == pytest.approx(8.0 / 12.67, rel=1e-3)
+    assert float(axis.dot(axis)[0]) == pytest.approx(1.0, rel=1e-12)
 
 
 @pytest.mark.parametrize(("height", "ratio"), [(0.25, 4 / 3), (0.5, 4 / 3), (1.0, 1.067), (2.0, 1.016), (4.0, 1.004)])

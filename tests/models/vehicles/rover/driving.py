@@ -28,7 +28,7 @@ def around(normal: tuple[float, float, float], like: Any) -> Around:
 
     zero = jnp.zeros_like(like)
     nothing = Vec3(zero, zero, zero)
-    return Around(ground, nothing, lambda place: nothing)
+    return Around(ground, nothing)
 
 
 def drive(

@@ -128,6 +128,11 @@ class Aeroplane:
         default=3.5, unit="rad/s", doc="largest rate of the control surfaces; 0: any", minimum=0.0
     )
     stabiliser: Gains = quantity(default=Gains(), doc="what holds roll and pitch")
+    downwash: Literal["felt", "at_centre", "ignored"] = setting(
+        default="felt",
+        doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
+        "edition's law; ignored: not felt",
+    )
     longest_substep: float = setting(
         default=0.01, unit="s", doc="longest step of the integration and of the stabiliser", above=0.0, maximum=0.05
     )

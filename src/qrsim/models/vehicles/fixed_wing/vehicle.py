@@ -17,7 +17,7 @@ from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, root
 from qrsim.models.atmosphere.standard import SiteAir
-from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Load, Outline, Point, Pose, Vehicle
 from qrsim.models.vehicles.fixed_wing.aerodynamics import air_data, propeller
 from qrsim.models.vehicles.fixed_wing.commands import AttitudeCommand, SurfaceCommand, shown
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
@@ -81,6 +81,10 @@ class FixedWing(Aeroplane, Vehicle):
     def shown(self, command: Any) -> AttitudeCommand:
         """Return a command as a world's state keeps it; NaN in the fields that it has not."""
         return shown(command)
+
+    def wake_points(self) -> tuple[Point, ...]:
+        """Return the middles of six equal parts of its span."""
+        return tuple((0.0, self.span * (part / 12.0), 0.0) for part in (-5.0, -3.0, -1.0, 1.0, 3.0, 5.0))
 
     def load(self, state: FixedWingState) -> Load:
         """Return the thrust of the propeller; a wing carries the weight."""

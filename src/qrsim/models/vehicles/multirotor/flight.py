@@ -143,8 +143,6 @@ def surroundings(
     if around is not None:
         down, normal = around.ground(position)
         rates = around.air_rates
-        if model.downwash == "felt":
-            air = air + around.downwash(position)
     spring, damper = stiffness(model.contact, model.mass * model.gravity, model.mass, len(model.feet))
     ground = plane_below((position.z - down) * normal.z, normal)
     return Surroundings(air, rates, ground, noise.linear, noise.angular, spring, damper)

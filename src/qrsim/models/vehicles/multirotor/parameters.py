@@ -92,8 +92,10 @@ class Airframe:
     longest_substep: float = setting(
         default=0.004, unit="s", doc="a time step is flown in equal parts of at most this length", above=0.0
     )
-    downwash: Literal["felt", "ignored"] = setting(
-        default="felt", doc="whether the wakes of other vehicles are felt; in a large world they cost most of the time"
+    downwash: Literal["felt", "at_centre", "ignored"] = setting(
+        default="felt",
+        doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
+        "edition's law; ignored: not felt",
     )
     thin_air: Literal["felt", "ignored"] = setting(
         default="felt", doc="whether forces follow the density of the air, or are those at air_density everywhere"

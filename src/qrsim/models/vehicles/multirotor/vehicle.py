@@ -19,7 +19,7 @@ from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.models.atmosphere.standard import DENSITY, SiteAir
 from qrsim.models.scene.area import reason_code
 from qrsim.models.vehicles.commands import clipped
-from qrsim.models.vehicles.contracts import Around, Check, Handling, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Check, Handling, Load, Outline, Point, Pose, Vehicle
 from qrsim.models.vehicles.multirotor.balance import leaning
 from qrsim.models.vehicles.multirotor.commands import (
     TILT_MAX_RAD,
@@ -53,7 +53,7 @@ class Multirotor(Airframe, Vehicle):
     command_type: ClassVar[type[Any]] = AttitudeCommand
     actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
     normals: ClassVar[int] = NORMALS
-    reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates", "downwash")
+    reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates")
     gives_power: ClassVar[bool] = True
     # Those of the published model are where it was identified; this one is limited by what it is made of.
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
@@ -128,6 +128,10 @@ class Multirotor(Airframe, Vehicle):
         radius = jnp.asarray(self.rotor_radius)
         size = 2.0 * max(math.hypot(x, y) for x, y, _ in hubs)
         return Wake(size * jnp.ones_like(radius), (len(hubs) * math.pi) * (radius * radius))
+
+    def wake_points(self) -> tuple[Point, ...]:
+        """Return the hubs of its rotors."""
+        return tuple(rotor.position for rotor in self.rotors)
 
     def on_ground(self, state: MultirotorState) -> Array:
         """Return which vehicles (n,) stand: all feet have borne for half a second, at less than 0.1 m/s."""
