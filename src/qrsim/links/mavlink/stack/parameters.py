@@ -74,6 +74,7 @@ TABLE: tuple[Parameter, ...] = (
     _int("GF_ACTION", 2, 0, 5, "fence breached: 0 none, 1 warn, 2 hold, 3 return, 4 terminate, 5 land"),
     _real("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0, "m", "largest distance from home; 0: any"),
     _real("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0, "m", "largest height over home; 0: any"),
+    _int("GUID_OPTIONS", 0, 0, 511, "8: in GUIDED the thrust of attitudes is a thrust, else a climb; ArduPilot only"),
     _int("MAV_COMP_ID", 1, 1, 250, "component id; read only"),
     _int("MAV_SYS_ID", 1, 1, 250, "system id; read only"),
     _real("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0, "m", "height of a take-off that gives none"),
