@@ -130,7 +130,8 @@ def test_a_failsafe_leaves_the_mode_that_was_asked_for(wire):
 
 
 def test_modes_of_ardupilot_have_names():
-    names = ["STABILIZE", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "LAND", "POSHOLD", "BRAKE", "GUIDED_NOGPS"]
+    names = ["STABILIZE", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "LAND", "POSHOLD", "BRAKE",
+             "GUIDED_NOGPS"]  # fmt: skip
     numbers = [0, 2, 3, 4, 5, 6, 7, 9, 16, 17, 20]
     wire = Wire(flavour="ardupilot")
     _, modes = modes_of(wire, 0.0)

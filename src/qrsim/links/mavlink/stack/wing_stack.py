@@ -210,7 +210,8 @@ class WingStack(FlightStack):
         craft = self.craft
         place = place_in(self, Command.of_int(REPOSITION, item.frame, (math.nan,) * 4, 0, 0, item.z))
         if self.mode is not Mode.HOLD or place is None or not craft.allows(place):
-            self._refuse("Change of altitude", "no height of the area" if self.mode is Mode.HOLD else "it is not in hold")
+            why = "no height of the area" if self.mode is Mode.HOLD else "it is not in hold"
+            self._refuse("Change of altitude", why)
             return
         if self._own or self._goal is None:
             self._goal, self._radius = orbits.here(craft)
