@@ -70,8 +70,11 @@ class FlightStack(Flight):
 
     def setpoint(self, target: Target) -> bool:
         """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+        why = self.craft.seen.end if self.craft.seen.stopped else ""
         if self.mode is Mode.NOGPS and not isinstance(target, AttitudeTarget):
-            return self.offboard.refuse(self.craft, "GUIDED_NOGPS flies attitudes alone")
+            why = "GUIDED_NOGPS flies attitudes alone"
+        if why:
+            return self.offboard.refuse(self.craft, why)
         taken = self.offboard.take(target, self.craft)
         # Programs send the first place at 95 % of the height of a take-off.
         if taken and self.guided and (self.mode is Mode.HOLD or (self.mode is Mode.TAKEOFF and self.craft.flies)):
