@@ -26,7 +26,7 @@ def part(name: str) -> Any:
 
 
 NAN = math.nan
-PATIENCE = 180.0
+PATIENCE = 280.0
 METRES_PER_DEG = 111_200.0
 NEAR = 1.5
 
