@@ -159,13 +159,16 @@ class Flight:
         self.land()
 
     def set_attitude_target(self) -> None:
-        """Up, ahead and back by attitudes in GUIDED_NOGPS, where a thrust of 0.5 holds the height; then LAND."""
+        """Up, ahead and back by attitudes in GUIDED_NOGPS, where a thrust of 0.5 holds the height; then LAND.
+
+        The example names system 1, and is to be changed for other vehicles.
+        """
         self.take_off("GUIDED_NOGPS")
 
         def lean(pitch: float, thrust: float) -> Callable[[], None]:
             half = math.radians(0.5 * pitch)
             q = [math.cos(half), 0.0, math.sin(half), 0.0]
-            message = self.vehicle.message_factory.set_attitude_target_encode(0, 1, 1, 0b00000100, q, 0, 0, 0, thrust)
+            message = self.vehicle.message_factory.set_attitude_target_encode(0, 0, 0, 0b00000100, q, 0, 0, 0, thrust)
             return lambda: self.vehicle.send_mavlink(message)
 
         until(lambda: self.height() > 0.95 * 2.5, lean(0.0, 0.7))
@@ -232,7 +235,8 @@ class Flight:
 
 
 if __name__ == "__main__":
-    flight = Flight(sys.argv[2], int([*sys.argv, "0"][3]) if len(sys.argv) > 3 else 0)
-    getattr(flight, sys.argv[1])()
-    print(f"flown: {sys.argv[1]}", flush=True)
+    script, address, *more = sys.argv[1:]
+    flight = Flight(address, int(more[0]) if more else 0)
+    getattr(flight, script)()
+    print(f"flown: {script}", flush=True)
     flight.vehicle.close()

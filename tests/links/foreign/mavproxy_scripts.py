@@ -107,11 +107,11 @@ def px4(session: Session, folder: str, vehicle: int) -> None:
 
 
 if __name__ == "__main__":
-    given = [*sys.argv[3:], "0"][0]
+    script, address, *more = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
-        session = Session(sys.argv[2], folder)
+        session = Session(address, folder)
         try:
-            {"copter": copter, "px4": px4}[sys.argv[1]](session, folder, int(given))
+            {"copter": copter, "px4": px4}[script](session, folder, int(more[0]) if more else 0)
         finally:
             session.end()
-    print(f"flown: {sys.argv[1]}", flush=True)
+    print(f"flown: {script}", flush=True)

@@ -128,6 +128,7 @@ class Client:
 
 
 if __name__ == "__main__":
-    client = Client(sys.argv[2], int([*sys.argv, "0"][3]) if len(sys.argv) > 3 else 0)
-    getattr(client, sys.argv[1])()
-    print(f"flown: {sys.argv[1]}", flush=True)
+    script, address, *more = sys.argv[1:]
+    client = Client(address, int(more[0]) if more else 0)
+    getattr(client, script)()
+    print(f"flown: {script}", flush=True)
