@@ -220,7 +220,9 @@ class Flight:
             craft.tell("landed")
             if state is Landed.TAKEOFF:
                 craft.say(Severity.INFO, "Takeoff detected")
-        after = self.parameters.values["COM_DISARM_LAND" if self._took_off else "COM_DISARM_PRFLT"]
+        # A client has so much of its own time to take off.
+        values, stretch = self.parameters.values, max(1.0, self.factor)
+        after = values["COM_DISARM_LAND"] if self._took_off else values["COM_DISARM_PRFLT"] * stretch
         since = self._landed_at if self._took_off else self._armed_at
         if state is Landed.ON_GROUND and since is not None and 0.0 <= after <= now - since + 1e-9:
             self.disarm("Disarmed by landing" if self._took_off else "Disarmed by auto preflight disarming")
