@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -51,19 +52,30 @@ class Session:
             time.sleep(0.05)
         raise SystemExit(f"MAVProxy did not say {' or '.join(words)}:\n{self._log.read_text(errors='replace')}")
 
+    def wait_height(self, least: float, seconds: float = PATIENCE) -> None:
+        """Wait until the vehicle is at least so high over home [m]."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.type("status GLOBAL_POSITION_INT")
+            time.sleep(0.5)
+            found = re.findall(r"relative_alt : (-?\d+)", self._log.read_text(encoding="utf-8", errors="replace"))
+            if found and int(found[-1]) > 1000.0 * least:
+                return
+        raise SystemExit(f"not at {least} m:\n{self._log.read_text(errors='replace')}")
+
     def end(self) -> None:
         """End it."""
         self._proxy.kill()
         self._proxy.wait()
 
 
-def mission_file(folder: str, up: float) -> Path:
-    """Write a mission of a take-off, three places and a return."""
-    places = ((22, 0.0, 0.0), (16, 2e-4, 0.0), (16, 2e-4, 2e-4), (16, 0.0, 2e-4), (20, 0.0, 0.0))
-    rows = [f"0\t1\t0\t16\t0\t0\t0\t0\t{LATITUDE}\t{LONGITUDE}\t488\t1"]
-    for number, (command, north, east) in enumerate(places, 1):
+def mission_file(folder: str, up: float, home: bool) -> Path:
+    """Write a mission of a take-off, three places and a return; home comes first for ArduPilot alone."""
+    places = [(22, 0.0, 0.0), (16, 2e-4, 0.0), (16, 2e-4, 2e-4), (16, 0.0, 2e-4), (20, 0.0, 0.0)]
+    rows = [f"0\t1\t0\t16\t0\t0\t0\t0\t{LATITUDE}\t{LONGITUDE}\t488\t1"] if home else []
+    for number, (command, north, east) in enumerate(places, len(rows)):
         x, y = (LATITUDE + north, LONGITUDE + east) if command == 16 else (0.0, 0.0)
-        rows.append(f"{number}\t0\t3\t{command}\t0\t0\t0\t0\t{x}\t{y}\t{up}\t1")
+        rows.append(f"{number}\t{number == 0:d}\t3\t{command}\t0\t0\t0\t0\t{x}\t{y}\t{up}\t1")
     path = Path(folder) / "mission.txt"
     path.write_text("QGC WPL 110\n" + "\n".join(rows) + "\n")
     return path
@@ -73,8 +85,8 @@ def copter(session: Session, folder: str, vehicle: int) -> None:
     """Take off in GUIDED, go to a place, fly a mission in AUTO, and come home, with ArduPilot's flavour."""
     up = 10 + 6 * vehicle
     session.wait(["Received "])
-    session.type("param set RTL_RETURN_ALT 15")
-    session.type(f"wp load {mission_file(folder, up)}")
+    session.type(f"param set RTL_RETURN_ALT {up}")
+    session.type(f"wp load {mission_file(folder, up, home=True)}")
     session.wait(["MISSION_ACK", "Loaded"])
     session.wait(["ACCEPTED"])
     session.type("mode guided")
@@ -82,27 +94,26 @@ def copter(session: Session, folder: str, vehicle: int) -> None:
     session.type("arm throttle")
     session.wait(["ARMED"])
     session.type("takeoff 8")
-    session.wait(["height 5"])
+    session.wait_height(7.0)
     session.type(f"guided {LATITUDE + 1e-4} {LONGITUDE} {up}")
-    session.wait([f"height {up - 2}", f"height {up - 1}", f"height {up}"] if up > 12 else ["Guided"])
-    time.sleep(3.0)
+    session.wait_height(up - 1.0)
     session.type("mode auto")
     session.wait(["Mode AUTO", "AUTO>"])
-    session.wait(["Reached waypoint #4", "reached waypoint 4", "waypoint 4"])
+    session.wait(["waypoint 4"])
     session.wait(["DISARMED"], 120.0)
 
 
 def px4(session: Session, folder: str, vehicle: int) -> None:
     """Set a parameter, load a mission, arm, start it, and be disarmed at home, with PX4's flavour."""
     session.wait(["Received "])
-    session.type("param set RTL_RETURN_ALT 15")
-    session.type(f"wp load {mission_file(folder, 10 + 6 * vehicle)}")
+    session.type(f"param set RTL_RETURN_ALT {10 + 6 * vehicle}")
+    session.type(f"wp load {mission_file(folder, 10 + 6 * vehicle, home=False)}")
     session.wait(["MISSION_ACK", "Loaded"])
     session.wait(["ACCEPTED"])
     session.type("arm throttle")
     session.wait(["ARMED"])
-    session.type("long MISSION_START 0 5 0 0 0 0 0")
-    session.wait(["waypoint 4"])
+    session.type("long MISSION_START 0 4 0 0 0 0 0")
+    session.wait(["waypoint 3"])
     session.wait(["DISARMED"], 120.0)
 
 
