@@ -24,6 +24,8 @@ VEHICLES, ROUNDS = 5, 3
 # Simulated seconds a second, and how long a round may take [s, wall clock].
 FACTOR, PATIENCE_S = 3.0, 300.0
 MAVSDK = ("mavsdk2", "mavsdk3", "mavsdk4_grpc")
+# MAVSDK 2 has addresses of its own.
+ADDRESSES = {"mavsdk2": "udp://:"}
 
 
 class Suite(NamedTuple):
@@ -86,8 +88,8 @@ def fly(suite: Suite, script: str, port: int, number: int) -> list[str]:
     running = []
     for vehicle in range(VEHICLES):
         client = suite.clients[(vehicle + number) % len(suite.clients)]
-        scheme = "udpin://" if client in MAVSDK else "udpin:"
-        words = [python_of(client), str(HERE / suite.file), script, f"{scheme}127.0.0.1:{port + vehicle}"]
+        scheme = "udpin:127.0.0.1:" if client not in MAVSDK else ADDRESSES.get(client, "udpin://127.0.0.1:")
+        words = [python_of(client), str(HERE / suite.file), script, f"{scheme}{port + vehicle}"]
         # A server of MAVSDK has a port of its own.
         words += [str(50080 + 10 * number + vehicle)] if client in MAVSDK else []
         process = subprocess.Popen(
