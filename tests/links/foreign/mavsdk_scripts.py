@@ -168,14 +168,19 @@ class Flight:
         assert await drone.mission_raw.download_mission() == []
 
     async def offboard_position(self) -> None:
-        """Each vehicle starts at (0, 0, 0) of its frame, and flies to four places with headings; the last one lands."""
+        """Each vehicle starts at (0, 0, 0) of its frame, and flies to four places with headings; the last one lands.
+
+        A new place every 10 s, as in the example: two that begin together fly side by side.
+        """
         module, here = part("offboard"), (await self.local()).position
         assert math.hypot(here.north_m, here.east_m, here.down_m) < 1.5, here
         offboard = await self.offboard(self.drone.offboard.set_position_ned(module.PositionNedYaw(0.0, 0.0, 0.0, 0.0)))
         for north, east, down, yaw in ((0.0, 0.0, -5.0, 0.0), (5.0, 0.0, -5.0, 90.0), (5.0, 10.0, -5.0, 90.0)):
+            rest = asyncio.create_task(self.wait(10.0))
             await offboard.set_position_ned(module.PositionNedYaw(north, east, down, yaw))
             await self.at(north, east, down)
             await first(self.drone.telemetry.attitude_euler(), lambda now, yaw=yaw: abs(now.yaw_deg - yaw) < 10.0)
+            await rest
         await offboard.set_position_ned(module.PositionNedYaw(0.0, 10.0, 0.0, 180.0))
         await self.disarmed()
         await self.stop()

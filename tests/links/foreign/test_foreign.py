@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from evidence import _mavlink_clients as clients
 from qrsim.scenarios.scenario import load_scenario
 
 HERE = Path(__file__).resolve().parent
-VEHICLES, ROUNDS = 5, 3
+VEHICLES, ROUNDS = range(5), 3
 # Simulated seconds a second, and how long a round may take [s, wall clock].
 FACTOR, PATIENCE_S = 3.0, 300.0
 MAVSDK = ("mavsdk2", "mavsdk3", "mavsdk4_grpc")
@@ -82,18 +83,20 @@ def python_of(client: str) -> str:
         pytest.skip(str(error))
 
 
-def fly(suite: Suite, script: str, port: int, number: int) -> list[str]:
-    """Fly a script on all vehicles at once, the first of them at a port; return what those said who did not."""
+def fly(
+    suite: Suite, script: str, port: int, number: int, vehicles: Sequence[int] = VEHICLES, factor: float = FACTOR
+) -> list[str]:
+    """Fly a script on vehicles at once, the first of them at a port; return what those said who did not."""
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     running = []
-    for vehicle in range(VEHICLES):
+    for vehicle in vehicles:
         client = suite.clients[(vehicle + number) % len(suite.clients)]
         scheme = "udpin:127.0.0.1:" if client not in MAVSDK else ADDRESSES.get(client, "udpin://127.0.0.1:")
         words = [python_of(client), str(HERE / suite.file), script, f"{scheme}{port + vehicle}"]
         # A server of MAVSDK has a port of its own.
         words += [str(50080 + 10 * number + vehicle)] if client in MAVSDK else []
         process = subprocess.Popen(
-            [*words, str(vehicle), f"{FACTOR:g}"],
+            [*words, str(vehicle), f"{factor:g}"],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -130,6 +133,20 @@ def test_a_script_of_others_flies(suite, script):
     said, text = flown(suite, script, ROUNDS)
     assert said == [], text
     assert re.findall("Flight has ended.*|Run has ended.*|bug.*", text) == []
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("client", MAVSDK)
+def test_two_of_one_field_fly_the_offboard_example_at_once(client):
+    """Both are sent to the same places, each of its own frame: side by side, 8 m apart, in real time."""
+    python_of(client)
+    suite, field = SUITES[0]._replace(clients=(client,)), clients.Field(factor=1.0)
+    try:
+        said = fly(suite, "offboard_position", field.port, 0, (0, 2), 1.0)
+    finally:
+        text = field.end()
+    assert said == [], text
+    assert "Flight has ended" not in text
 
 
 @pytest.mark.parametrize(
