@@ -6,8 +6,10 @@ Of MAVSDK, versions 2, 3 and 4 fly side by side, each time on other vehicles.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -101,6 +103,7 @@ def fly(
             stderr=subprocess.STDOUT,
             text=True,
             env=clean,
+            start_new_session=True,
         )
         running.append((f"round {number + 1}, vehicle {vehicle + 1}, {client or 'pymavlink'}", process))
     end, said = time.monotonic() + PATIENCE_S, []
@@ -108,11 +111,18 @@ def fly(
         try:
             text, _ = process.communicate(timeout=max(1.0, end - time.monotonic()))
         except subprocess.TimeoutExpired:
-            process.kill()
+            _end(process)
             text = process.communicate()[0] + "\nnot in time"
+        _end(process)
         if process.returncode or f"flown: {script}" not in text:
             said.append(f"{who}: {text[-2000:]}")
     return said
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End a process with all that it has started, of MAVSDK a server."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def flown(suite: Suite, script: str, rounds: int) -> tuple[list[str], str]:
