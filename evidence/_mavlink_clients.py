@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -21,8 +23,11 @@ MODES = (
     "landed by sticks",
 )  # fmt: skip
 REQUIREMENTS = {
+    "mavsdk2": ("mavsdk==2.8.4",),
     "mavsdk3": ("mavsdk==3.17.4",),
     "mavsdk4": ("mavsdk==4.1.0",),
+    # MAVSDK 4 by the interface of version 3.
+    "mavsdk4_grpc": ("mavsdk-grpc==4.0.5",),
     "dronekit": ("dronekit2==3.0.0",),
     "mavproxy": ("MAVProxy==1.8.75", "setuptools<81"),
 }
@@ -61,16 +66,24 @@ def environment(name: str) -> str:
     """Return the Python of a client's environment, made once; raises NotThereError."""
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = cache / "qrsim-tests" / f"{name}-{sys.version_info.major}.{sys.version_info.minor}"
-    python = folder / "bin" / "python"
-    if not (folder / "complete").exists():
-        subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True, timeout=300)
-        words = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *REQUIREMENTS[name]]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
-        if done.returncode and ("ConnectionError" in done.stderr or "No matching distribution" in done.stderr):
-            raise NotThereError(f"{name}: {done.stderr.strip().splitlines()[-1]}")
-        assert done.returncode == 0, done.stderr
-        (folder / "complete").touch()
-    return str(python)
+    folder.mkdir(parents=True, exist_ok=True)
+    # Several tests may want the same one at once.
+    with (folder.parent / f"{folder.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "complete").exists():
+            _fill(folder, REQUIREMENTS[name])
+            (folder / "complete").touch()
+    return str(folder / "bin" / "python")
+
+
+def _fill(folder: Path, requirements: Sequence[str]) -> None:
+    """Make an environment with some packages; raises NotThereError."""
+    subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True, timeout=300)
+    words = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
+    if done.returncode and ("ConnectionError" in done.stderr or "No matching distribution" in done.stderr):
+        raise NotThereError(f"{requirements[0]}: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
 
 
 def fly(python: str, script: str, *arguments: str) -> list[str]:

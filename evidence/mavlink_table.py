@@ -94,7 +94,8 @@ COUNTERPARTS = {
     "COM_DISARM_LAND": "DISARM_DELAY", "COM_DISARM_PRFLT": "DISARM_DELAY", "COM_DL_LOSS_T": "FS_GCS_TIMEOUT",
     "COM_LOW_BAT_ACT": "BATT_FS_LOW_ACT", "COM_OF_LOSS_T": "GUID_TIMEOUT", "COM_RC_LOSS_T": "RC_OVERRIDE_TIME",
     "FLW_TGT_DST": "FOLL_OFS_X", "GF_ACTION": "FENCE_ACTION", "GF_MAX_HOR_DIST": "FENCE_RADIUS",
-    "GF_MAX_VER_DIST": "FENCE_ALT_MAX", "MAV_SYS_ID": "SYSID_THISMAV", "MPC_ACC_HOR": "WPNAV_ACCEL",
+    "GF_MAX_VER_DIST": "FENCE_ALT_MAX", "GUID_OPTIONS": "GUID_OPTIONS", "MAV_SYS_ID": "SYSID_THISMAV",
+    "MPC_ACC_HOR": "WPNAV_ACCEL",
     "MPC_JERK_AUTO": "WPNAV_JERK", "MPC_LAND_SPEED": "LAND_SPEED", "MPC_MAN_TILT_MAX": "ANGLE_MAX",
     "MPC_MAN_Y_MAX": "PILOT_Y_RATE", "MPC_THR_HOVER": "MOT_THST_HOVER", "MPC_VEL_MANUAL": "LOIT_SPEED",
     "MPC_XY_CRUISE": "WPNAV_SPEED", "MPC_YAW_MODE": "WP_YAW_BEHAVIOR", "MPC_Z_VEL_MAX_DN": "WPNAV_SPEED_DN",
@@ -185,7 +186,7 @@ def _modes() -> Iterator[str]:
 
 
 def _parameters() -> Iterator[str]:
-    yield from _table("parameter of PX4", "ArduPilot", "here")
+    yield from _table("parameter", "ArduPilot", "here")
     for one in TABLE:
         counterpart = COUNTERPARTS.get(one.name)
         value = f"{one.default:g}{'' if one.unit in ('', '1') else f' {one.unit}'}"

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,21 @@ def field():
     if found.process.poll() is None:
         found.process.kill()
         found.process.wait()
+
+
+def test_two_that_want_an_environment_at_once_make_it_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    began = []
+
+    def fill(folder, requirements):
+        began.append(requirements)
+        time.sleep(0.3)
+
+    monkeypatch.setattr(clients, "_fill", fill)
+    with ThreadPoolExecutor(2) as pool:
+        one, other = pool.map(clients.environment, ["mavproxy", "mavproxy"])
+    assert one == other
+    assert began == [("MAVProxy==1.8.75", "setuptools<81")]
 
 
 def environment(name: str) -> str:

@@ -399,13 +399,14 @@ def test_a_guided_waypoint_of_ardupilot():
     wire = Wire(flavour="ardupilot")
     # 22 m north of the site.
     there = a_place(0, "MISSION_ITEM", x=51.7121, y=-0.21052, current=2)
-    # MAV_MISSION_ERROR outside GUIDED, and for a change of the altitude alone MAV_MISSION_UNSUPPORTED.
+    # MAV_MISSION_ERROR outside GUIDED; a change of the altitude alone is accepted, and does nothing, as Copter's.
     assert [message.type for message in wire.ask("MISSION_ITEM", **there)] == [1]
     wire.ask("SET_MODE", target_system=1, base_mode=1, custom_mode=4)
     assert [message.type for message in wire.ask("MISSION_ITEM", **there)] == [1]
-    assert [message.type for message in wire.ask("MISSION_ITEM", **there | {"current": 3})] == [3]
+    assert [message.type for message in wire.ask("MISSION_ITEM", **there | {"current": 3})] == [0]
     wire.run(1)
-    assert "Reposition rejected: not armed" in wire.lines[-1]
+    assert "Reposition rejected: not armed" in wire.lines[-2]
+    assert "Change of altitude ignored" in wire.lines[-1]
     assert [answer.result for answer in wire.command(400, 1.0)] == [0]
     wire.seen.on_ground, wire.seen.position_ned = False, (0.0, 0.0, -9.0)
     wire.run(10)

@@ -130,12 +130,13 @@ def test_a_failsafe_leaves_the_mode_that_was_asked_for(wire):
 
 
 def test_modes_of_ardupilot_have_names():
-    names = ["STABILIZE", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "LAND", "POSHOLD", "BRAKE"]
-    numbers = [0, 2, 3, 4, 5, 6, 7, 9, 16, 17]
+    names = ["STABILIZE", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "LAND", "POSHOLD", "BRAKE",
+             "GUIDED_NOGPS"]  # fmt: skip
+    numbers = [0, 2, 3, 4, 5, 6, 7, 9, 16, 17, 20]
     wire = Wire(flavour="ardupilot")
     _, modes = modes_of(wire, 0.0)
     assert modes == [
-        (i, 10, number, 0, 0, name) for i, (number, name) in enumerate(zip(numbers, names, strict=True), 1)
+        (i, 11, number, 0, 0, name) for i, (number, name) in enumerate(zip(numbers, names, strict=True), 1)
     ]
     # It has no CURRENT_MODE.
     assert [answer.result for answer in wire.command(512, 436.0)] == [3]

@@ -102,7 +102,9 @@ class Transfers:
 
     def _guided(self, message: Message) -> PlanResult:
         if message.current == ALTITUDE_ONLY:
-            return PlanResult.UNSUPPORTED
+            # As GCS_MAVLINK::handle_mission_item, whatever the vehicle does about it.
+            self._stack.change_altitude(item_of(message))
+            return PlanResult.ACCEPTED
         return PlanResult.ACCEPTED if self._stack.go_to(item_of(message)) else PlanResult.ERROR
 
     def _go_on(self) -> None:

@@ -112,15 +112,22 @@ def test_circle_of_ardupilot_goes_round_a_place_ahead():
     assert math.hypot(*puppet.seen.velocity_ned[:2]) == pytest.approx(10.0 * math.radians(20.0), rel=0.1)
 
 
-@pytest.mark.parametrize(("number", "text"), [(20, "Mode change to GUIDED_NOGPS failed: not flown here"),
-                                              (21, "Mode change to SMART_RTL failed: not flown here"),
+@pytest.mark.parametrize(("number", "text"), [(21, "Mode change to SMART_RTL failed: not flown here"),
                                               (1, "Mode change to ACRO failed: not flown here"),
                                               (2, "Mode change to ALT_HOLD failed: no manual control input"),
                                               (99, "No such mode 99")])  # fmt: skip
 def test_modes_of_ardupilot_that_cannot_be_had_are_refused_by_name(number, text):
-    puppet = Puppet("ardupilot")
+    puppet = flying("ardupilot")
     assert puppet.stack.set_mode(1, number) == FAILED
     assert puppet.stack.texts()[-1].text == text
+
+
+def test_while_it_is_disarmed_a_copter_takes_modes_by_sticks_and_is_not_armed_in_them():
+    puppet = Puppet("ardupilot")
+    assert puppet.stack.set_mode(1, 0) == ACCEPTED
+    assert puppet.stack.heartbeat().custom_mode == 0
+    assert puppet.do(400, 1) == FAILED
+    assert puppet.stack.texts()[-1].text == "PreArm: no manual control input"
 
 
 # ---- follow-me ----

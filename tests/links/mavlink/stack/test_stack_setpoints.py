@@ -147,6 +147,74 @@ def test_half_thrust_carries_every_vehicle(thrust, throttle):
     assert puppet.stack.thrust_of(throttle) == pytest.approx(thrust)
 
 
+GUIDED, GUIDED_NOGPS, COPTERS_LAND = 4, 20, 9
+
+
+def climb(thrust: float, pitch: float = 0.0, mask: int = 0x04) -> AttitudeTarget:
+    """DroneKit's example set_attitude_target has the mask 0b00000100."""
+    return AttitudeTarget(mask, (math.cos(0.5 * pitch), 0.0, math.sin(0.5 * pitch), 0.0), (0.0, 0.0, 0.0), thrust)
+
+
+@pytest.mark.parametrize("mode", [GUIDED, GUIDED_NOGPS])
+def test_the_thrust_of_a_copters_attitude_is_a_climb(mode):
+    """ArduPilot's GCS_MAVLINK_Copter: 0.5 holds the height, 1 climbs at WPNAV_SPEED_UP, 0 sinks at WPNAV_SPEED_DN."""
+    puppet = Puppet("ardupilot")
+    assert puppet.stack.set_mode(1, mode) == 0
+    assert puppet.do(400, 1) == 0
+    # On the ground neither takes off.
+    puppet.run(2.0, each=keep(climb(0.5)))
+    assert puppet.seen.on_ground
+    assert puppet.run(20.0, lambda now: now.seen.position_ned[2] < -3.0, keep(climb(0.7)))
+    puppet.run(4.0, each=keep(climb(0.5)))
+    height = puppet.seen.position_ned[2]
+    puppet.run(5.0, each=keep(climb(0.5, -0.2)))
+    assert puppet.order.numbers[1] == pytest.approx(-0.2)
+    assert puppet.seen.position_ned[2] == pytest.approx(height, abs=0.3)
+    assert puppet.seen.velocity_ned[0] > 1.0
+    # Of 3 m/s.
+    puppet.run(4.0, each=keep(climb(0.75)))
+    assert puppet.seen.velocity_ned[2] == pytest.approx(-1.5, abs=0.1)
+    assert puppet.run(60.0, lambda now: not now.stack.armed, keep(climb(0.0)))
+    assert puppet.texts[-2:] == ["Landing detected", "Disarmed by landing"]
+
+
+def test_without_positions_a_copter_takes_attitudes_alone_and_is_level_without_them():
+    puppet = flying_copter()
+    assert puppet.stack.set_mode(1, GUIDED_NOGPS) == 0
+    assert puppet.stack.heartbeat().custom_mode == GUIDED_NOGPS
+    puppet.run(2.0, each=keep(climb(0.5, 0.1)))
+    # After GUID_TIMEOUT, 3 s.
+    puppet.run(2.9)
+    assert puppet.order.numbers[1] == pytest.approx(0.1)
+    puppet.run(0.2)
+    assert puppet.order.numbers[:2] == (0.0, 0.0)
+    height = puppet.seen.position_ned[2]
+    puppet.run(10.0)
+    assert puppet.seen.position_ned[2] == pytest.approx(height, abs=0.3)
+    assert not puppet.stack.setpoint(position(0.0, 0.0, -20.0))
+    assert puppet.stack.texts()[-1].text == "Set-point refused: GUIDED_NOGPS flies attitudes alone"
+    assert puppet.stack.set_mode(1, COPTERS_LAND) == 0
+    assert puppet.run(60.0, lambda now: not now.stack.armed)
+
+
+def flying_copter() -> Puppet:
+    puppet = Puppet("ardupilot")
+    assert puppet.stack.set_mode(1, GUIDED) == 0
+    assert puppet.do(400, 1) == 0
+    assert puppet.do(22, NAN, NAN, NAN, NAN, NAN, NAN, 6.0) == 0
+    assert puppet.run(40.0, lambda now: now.stack.mode.value == "hold")
+    return puppet
+
+
+def test_with_guid_options_8_thrust_is_thrust():
+    puppet = flying_copter()
+    puppet.stack.parameters.set("GUID_OPTIONS", 8)
+    puppet.run(DT, each=keep(climb(0.6)))
+    assert puppet.order.numbers[3] == pytest.approx(0.6)
+    # PX4's OFFBOARD does not look at it.
+    assert 20 not in [info.custom_mode for info in Puppet().stack.modes()]
+
+
 @pytest.mark.parametrize("mask", [ATTITUDE, RATES])
 def test_an_attitude_leans_nothing_that_stands(mask):
     """MAVSDK's example offboard_attitude arms, sends zero thrust and then 70 %; here with a lean from the start."""

@@ -107,6 +107,17 @@ def test_it_goes_by_its_scenario_in_hold_until_it_is_asked():
     assert wing.radii(50.0, 0.0, 30) == pytest.approx((150.0, 150.0), abs=8.0)
 
 
+def test_a_change_of_altitude_of_ardupilot_holds_for_the_circle_that_it_flies():
+    wing = Glider("ardupilot")
+    for up, down in ((160.0, -160.0), (500.0, -160.0)):
+        # Above home, in frame 3; the second one is above the ceiling.
+        wing.stack.change_altitude(item(0, 16, up=up, frame=3))
+        wing.run(60.0)
+        assert wing.seen.position_ned[2] == pytest.approx(down, abs=1.0)
+        assert wing.radii(50.0, 0.0, 20) == pytest.approx((150.0, 150.0), abs=8.0)
+    assert wing.said[-1] == "Change of altitude denied: no height of the area"
+
+
 def test_a_mission_of_lines_circles_and_speeds():
     wing = Glider()
     plan = (

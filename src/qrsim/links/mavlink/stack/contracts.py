@@ -323,6 +323,9 @@ class Stack(Protocol):
     def go_to(self, item: Item) -> bool:
         """Fly to the place of a waypoint at once, in ArduPilot's GUIDED; return whether it does."""
 
+    def change_altitude(self, item: Item) -> None:
+        """Take the altitude of a guided item of ArduPilot alone, which changes that of a fixed wing."""
+
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
         """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""
 

@@ -17,7 +17,7 @@ from qrsim.links.mavlink.stack.following import Follow
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.landing import Descent
 from qrsim.links.mavlink.stack.mission import Mission
-from qrsim.links.mavlink.stack.modes import BY_STICKS, FLAVOURS, Flavour, Mode
+from qrsim.links.mavlink.stack.modes import BY_SETPOINTS, BY_STICKS, FLAVOURS, FLIES_AGAIN, Flavour, Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.parameters import Parameters
 from qrsim.links.mavlink.stack.returning import Return
@@ -139,6 +139,8 @@ class Flight:
             if not self._took_off:
                 return craft.idle(), True
             return self._descent.fly(craft, self._goal or craft.seen.position_ned)
+        if mode is Mode.NOGPS and not self.fresh():
+            self.offboard.level(craft)
         return self.offboard.fly(craft)
 
     def _hold(self) -> Order | None:
@@ -218,7 +220,9 @@ class Flight:
             craft.tell("landed")
             if state is Landed.TAKEOFF:
                 craft.say(Severity.INFO, "Takeoff detected")
-        after = self.parameters.values["COM_DISARM_LAND" if self._took_off else "COM_DISARM_PRFLT"]
+        # A client has so much of its own time to take off.
+        values, stretch = self.parameters.values, max(1.0, self.factor)
+        after = values["COM_DISARM_LAND"] if self._took_off else values["COM_DISARM_PRFLT"] * stretch
         since = self._landed_at if self._took_off else self._armed_at
         if state is Landed.ON_GROUND and since is not None and 0.0 <= after <= now - since + 1e-9:
             self.disarm("Disarmed by landing" if self._took_off else "Disarmed by auto preflight disarming")
@@ -266,7 +270,7 @@ class Flight:
             self.switch(Mode.HOLD)
         elif self.mode is Mode.MISSION:
             self.plan.begin(craft)
-        elif self.mode is Mode.OFFBOARD:
+        elif self.mode in BY_SETPOINTS:
             self.offboard.begin(craft)
         elif self.mode in BY_STICKS:
             self.by_sticks.begin(craft)
@@ -309,7 +313,9 @@ class Flight:
     def request(self, mode: Mode) -> Result:
         """Change the mode as somebody asks, or say why not."""
         craft = self.craft
-        if mode in BY_STICKS and not self._has_sticks:
+        # ArduPilot's Copter takes any mode while it is disarmed, and is not armed in one that it cannot fly.
+        free = self.flavour.name == "ardupilot" and not self.armed
+        if mode in BY_STICKS and not (self._has_sticks or free):
             return self.refuse_mode(self.flavour.numbers[mode], "no manual control input")
         if mode is Mode.ORBIT:
             if not (self.armed and craft.flies):
@@ -340,7 +346,7 @@ class Flight:
         """Change the mode; ``goal`` [m] is where HOLD and TAKEOFF go."""
         craft, before = self.craft, self.mode
         self.mode, self._goal, self._meant = mode, goal, (mode, self.guided)
-        if self._landed_at is not None and mode in BY_STICKS | {Mode.TAKEOFF, Mode.MISSION, Mode.OFFBOARD, Mode.FOLLOW}:
+        if self._landed_at is not None and mode in FLIES_AGAIN:
             # It has landed, and is to fly again.
             self._took_off, self._armed_at, self._landed_at = False, craft.seen.time, None
         if before is Mode.MISSION and mode is not Mode.MISSION:
@@ -350,8 +356,10 @@ class Flight:
                 self.plan.begin(craft)
         elif mode is Mode.RTL:
             self._return.begin(craft, self.rally)
-        elif mode is Mode.OFFBOARD:
+        elif mode in BY_SETPOINTS:
             self.offboard.begin(craft)
+            if mode is Mode.NOGPS:
+                self.offboard.level(craft)
         elif mode is Mode.FOLLOW:
             self.follow.begin(craft)
         elif mode in BY_STICKS:

@@ -9,6 +9,7 @@ from qrsim.links.mavlink.stack.commands import REPOSITION, obey
 from qrsim.links.mavlink.stack.contracts import (
     NAN,
     Ack,
+    AttitudeTarget,
     Command,
     Event,
     Facts,
@@ -69,6 +70,11 @@ class FlightStack(Flight):
 
     def setpoint(self, target: Target) -> bool:
         """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+        why = self.craft.seen.end if self.craft.seen.stopped else ""
+        if self.mode is Mode.NOGPS and not isinstance(target, AttitudeTarget):
+            why = "GUIDED_NOGPS flies attitudes alone"
+        if why:
+            return self.offboard.refuse(self.craft, why)
         taken = self.offboard.take(target, self.craft)
         # Programs send the first place at 95 % of the height of a take-off.
         if taken and self.guided and (self.mode is Mode.HOLD or (self.mode is Mode.TAKEOFF and self.craft.flies)):
@@ -111,6 +117,10 @@ class FlightStack(Flight):
             return False
         place = Command.of_int(REPOSITION, item.frame, (-1.0, 1.0, NAN, NAN), item.x, item.y, item.z)
         return self.command(place).result is Result.ACCEPTED
+
+    def change_altitude(self, item: Item) -> None:
+        """Take the altitude of ArduPilot's guided item with ``current`` 3: Copter and Rover change nothing by it."""
+        self.craft.say(Severity.INFO, "Change of altitude ignored, as by ArduPilot's Copter: fly to a place instead")
 
     def heard_ground(self) -> None:
         """Note a heartbeat of a ground station (MAV_TYPE 6)."""

@@ -21,6 +21,7 @@ class Mode(Enum):
     LAND = "land"
     OFFBOARD = "offboard"
     GUIDED = "guided"
+    NOGPS = "guided_nogps"
     ORBIT = "orbit"
     FOLLOW = "follow"
     POSITION = "position"
@@ -29,6 +30,9 @@ class Mode(Enum):
 
 
 BY_STICKS = frozenset((Mode.POSITION, Mode.ALTITUDE, Mode.STABILIZED))
+BY_SETPOINTS = frozenset((Mode.OFFBOARD, Mode.NOGPS))
+# Modes in which a vehicle that has landed is to fly again.
+FLIES_AGAIN = BY_STICKS | BY_SETPOINTS | {Mode.TAKEOFF, Mode.MISSION, Mode.FOLLOW}
 ARMED_FLAG = 128
 # MAV_MODE_FLAG of a vehicle that is flown by sticks: custom, stabilised, manual input.
 _STICKS_FLAGS = 1 | 16 | 64
@@ -147,7 +151,7 @@ _COPTER = dict(enumerate((
 # GUIDED is where scripts take off and send set-points.
 _COPTER_NUMBERS = {
     Mode.STABILIZED: 0, Mode.ALTITUDE: 2, Mode.MISSION: 3, Mode.HOLD: 5, Mode.RTL: 6, Mode.ORBIT: 7, Mode.LAND: 9,
-    Mode.POSITION: 16, Mode.TAKEOFF: 4, Mode.OFFBOARD: 4,
+    Mode.POSITION: 16, Mode.TAKEOFF: 4, Mode.OFFBOARD: 4, Mode.NOGPS: 20,
 }  # fmt: skip
 _ROVER = {
     0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE", 8: "DOCK", 9: "CIRCLE",
@@ -166,8 +170,8 @@ def _flavours(
     modes = frozenset(own)
     return {
         "px4": Flavour(
-            "px4", PX4, 1 + 4 + 8 + 16, modes | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes, _PX4_NUMBERS,
-            _PX4_NAMES, _PX4_ALIASES,
+            "px4", PX4, 1 + 4 + 8 + 16, modes - {Mode.NOGPS} | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes,
+            _PX4_NUMBERS, _PX4_NAMES, _PX4_ALIASES,
         ),
         "ardupilot": Flavour("ardupilot", ARDUPILOT, 1 + 8 + 16 + 64, modes, own, names, aliases or {}, guided),
     }  # fmt: skip

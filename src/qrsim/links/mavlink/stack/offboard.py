@@ -10,6 +10,7 @@ from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarge
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
 from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Touchdown
+from qrsim.links.mavlink.stack.lifting import Lift
 
 # MAV_FRAME: local, from here along north and east, and twice from here along the heading.
 LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD = 1, 7, 8, 9, 12
@@ -17,6 +18,8 @@ LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD = 1, 7, 8, 9, 12
 FORCE, NO_YAW, NO_YAW_RATE = 0x200, 0x400, 0x800
 # ATTITUDE_TARGET_TYPEMASK.
 NO_RATES, NO_THRUST, NO_ATTITUDE = 0x7, 0x40, 0x80
+# GUID_OPTIONS of ArduPilot: the thrust of an attitude is one, and not a climb.
+THRUST_AS_THRUST = 8
 # Larger numbers than this are no places, velocities or angles.
 LARGEST = 1e6
 # A set-point that asks for so much height above where a vehicle stands [m], or for such a climb [m/s], takes off.
@@ -30,10 +33,11 @@ class Offboard:
         heard: when the last one came [s]; None before the first.
         lands: whether the set-point asks it to come down.
         keeps_places: a place alone is said once, and holds without another set-point, as in ArduPilot's GUIDED.
+        climbs: thrust asks for a climb: 0.5 holds the height, as in ArduPilot's GUIDED.
     """
 
     def __init__(self) -> None:
-        self.keeps_places = False
+        self.keeps_places = self.climbs = False
         self.heard: float | None = None
         self.lands = False
         self._kind = "none"
@@ -45,7 +49,7 @@ class Offboard:
         self._rates: Triple = (0.0, 0.0, 0.0)
         self._thrust = 0.0
         self._z, self._went = 0.0, False
-        self._touchdown = Touchdown()
+        self._touchdown, self._lift = Touchdown(), Lift()
         self._complained = -math.inf
 
     # ---- what comes in ----
@@ -59,13 +63,16 @@ class Offboard:
         else:
             why = self._take_global(target, craft)
         if why:
-            # A client repeats its set-points many times a second.
-            if craft.seen.time - self._complained >= 5.0 or craft.seen.time < self._complained:
-                self._complained = craft.seen.time
-                craft.say(Severity.WARNING, f"Set-point refused: {why}")
-            return False
+            return self.refuse(craft, why)
         self.heard = craft.seen.time
         return True
+
+    def refuse(self, craft: Craft, why: str) -> bool:
+        """Say why a set-point is not flown, once in 5 s, for clients repeat them; return that it is not taken."""
+        if craft.seen.time - self._complained >= 5.0 or craft.seen.time < self._complained:
+            self._complained = craft.seen.time
+            craft.say(Severity.WARNING, f"Set-point refused: {why}")
+        return False
 
     def _take_local(self, target: LocalTarget, craft: Craft) -> str:
         frame = target.frame
@@ -132,6 +139,7 @@ class Offboard:
             return "rates are not finite"
         self._kind, self._thrust, self._yaw = "attitude", target.thrust, yaw
         self._tilt, self._rates = tilt, (rates[0], rates[1], rates[2])
+        self.climbs = self.keeps_places and not int(craft.parameters["GUID_OPTIONS"]) & THRUST_AS_THRUST
         return ""
 
     # ---- what goes out ----
@@ -152,6 +160,8 @@ class Offboard:
     def begin(self, craft: Craft) -> None:
         """Begin to fly by set-points."""
         self._touchdown.clear()
+        self._lift.begin(craft)
+        craft.begin_path()
         self._went = False
         self._leaning = craft.seen.attitude[:2]
         craft.yaw = craft.seen.attitude[2]
@@ -160,7 +170,7 @@ class Offboard:
         """Return the order, and whether it has landed."""
         dt = craft.facts.time_step
         if self._kind == "attitude":
-            return self._fly_attitude(craft, dt), craft.seen.on_ground and self._thrust < 0.1
+            return self._fly_attitude(craft, dt)
         if math.isfinite(self._yaw):
             craft.turn_to(self._yaw)
         elif math.isfinite(self._yaw_rate):
@@ -222,7 +232,28 @@ class Offboard:
         motion = _limited((along[0], along[1], along[2]), level, up, down)
         return craft.follow((place[0], place[1], place[2]), motion, (push[0], push[1], push[2]))
 
-    def _fly_attitude(self, craft: Craft, dt: float) -> Order:
+    def level(self, craft: Craft) -> None:
+        """Ask for level flight at the height and heading of now, as ArduPilot's GUIDED_NOGPS does by itself."""
+        self._kind, self.climbs, self._thrust = "attitude", True, 0.5
+        self._tilt, self._rates, self._yaw = (0.0, 0.0), (0.0, 0.0, 0.0), craft.yaw
+        self.heard = None
+
+    def _fly_attitude(self, craft: Craft, dt: float) -> tuple[Order | None, bool]:
+        roll, pitch = self._lean(craft, dt)
+        if not self.climbs:
+            landed = craft.seen.on_ground and self._thrust < 0.1
+            return craft.lean(roll, pitch, craft.throttle_of(self._thrust)), landed
+        share, values, facts = 2.0 * self._thrust - 1.0, craft.parameters.values, craft.facts
+        up, down = min(values["MPC_Z_VEL_MAX_UP"], facts.climb_limit), min(values["MPC_Z_VEL_MAX_DN"], facts.sink_limit)
+        self.lands = craft.flies and share < 0.0
+        stands = self._lift.stands(craft, share > 0.0, self.lands)
+        if stands is not None:
+            return stands
+        sinks = -share * (up if share > 0.0 else down)
+        return craft.lean(roll, pitch, self._lift.throttle(craft, sinks, (facts.speed_limit, up, down))), False
+
+    def _lean(self, craft: Craft, dt: float) -> tuple[float, float]:
+        """Return the roll and pitch to fly, and turn."""
         rates, freedom = self._rates, craft.freedom
         if not freedom:
             # What stands and leans tips over.
@@ -238,7 +269,7 @@ class Offboard:
             pitch = min(max(self._leaning[1] + rates[1] * dt, -most), most)
             craft.turn_to(craft.yaw + rates[2] * dt)
         self._leaning = (roll, pitch)
-        return craft.lean(freedom * roll, freedom * pitch, craft.throttle_of(self._thrust))
+        return freedom * roll, freedom * pitch
 
 
 def _unmasked(target: LocalTarget | GlobalTarget) -> tuple[Triple, Triple, Triple]:

@@ -56,6 +56,9 @@ TABLE: tuple[Parameter, ...] = (
     _real("BAT_CRIT_THR", 0.07, 0.05, 0.5, "1", "charge at which a battery is critical, and arming refused"),
     _real("BAT_EMERGEN_THR", 0.05, 0.03, 0.5, "1", "charge at which a battery is an emergency"),
     _real("BAT_LOW_THR", 0.15, 0.12, 0.5, "1", "charge at which a battery is low"),
+    _int("CAL_ACC0_ID", 196616, 0, 9999999, "kept for clients that look at it: a calibrated accelerometer"),
+    _int("CAL_GYRO0_ID", 196616, 0, 9999999, "kept for clients that look at it: a calibrated gyroscope"),
+    _int("CAL_MAG0_ID", 197388, 0, 9999999, "kept for clients that look at it: a calibrated magnetometer"),
     _real("COM_DISARM_LAND", 2.0, -1.0, 20.0, "s", "time on the ground after a landing until disarmed; below 0: never"),
     _real("COM_DISARM_PRFLT", 10.0, -1.0, 600.0, "s", "time armed without a take-off until disarmed; below 0: never"),
     _int("COM_DL_LOSS_T", 10, 5, 300, "seconds without a heartbeat of a ground station until the link is lost"),
@@ -74,6 +77,7 @@ TABLE: tuple[Parameter, ...] = (
     _int("GF_ACTION", 2, 0, 5, "fence breached: 0 none, 1 warn, 2 hold, 3 return, 4 terminate, 5 land"),
     _real("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0, "m", "largest distance from home; 0: any"),
     _real("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0, "m", "largest height over home; 0: any"),
+    _int("GUID_OPTIONS", 0, 0, 511, "8: in GUIDED the thrust of attitudes is a thrust, else a climb; ArduPilot only"),
     _int("MAV_COMP_ID", 1, 1, 250, "component id; read only"),
     _int("MAV_SYS_ID", 1, 1, 250, "system id; read only"),
     _real("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0, "m", "height of a take-off that gives none"),
@@ -100,6 +104,8 @@ TABLE: tuple[Parameter, ...] = (
     _real("RTL_RETURN_ALT", 60.0, 0.0, 150.0, "m", "height over home of a return"),
     _int("SYS_AUTOCONFIG", 0, 0, 2, "kept for clients that look at it"),
     _int("SYS_AUTOSTART", 4001, 0, 9999999, "kept for clients that look at it: a quadrotor x"),
+    _int("SYS_FAILURE_EN", 0, 0, 1, "kept for clients that set it: failures are faults of the scenario"),
+    _int("SYS_HITL", 0, 0, 2, "kept for clients that look at it: no hardware in the loop"),
 )  # fmt: skip
 READ_ONLY = frozenset({"MAV_SYS_ID", "MAV_COMP_ID"})
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.contracts import Triple
 from qrsim.links.mavlink.stack.craft import Craft
-from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Touchdown
+from qrsim.links.mavlink.stack.landing import LANDED_AFTER
+from qrsim.links.mavlink.stack.lifting import Lift
 from qrsim.links.mavlink.stack.modes import Mode
 
 # PX4's MPC_HOLD_DZ and MPC_XY_MAN_EXPO (of height and heading too): around the middle a stick does nothing, and farther
@@ -22,8 +23,6 @@ LEAST = 0.08
 TAKES_OVER = 0.3
 # The wanted heading is at most so far from that of the vehicle [rad].
 TURNS_AHEAD = 0.8
-# In ALTITUDE: speed per height error [1/s], acceleration per speed error [1/s], and per its integral [1/s^2].
-HEIGHT_GAIN, CLIMB_GAIN, CLIMB_INTEGRAL, MOST_INTEGRAL, GRAVITY = 1.0, 2.5, 1.0, 3.0, 9.80665
 
 
 class Sticks:
@@ -38,8 +37,7 @@ class Sticks:
         self.heard: float | None = None
         self.lands = False
         self._values = [0.0, 0.0, 0.0, 0.0]
-        self._touchdown = Touchdown()
-        self._stood, self._integral = True, 0.0
+        self._lift = Lift()
 
     def take(self, values: Sequence[float], craft: Craft) -> bool:
         """Take roll, pitch, throttle and yaw, NaN for one that is not told; return whether one has moved far."""
@@ -60,27 +58,18 @@ class Sticks:
         """Begin to fly by them."""
         craft.begin_path()
         craft.yaw = craft.seen.attitude[2]
-        self._touchdown.clear()
-        self._stood, self._integral = not craft.flies, 0.0
+        self._lift.begin(craft)
 
     def fly(self, craft: Craft, mode: Mode) -> tuple[Order | None, bool]:
         """Return the order of POSITION, ALTITUDE or STABILIZED, and whether the vehicle has landed."""
         self._turn(craft)
         if mode is Mode.STABILIZED:
             return self._stabilized(craft)
-        here, throttle = craft.seen.position_ned, _shaped(self._values[2])
+        throttle = _shaped(self._values[2])
         self.lands = craft.flies and throttle < 0.0
-        if not craft.flies and self._values[2] <= TAKES_OFF:
-            self._stood = True
-            return craft.idle(), self._touchdown.seconds(craft, here[2]) >= LANDED_AFTER
-        if self._stood:
-            self._stood, self._integral = False, 0.0
-            craft.path.shift(here)
-        on = self._touchdown.seconds(craft, craft.path.position[2]) if self.lands else 0.0
-        if on >= IDLE_AFTER:
-            return craft.idle(), on >= LANDED_AFTER
-        if not self.lands:
-            self._touchdown.clear()
+        stands = self._lift.stands(craft, self._values[2] > TAKES_OFF, self.lands)
+        if stands is not None:
+            return stands
         order = self._position(craft, throttle) if mode is Mode.POSITION else self._altitude(craft, throttle)
         return order, False
 
@@ -115,27 +104,17 @@ class Sticks:
 
     def _altitude(self, craft: Craft, throttle: float) -> Order:
         """Lean by the sticks at the height of the path; nothing brakes."""
-        seen, path, dt = craft.seen, craft.path, craft.facts.time_step
-        here, speed = seen.position_ned, seen.velocity_ned
         _, up, down = speeds = self._speeds(craft)
-        path.position = (here[0], here[1], path.position[2])
-        path.velocity, path.acceleration = (speed[0], speed[1], path.velocity[2]), (0.0, 0.0, path.acceleration[2])
-        along = (speed[0], speed[1], -throttle * (up if throttle > 0.0 else down))
-        craft.go(path.position, speeds, along=along)
-        error = speed[2] - path.velocity[2] - HEIGHT_GAIN * (path.position[2] - here[2])
-        self._integral = min(max(self._integral + CLIMB_INTEGRAL * error * dt, -MOST_INTEGRAL), MOST_INTEGRAL)
         roll, pitch = self._tilt(craft, shaped=True)
-        tilted = math.cos(seen.attitude[0]) * math.cos(seen.attitude[1])
-        lift = max(1.0 + (CLIMB_GAIN * error + self._integral) / GRAVITY, 0.1) / max(tilted, 0.5)
-        return craft.lean(roll, pitch, min(craft.facts.hover_throttle * lift, 1.0))
+        return craft.lean(roll, pitch, self._lift.throttle(craft, -throttle * (up if throttle > 0.0 else down), speeds))
 
     def _stabilized(self, craft: Craft) -> tuple[Order | None, bool]:
         """Lean by the sticks; the throttle stick is the thrust, that of hover in the middle."""
         self.lands = False
         throttle = self._values[2]
         if craft.seen.on_ground and throttle < IDLES:
-            return craft.idle(), self._touchdown.seconds(craft, craft.seen.position_ned[2]) >= LANDED_AFTER
-        self._touchdown.clear()
+            return craft.idle(), self._lift.touchdown.seconds(craft, craft.seen.position_ned[2]) >= LANDED_AFTER
+        self._lift.touchdown.clear()
         thrust = max(0.5 * (throttle + 1.0), LEAST)
         hover = craft.facts.hover_throttle
         lift = hover * 2.0 * thrust if throttle <= 0.0 else hover + (1.0 - hover) * throttle

@@ -9,7 +9,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import orbits
 from qrsim.links.mavlink.stack.codes import Landed, Result, Severity
 from qrsim.links.mavlink.stack.commands import place_in
-from qrsim.links.mavlink.stack.contracts import Ack, Command, Home, Seen, Target, Triple
+from qrsim.links.mavlink.stack.contracts import Ack, Command, Home, Item, Seen, Target, Triple
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.modes import WING_FLAVOURS, Mode
 from qrsim.links.mavlink.stack.plan import place_of
@@ -204,6 +204,19 @@ class WingStack(FlightStack):
         if place is not None and not orbits.fits(craft.fence, place, max(abs(radius), least)):
             return f"a circle of {max(abs(radius), least):.0f} m there leaves the fence"
         return ""
+
+    def change_altitude(self, item: Item) -> None:
+        """Circle at another altitude, as ArduPilot's Plane; on the way of a mission that of its items holds."""
+        craft = self.craft
+        place = place_in(self, Command.of_int(REPOSITION, item.frame, (math.nan,) * 4, 0, 0, item.z))
+        if self.mode is not Mode.HOLD or place is None or not craft.allows(place):
+            why = "no height of the area" if self.mode is Mode.HOLD else "it is not in hold"
+            self._refuse("Change of altitude", why)
+            return
+        if self._own or self._goal is None:
+            self._goal, self._radius = orbits.here(craft)
+            self._own = False
+        self._goal = (self._goal[0], self._goal[1], max(place[2], craft.facts.z_min + orbits.BELOW))
 
     def setpoint(self, target: Target) -> bool:
         """Refuse a set-point."""
