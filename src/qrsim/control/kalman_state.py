@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.covariance import Covariance, Moves, forgotten, variances
+from qrsim.control.covariance import Covariance, Moves, forgotten, variances, widened
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import quantity, record, replace
@@ -80,6 +80,10 @@ class KalmanState:
     since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
     innovations: Innovations = quantity(doc="of the last readings")
     past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
+    slow: Vec3 | None = quantity(
+        default=None, unit="m^2", doc="variance of the slow errors of what measures the position, which the covariance "
+        "does not contain; None: they have none",
+    )  # fmt: skip
 
     @property
     def places(self) -> Places:
@@ -145,6 +149,14 @@ def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dic
         {TURN: -sine, TURN + 1: cosine},
         {TURN: -ahead.z * ahead.x / square, TURN + 1: -ahead.z * ahead.y / square, TURN + 2: jnp.ones_like(square)},
     )
+
+
+def with_turn(covariance: Covariance, variances: Sequence[Array | None]) -> Covariance:
+    """Return the covariance of a start with other variances (n,) of the rotation; None: as it is."""
+    own = covariance[TURN // 3]
+    old = [own[0, i, i] for i in range(3)]
+    change = {TURN + i: new - old[i] for i, new in enumerate(variances) if new is not None}
+    return widened(covariance, change)
 
 
 def small(half: Vec3) -> Quaternion:

@@ -43,6 +43,7 @@ from qrsim.world.sensing import (
     airspeed_of,
     at_rest,
     faulted,
+    first_belief,
     inputs_of,
     scene_of,
     sense,
@@ -54,7 +55,6 @@ from qrsim.world.state import (
     PROCESS,
     TURBULENCE,
     Action,
-    Belief,
     Fleet,
     FleetState,
     Start,
@@ -379,13 +379,10 @@ def start_fleet(
     for name, reading in readings.items():
         first, passed_on = faulted(fleet, name, reading, passed_on, tick)
         delivered.append(first)
-    estimator = fleet.own_estimator
     known = dict(zip(fleet.sensor_names, delivered, strict=True))
     return replace(
         state,
-        belief=None
-        if estimator is None
-        else Belief.of(estimator, *estimator.init(known, replace(estimate, airspeed=None))),
+        belief=first_belief(fleet, state, firsts, draws, known, replace(estimate, airspeed=None)),
         fitted=starting_fitted(fleet, scene, tuple(reading for _, reading in firsts), tick),
         sensors=tuple(memory for memory, _ in firsts),
         readings=tuple(delivered),
