@@ -22,8 +22,11 @@ from qrsim.models.sensors.pressure import PressureAltimeter
 
 Stds = dict[str, Any]
 GRAVITY = 9.81
-# The Earth's field [uT] is 25 to 65; pressure [Pa] of a metre of air; dynamic pressure [Pa] of air at 8 m/s.
-FIELD, PASCAL_PER_M, DYNAMIC = 50.0, 12.0, 38.0
+# The Earth's field [uT] is 25 to 65; pressure [Pa] of a metre of air; dynamic pressure [Pa] of air at 10 m/s.
+FIELD, PASCAL_PER_M, DYNAMIC = 50.0, 12.0, 60.0
+# What changes with a manoeuvre lasts this long [s]; readings in that time are no more than one. Its acceleration
+# [m/s^2].
+MANOEUVRE_S, MANOEUVRE = 2.0, 1.0
 # Dilution of precision of a usual sky, per horizontal axis and down.
 LEVEL_DOP, DOWN_DOP = 0.85, 1.5
 # What is left where a sensor has no error of a kind: ticks are no instants, and no model is exact.
@@ -139,10 +142,12 @@ def _barometer(sensor: Any, _: float, __: Any) -> Stds:
 
 def _altimeter(sensor: Any, _: float, __: Any) -> Stds:
     ports = sum(np.square(getattr(sensor, f"port_{side}")) for side in ("forward", "backward", "right", "left")) / 4.0
-    felt = np.square(sensor.rotor_wash) + ports * DYNAMIC**2
+    by_flow = ports * DYNAMIC**2
+    felt = np.square(sensor.rotor_wash) + by_flow
     felt = felt if sensor.zeroed else felt + np.square(sensor.offset_std)
+    white = np.square(sensor.noise_std) + by_flow * (2.0 * MANOEUVRE_S / sensor.period)
     return {
-        "height_std": np.asarray(sensor.noise_std) / PASCAL_PER_M,
+        "height_std": np.sqrt(white) / PASCAL_PER_M,
         "height_drift_std": np.sqrt(np.square(sensor.drift_std) + felt / PASCAL_PER_M**2),
     }
 
@@ -162,7 +167,11 @@ def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
     rate = std * np.sqrt(2.0 * sensor.period / np.asarray(errors.time_constant)) / sensor.period
     if hasattr(errors, "drive_time_constant"):
         rate = std / np.sqrt(np.asarray(errors.time_constant) * np.asarray(errors.drive_time_constant))
-    own = noise * math.sqrt(2.0) / sensor.period if sensor.velocity == "differenced" else sensor.doppler_noise_std
+    own = sensor.doppler_noise_std
+    if sensor.velocity == "differenced":
+        # The mean over a period is the velocity of half a period before.
+        behind = 0.5 * sensor.period * MANOEUVRE * math.sqrt(2.0 * MANOEUVRE_S / sensor.period)
+        own = np.hypot(noise * math.sqrt(2.0) / sensor.period, behind)
     return {
         "position_std": LEVEL_DOP * np.hypot(std, noise), "vertical_std": DOWN_DOP * np.hypot(std, noise),
         "velocity_std": LEVEL_DOP * np.hypot(rate, own),
