@@ -10,12 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, with_all
+from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, matched, with_all
 from tests.by_numpy import by_numpy
 
 from qrsim.control.consistency import Truth, normalised
 from qrsim.control.covariance import matrix, variances
-from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_readings import airspeeds, compass, fields, heights
 from qrsim.control.kalman_state import Inner, KalmanState, injected, inner_std
 from qrsim.control.setpoints import Estimate
@@ -112,7 +111,7 @@ def test_a_compass_depends_on_tilt_by_the_vertical_field(state: KalmanState):
     ],
 )
 def test_what_is_estimated_goes_by_the_sensors(change: dict[str, Any], given: dict[str, Any], size: int):
-    kalman = replace(ErrorStateKalmanFilter(), **change)
+    kalman = replace(matched(), **change)
     found = kalman.init(given, START)[0]
     # In blocks of three.
     assert matrix(found.covariance).shape == (-(-size // 3) * 3,) * 2 + (1,)
@@ -141,7 +140,7 @@ def test_the_start_is_what_is_known_of_it():
 
 def test_a_slow_airspeed_is_not_believed():
     """Below 5 m/s a pitot tube says nothing."""
-    kalman = ErrorStateKalmanFilter()
+    kalman = matched()
     for airspeed, believed in ((4.9, False), (5.1, True)):
         given = readings(magnetometer=None, pitot=reading(true_airspeed=airspeed * ONE))
         groups = kalman._groups(kalman.init(given, START)[0], given, dict.fromkeys(given, jnp.array(True)), 0.02)
@@ -166,7 +165,7 @@ def test_the_squares_are_those_of_matrices():
 @pytest.mark.long
 def test_blocks_are_of_their_own_errors():
     """1.5 m std beside 3 m north: 4 of three; a yaw of 0.1 rad beside 0.05: 4 of three; without biases nine count."""
-    kalman = ErrorStateKalmanFilter()
+    kalman = matched()
 
     def consistency(*given: Any) -> Any:
         return by_numpy(kalman.consistency, [given])[0]
