@@ -124,16 +124,16 @@ def _leaves(inner: Inner) -> list[Any]:
 
 
 def test_the_start_is_what_is_known_of_it():
-    """The yaw of the start, the Earth's field of the site, and the default std of each: 0.05 rad, 0.5, 2 uT, 6 m/s."""
+    """The yaw of the start, the Earth's field of the site, and the default std of each: 0.03 rad, 0.15, 2 uT, 6 m/s."""
     found = with_all().init(readings(), START)[0]
     assert float(found.attitude.euler().yaw[0]) == pytest.approx(2.0)
     assert [float(axis[0]) for axis in found.inner.earth_field_ned.axes] == pytest.approx(EARTH_FIELD)  # type: ignore[union-attr]
     stds = [float(jnp.sqrt(variances(found.covariance)[k][0])) for k in (8, 15, 18, 21, 23)]
-    assert stds == pytest.approx([0.05, 0.5, 2.0, 6.0, 0.5])
+    assert stds == pytest.approx([0.03, 0.15, 2.0, 6.0, 0.5])
     own = inner_std(found)
     stds = [own.gyroscope_bias.x, own.accelerometer_bias.z, own.earth_field_ned.y, own.field_bias.x]  # type: ignore[union-attr]
     stds += [own.wind_north, own.wind_east, own.height_bias]
-    assert [float(std[0]) for std in stds] == pytest.approx([0.01, 0.1, 0.5, 2.0, 6.0, 6.0, 0.5])
+    assert [float(std[0]) for std in stds] == pytest.approx([0.01, 0.1, 0.15, 2.0, 6.0, 6.0, 0.5])
     # With a bias the first height is that of the fix.
     assert float(variances(found.covariance)[2][0]) == pytest.approx(2.5**2)
 
@@ -165,7 +165,7 @@ def test_the_squares_are_those_of_matrices():
 @pytest.mark.long
 def test_blocks_are_of_their_own_errors():
     """1.5 m std beside 3 m north: 4 of three; a yaw of 0.1 rad beside 0.05: 4 of three; without biases nine count."""
-    kalman = matched()
+    kalman = replace(matched(), heading_std=jnp.float32(0.05))
 
     def consistency(*given: Any) -> Any:
         return by_numpy(kalman.consistency, [given])[0]
@@ -215,7 +215,7 @@ def test_headings_of_others_give_way_to_a_magnetometer():
 @pytest.mark.long
 def test_a_field_turns_the_filter_towards_what_it_says():
     """20 uT to the north: a vehicle that faces 0.1 rad further east than it thinks is turned by two thirds of it."""
-    kalman = replace(with_all(), field_bias_std=0.0, tilt_std=0.0)
+    kalman = replace(with_all(), field_bias_std=0.0, tilt_std=0.0, heading_std=0.05, earth_field_std=0.5)
     begin = replace(START, attitude=Euler(0.0 * ONE, 0.0 * ONE, 0.0 * ONE))
     true = Quaternion.of(Euler(0.0 * ONE, 0.0 * ONE, 0.1 * ONE)).rotation().to_body(vec(*EARTH_FIELD))
     given = readings(magnetometer=Magnetic(true), pitot=None)

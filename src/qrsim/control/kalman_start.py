@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.contracts import Preflight
-from qrsim.control.covariance import BLOCK, corrected
+from qrsim.control.covariance import BLOCK, corrected, variances
 from qrsim.control.kalman_parameters import KalmanParameters
 from qrsim.control.kalman_readings import fields, gravities
-from qrsim.control.kalman_state import KalmanState, injected, small, with_turn
+from qrsim.control.kalman_state import TURN, KalmanState, injected, small, with_turn
 from qrsim.control.reading_fields import FIELD, field_of, known
 from qrsim.core.fastmath import arctan2
 from qrsim.core.quaternions import Quaternion
@@ -23,6 +23,8 @@ from qrsim.core.vectors import Euler, Vec3, root, rotation
 NORMALS = 9
 # What is known of roll and pitch, and of the yaw by a compass, before the readings at rest [rad].
 TILT_BEFORE, YAW_BEFORE = 0.3, 0.5
+# Level fields of fewer stds of their bias than this show no heading.
+WEAK = 5.0
 # Time that a first reading is the mean of [s].
 FIRST_S = 0.02
 
@@ -49,17 +51,19 @@ def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str
     roll = arctan2(-force.y, -force.z)
     pitch = arctan2(force.x, root(force.y * force.y + force.z * force.z))
     before = state.attitude.euler()
-    yaw = before.yaw
+    yaw, zero = before.yaw, jnp.zeros_like(roll)
+    own = variances(state.covariance)[TURN + 2]
     if field is not None:
-        level = rotation(Euler(roll, pitch, jnp.zeros_like(roll))).to_ned(field)
-        yaw = kalman.declination - arctan2(level.y, level.x)
+        level = rotation(Euler(roll, pitch, zero)).to_ned(field)
+        # Near a magnetic pole a compass has no direction, and the yaw is known from elsewhere.
+        strong = level.x * level.x + level.y * level.y > (WEAK * kalman.field_bias_std) ** 2
+        yaw = jnp.where(strong, kalman.declination - arctan2(level.y, level.x), yaw)
+        own = jnp.where(strong, YAW_BEFORE * YAW_BEFORE, own)
     attitude = Quaternion.of(known(Euler(roll, pitch, yaw), before))
-    zero = jnp.zeros_like(yaw)
     tilt = zero + TILT_BEFORE * TILT_BEFORE
-    compass = field is not None
     state = replace(
         state, attitude=attitude,
-        covariance=with_turn(state.covariance, (tilt, tilt, zero + YAW_BEFORE * YAW_BEFORE if compass else None)),
+        covariance=with_turn(state.covariance, (tilt, tilt, own)),
     )  # fmt: skip
     noise = kalman.accelerometer_noise
     scalars = gravities(state, force, kalman.gravity, zero + noise * noise * (1.0 / FIRST_S) + 1e-6)

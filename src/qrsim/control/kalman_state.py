@@ -151,12 +151,10 @@ def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dic
     )
 
 
-def with_turn(covariance: Covariance, variances: Sequence[Array | None]) -> Covariance:
-    """Return the covariance of a start with other variances (n,) of the rotation; None: as it is."""
-    own = covariance[TURN // 3]
-    old = [own[0, i, i] for i in range(3)]
-    change = {TURN + i: new - old[i] for i, new in enumerate(variances) if new is not None}
-    return widened(covariance, change)
+def with_turn(covariance: Covariance, after: Sequence[Array]) -> Covariance:
+    """Return the covariance of a start with other variances (n,) of the rotation."""
+    before = variances(covariance)[TURN:GYROSCOPE]
+    return widened(covariance, {TURN + i: new - old for i, (new, old) in enumerate(zip(after, before, strict=True))})
 
 
 def small(half: Vec3) -> Quaternion:

@@ -53,6 +53,7 @@ def with_unseen(covariance: Array, errors: Sequence[Unseen]) -> Array:
     size = covariance.shape[-2]
     for variance, factors in errors:
         zero = jnp.zeros_like(variance)
-        column = jnp.stack([factors.get(k, zero) for k in range(size)], axis=-2)
-        covariance = covariance + variance * column[..., :, None, :] * column[..., None, :, :]
+        std = jnp.sqrt(variance)
+        column = jnp.stack([std * factors[k] if k in factors else zero for k in range(size)], axis=-2)
+        covariance = covariance + column[..., :, None, :] * column[..., None, :, :]
     return covariance

@@ -332,6 +332,8 @@ def start_fleet(
     force = fleet.vehicle.specific_force(
         vehicle, command, lambda trig: trig.rotation().to_body(air), noiseless, world.time_step, *more
     )
+    if parked is not None:
+        force = select(parked, lying_force(rotation(pose.attitude)), force)
     violation = Violation(jnp.zeros(like.shape, jnp.int32), zero)
     guidance = fleet.guidance.init(fleet.route)
     # Until a sensor speaks, the controller believes what was true at the start.
