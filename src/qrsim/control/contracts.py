@@ -114,8 +114,8 @@ class Estimator(Protocol):
     Attributes:
         reads: kinds of sensors that it needs, by their names in the catalogue.
         instead: of a kind that it needs, the kind that serves as well.
-        first_normals: standard normals that a start draws for each vehicle; above 0, ``init`` is also passed a
-            ``Preflight``.
+        first_normals: standard normals that a start draws for each vehicle; above 0, ``begin`` takes the place of
+            ``init``.
     """
 
     reads: ClassVar[tuple[str, ...]] = ()
@@ -130,16 +130,17 @@ class Estimator(Protocol):
         return self
 
     @abstractmethod
-    def init(
-        self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None = None
-    ) -> tuple[Any, Estimate]:
+    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[Any, Estimate]:
         """Return the state and the estimate (n,) at the start.
 
         Args:
             readings: the first reading (n,) of each sensor, by its name in the fleet.
             start: what is known of the start of each vehicle (n,).
-            preflight: calibration and noise of the start, for estimators with ``first_normals``, else left out.
         """
+
+    def begin(self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
+        """Return the state and the estimate (n,) at the start, of an estimator with ``first_normals``."""
+        return self.init(readings, start)
 
     @abstractmethod
     def step(

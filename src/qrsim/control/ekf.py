@@ -77,8 +77,12 @@ class ErrorStateKalmanFilter(KalmanParameters):
         """Standard normals of a start."""
         return NORMALS if self.start == "aligned" or self.calibration_time > 0.0 else 0
 
-    def init(
-        self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None = None
+    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[KalmanState, Estimate]:
+        """Return state and estimate (n,) at the first readings, without calibration, alignment and drawn errors."""
+        return self.begin(readings, start, None)
+
+    def begin(
+        self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
         """Return state and estimate (n,) at the first readings, and of the start where they are missing (F6)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")

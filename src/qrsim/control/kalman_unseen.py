@@ -40,7 +40,7 @@ def unseen(state: KalmanState, scale: Array, gravity: Array) -> list[Unseen]:
 
 def along(errors: Sequence[Unseen], sensitivity: Sparse) -> Array:
     """Return the variance (n,) that unseen errors add to a sum of errors with these factors."""
-    total = 0.0
+    total: Array | float = 0.0
     for error in errors:
         shared = [factor * error.factors[k] for k, factor in sensitivity.items() if k in error.factors]
         if shared:

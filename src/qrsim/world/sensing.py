@@ -195,7 +195,8 @@ def first_belief(
     count = fleet.first_normals
     if not count:
         return Belief.of(estimator, *estimator.init(readings, start))
-    standing, bias = on_ground(fleet, state), None
+    standing = on_ground(fleet, state)
+    bias: Any = None
     if standing is not None:
         rates = fleet.vehicle.pose(state.vehicle).rates_body
         standing = standing & (start.velocity_ned.norm() < STILL) & (rates.norm() < STILL)
@@ -204,9 +205,9 @@ def first_belief(
             bias = sensor.biases(memory).get("rates_body")
             break
     if bias is not None and not isinstance(bias, Vec3):
-        bias = start.velocity_ned.map(lambda axis: jnp.zeros_like(axis) + bias)
+        bias = Vec3(*(jnp.zeros_like(axis) + bias for axis in start.velocity_ned.axes))
     preflight = Preflight(tuple(draws[ESTIMATOR].normals(count)), standing, bias)
-    return Belief.of(estimator, *estimator.init(readings, start, preflight))
+    return Belief.of(estimator, *estimator.begin(readings, start, preflight))
 
 
 def at_rest(estimate: Estimate) -> Estimate:
