@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from evidence._outdoors import outdoors
 from qrsim.control.covariance import matrix
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_state import SIZE, KalmanState
@@ -23,7 +24,7 @@ from qrsim.control.setpoints import Estimate
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import Euler, Vec3
 
-DOC = "errors of the Kalman filter beside what it states, under white, late and coloured fixes"
+DOC = "errors of the Kalman filter compared with what it states: white, late and coloured fixes, and outdoors"
 SEED = 20261122
 DT, SUBSTEPS, GRAVITY = 0.02, 5, 9.81
 # Vehicles and ticks; ticks that late fixes are late by; correlation time of coloured ones [s].
@@ -131,10 +132,15 @@ def vec(array: Floats) -> Vec3:
     return Vec3(*(jnp.asarray(array[..., axis], jnp.float32) for axis in range(3)))
 
 
+def matched() -> ErrorStateKalmanFilter:
+    """Return a filter of white errors alone: those that ``filtered`` draws."""
+    return replace(ErrorStateKalmanFilter(), gnss_errors="white", sampling=jnp.float32(0.0))
+
+
 def with_all() -> ErrorStateKalmanFilter:
     """Return the filter with all its 24 errors; every airspeed is believed, as the noise of one is the same at all."""
     earth = Vec3(*(jnp.float32(axis) for axis in EARTH_FIELD))
-    return replace(ErrorStateKalmanFilter(), earth_field_ned=earth, height_bias=True, airspeed_least=-1e3)
+    return replace(matched(), earth_field_ned=earth, height_bias=True, airspeed_least=-1e3)
 
 
 def walked(start_std: Any, walk: Any, shape: tuple[int, ...], random: np.random.Generator) -> Floats:
@@ -189,7 +195,7 @@ def filtered(
     wrong = np.zeros((count, 3))
     wrong[:, :2] = float(kalman.tilt_std) * random.standard_normal((count, 2))
     if "yaw" not in given:
-        wrong[:, 2] = float(kalman.yaw_std) * random.standard_normal(count)
+        wrong[:, 2] = float(kalman.heading_std) * random.standard_normal(count)
     Turn = scipy.spatial.transform.Rotation
     begun = (Turn.from_rotvec(wrong) * Turn.from_matrix(truth.turned[0])).as_euler("ZYX")[:, ::-1]
     angles = Euler(*(jnp.asarray(begun[:, axis], jnp.float32) for axis in range(3)))
@@ -270,7 +276,9 @@ def errors(states: KalmanState, truth: Flown, biases: dict[str, Floats], k: int)
             biases["earth_field"][k] - of(inner.earth_field_ned), biases["field"][k] - of(inner.field_bias),
             biases["wind"][k] - wind, biases["height"][k] - array(inner.height_bias)[:, None],
         ]  # fmt: skip
-    whole = np.moveaxis(np.asarray(matrix(states.covariance)[k - 1], float), -1, 0)
+    whole = np.moveaxis(np.array(matrix(states.covariance)[k - 1], float), -1, 0)
+    if states.slow is not None:
+        whole[:, range(3), range(3)] += of(states.slow)
     return np.concatenate(parts, axis=1), whole
 
 
@@ -311,10 +319,11 @@ def run(full: bool) -> dict[str, Any]:
     count, last = FULL if full else SMALL
     truth = flown(last, count, np.random.default_rng(SEED))
     ticks = np.unique(np.linspace(10, last, 60).astype(int)).tolist()
-    plain, every = ErrorStateKalmanFilter(), with_all()
+    plain, every = matched(), with_all()
     cases = {
         "white": (plain, SIZE, 0, False), "late": (plain, SIZE, LATE, False), "every": (every, MOST, 0, False),
         "every_late": (every, MOST, LATE, False), "coloured": (plain, SIZE, 0, True),
+        "considered": (replace(plain, gnss_errors="coloured"), SIZE, 0, True),
     }  # fmt: skip
     # From when the start is forgotten.
     later = np.array(ticks) > last // 3
@@ -335,6 +344,7 @@ def run(full: bool) -> dict[str, Any]:
         "band_low": round(low, 2),
         "band_high": round(high, 2),
         **found,
+        "outdoors": outdoors(full),
     }
 
 
@@ -365,7 +375,8 @@ def _draw(times: Floats, curves: dict[str, Floats], band: tuple[float, float]) -
     labels = {
         "white": ("15 errors, white fixes", "#3b76f0"), "late": ("15 errors, late fixes", "#0b9e73"),
         "every": ("24 errors, white fixes", "#8a5fd0"), "every_late": ("24 errors, late fixes", "#7a7a7a"),
-        "coloured": ("15 errors, coloured fixes", "#b35806"),
+        "coloured": ("15 errors, coloured fixes taken for white", "#b35806"),
+        "considered": ("15 errors, coloured fixes", "#d6a500"),
     }  # fmt: skip
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()

@@ -17,7 +17,7 @@ OVERRIDES = [
     "fleets.pelicans.vehicles=[{position_ned: [0, 0, -20], waypoints_ned: [[20, 0, -20], [0, 20, -20], [0, 0, -20]]}]",
     "fleets.pelicans.sensors={gnss: {type: gnss_receiver}, barometer: {type: barometer, white_std: 0.1}, "
     "imu: {type: imu}, compass: {type: magnetometer}}",
-    "fleets.pelicans.estimator={type: ekf, accelerometer_bias_std: 0.2}",
+    "fleets.pelicans.estimator={type: ekf}",
 ]
 DT, GRAVITY, LATE = 0.02, np.array([0.0, 0.0, 9.81]), 10
 GYROSCOPE, ACCELEROMETER, FIX, SPEED, HEIGHT, HEADING = 1e-3, 0.02, 1.5, 0.2, 0.3, 0.05

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from evidence import estimator as study
 
-from qrsim.control.ekf import ErrorStateKalmanFilter
-
 pytestmark = pytest.mark.long
 
 
@@ -15,7 +13,7 @@ def test_coloured_errors_of_fixes_are_not_what_the_filter_states():
     """White ones, on time and late, are; 15 errors and 60 vehicles: 99.9 % of means are within 2.4 of 15."""
     truth = study.flown(300, 60, np.random.default_rng(1))
     found = {
-        name: study.normalised(ErrorStateKalmanFilter(), truth, [300], late, colour).mean(axis=1)[0]
+        name: study.normalised(study.matched(), truth, [300], late, colour).mean(axis=1)[0]
         for name, late, colour in (("white", 0, False), ("late", 15, False), ("coloured", 0, True))
     }
     for name in ("white", "late"):

@@ -10,12 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, with_all
+from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, matched, with_all
 from tests.by_numpy import by_numpy
 
 from qrsim.control.consistency import Truth, normalised
 from qrsim.control.covariance import matrix, variances
-from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_readings import airspeeds, compass, fields, heights
 from qrsim.control.kalman_state import Inner, KalmanState, injected, inner_std
 from qrsim.control.setpoints import Estimate
@@ -112,7 +111,7 @@ def test_a_compass_depends_on_tilt_by_the_vertical_field(state: KalmanState):
     ],
 )
 def test_what_is_estimated_goes_by_the_sensors(change: dict[str, Any], given: dict[str, Any], size: int):
-    kalman = replace(ErrorStateKalmanFilter(), **change)
+    kalman = replace(matched(), **change)
     found = kalman.init(given, START)[0]
     # In blocks of three.
     assert matrix(found.covariance).shape == (-(-size // 3) * 3,) * 2 + (1,)
@@ -125,23 +124,23 @@ def _leaves(inner: Inner) -> list[Any]:
 
 
 def test_the_start_is_what_is_known_of_it():
-    """The yaw of the start, the Earth's field of the site, and the default std of each: 0.05 rad, 0.5, 2 uT, 6 m/s."""
+    """The yaw of the start, the Earth's field of the site, and the default std of each: 0.03 rad, 0.15, 2 uT, 6 m/s."""
     found = with_all().init(readings(), START)[0]
     assert float(found.attitude.euler().yaw[0]) == pytest.approx(2.0)
     assert [float(axis[0]) for axis in found.inner.earth_field_ned.axes] == pytest.approx(EARTH_FIELD)  # type: ignore[union-attr]
     stds = [float(jnp.sqrt(variances(found.covariance)[k][0])) for k in (8, 15, 18, 21, 23)]
-    assert stds == pytest.approx([0.05, 0.5, 2.0, 6.0, 0.5])
+    assert stds == pytest.approx([0.03, 0.15, 2.0, 6.0, 0.5])
     own = inner_std(found)
     stds = [own.gyroscope_bias.x, own.accelerometer_bias.z, own.earth_field_ned.y, own.field_bias.x]  # type: ignore[union-attr]
     stds += [own.wind_north, own.wind_east, own.height_bias]
-    assert [float(std[0]) for std in stds] == pytest.approx([0.01, 0.1, 0.5, 2.0, 6.0, 6.0, 0.5])
+    assert [float(std[0]) for std in stds] == pytest.approx([0.01, 0.1, 0.15, 2.0, 6.0, 6.0, 0.5])
     # With a bias the first height is that of the fix.
     assert float(variances(found.covariance)[2][0]) == pytest.approx(2.5**2)
 
 
 def test_a_slow_airspeed_is_not_believed():
     """Below 5 m/s a pitot tube says nothing."""
-    kalman = ErrorStateKalmanFilter()
+    kalman = matched()
     for airspeed, believed in ((4.9, False), (5.1, True)):
         given = readings(magnetometer=None, pitot=reading(true_airspeed=airspeed * ONE))
         groups = kalman._groups(kalman.init(given, START)[0], given, dict.fromkeys(given, jnp.array(True)), 0.02)
@@ -166,7 +165,7 @@ def test_the_squares_are_those_of_matrices():
 @pytest.mark.long
 def test_blocks_are_of_their_own_errors():
     """1.5 m std beside 3 m north: 4 of three; a yaw of 0.1 rad beside 0.05: 4 of three; without biases nine count."""
-    kalman = ErrorStateKalmanFilter()
+    kalman = replace(matched(), heading_std=jnp.float32(0.05))
 
     def consistency(*given: Any) -> Any:
         return by_numpy(kalman.consistency, [given])[0]
@@ -216,7 +215,7 @@ def test_headings_of_others_give_way_to_a_magnetometer():
 @pytest.mark.long
 def test_a_field_turns_the_filter_towards_what_it_says():
     """20 uT to the north: a vehicle that faces 0.1 rad further east than it thinks is turned by two thirds of it."""
-    kalman = replace(with_all(), field_bias_std=0.0, tilt_std=0.0)
+    kalman = replace(with_all(), field_bias_std=0.0, tilt_std=0.0, heading_std=0.05, earth_field_std=0.5)
     begin = replace(START, attitude=Euler(0.0 * ONE, 0.0 * ONE, 0.0 * ONE))
     true = Quaternion.of(Euler(0.0 * ONE, 0.0 * ONE, 0.1 * ONE)).rotation().to_body(vec(*EARTH_FIELD))
     given = readings(magnetometer=Magnetic(true), pitot=None)

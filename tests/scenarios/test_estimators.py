@@ -114,7 +114,7 @@ def _yaws(sensors: str, seeds: int) -> np.ndarray:
     overrides = [
         "fleets.pelicans.vehicles=[{position_ned: [0, 0, -20]}]",
         f"fleets.pelicans.sensors={{gnss: {{type: gnss_receiver}}, barometer: {{type: barometer}}, {sensors}}}",
-        "fleets.pelicans.estimator={type: ekf, accelerometer_bias_std: 0.2}",
+        "fleets.pelicans.estimator={type: ekf}",
         "world.wind.speed_20ft=6",
         "duration=120",
     ]

@@ -152,12 +152,12 @@ class TestParts:
         assert parts(wind=wind) == ("ekf", "dryden_field")
         assert parts(wind=wind, turbulence="dryden", estimator="complementary") == ("complementary", "dryden")
         assert parts(estimator=None) == (None, "still")
-        # As hover has it: 20 mg, 0.2 m/s^2, is what the sheet of that chip allows an accelerometer to be off by.
+        # As hover has it: what the filter takes the sensors' errors to be is left to the sensors.
         mine = make_scenario([[0, 0, -10]], sensors="noisy").spec.fleets["vehicles"]
         hover = load_scenario("hover").spec.fleets["pelicans"]
         assert mine.estimator == hover.estimator
         assert mine.sensors == hover.sensors
-        assert mine.estimator.accelerometer_bias_std == 0.25  # type: ignore[union-attr]
+        assert mine.estimator.accelerometer_bias_std is None  # type: ignore[union-attr]
         still = make_scenario([[0, 0, -10]], sensors="ideal", wind=wind).spec
         assert (still.world.turbulence.type, still.fleets["vehicles"].estimator) == ("still", None)
 

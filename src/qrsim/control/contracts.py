@@ -14,6 +14,7 @@ from jax import Array
 
 from qrsim.control.consistency import Consistency, Truth
 from qrsim.control.setpoints import Estimate
+from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
 
 
@@ -95,6 +96,17 @@ class Guidance(Protocol):
         """Return the set-point (n,) of a state."""
 
 
+@record
+class Preflight:
+    """What happened to vehicles (n,) before their start, for estimators that have ``first_normals``."""
+
+    normals: tuple[Array, ...] = quantity(unit="1", doc="standard normals, as many as the estimator draws")
+    at_rest: Array | None = quantity(default=None, doc="bool: stands on the ground; None: all start in flight")
+    rates_bias: Vec3 | None = quantity(
+        default=None, unit="rad/s", doc="error of the body rates of a level vehicle at rest; None where nobody knows"
+    )
+
+
 @runtime_checkable
 class Estimator(Protocol):
     """Maps the readings of a fleet to the estimate for its controller.
@@ -102,10 +114,13 @@ class Estimator(Protocol):
     Attributes:
         reads: kinds of sensors that it needs, by their names in the catalogue.
         instead: of a kind that it needs, the kind that serves as well.
+        first_normals: standard normals that a start draws for each vehicle; above 0, ``begin`` takes the place of
+            ``init``.
     """
 
     reads: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
+    first_normals: int = 0
 
     def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Estimator:
         """Return the estimator for a fleet's sensors, of how many ticks ago each reading is, by name.
@@ -122,6 +137,10 @@ class Estimator(Protocol):
             readings: the first reading (n,) of each sensor, by its name in the fleet.
             start: what is known of the start of each vehicle (n,).
         """
+
+    def begin(self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
+        """Return the state and the estimate (n,) at the start, of an estimator with ``first_normals``."""
+        return self.init(readings, start)
 
     @abstractmethod
     def step(

@@ -124,6 +124,19 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
     return tuple(fresh(a, row) for a, row in enumerate(covariance))
 
 
+def widened(covariance: Covariance, variances: Sparse) -> Covariance:
+    """Return a covariance with variances (n,) added to some errors, by their numbers."""
+    zero = jnp.zeros(covariance[0].shape[3:], covariance[0].dtype)
+
+    def wider(a: int, row: Array) -> Array:
+        own = [variances.get(i) for i in _of(a)]
+        if all(variance is None for variance in own):
+            return row
+        return _with_own(row, _diagonal([zero if variance is None else variance for variance in own]))
+
+    return tuple(wider(a, row) for a, row in enumerate(covariance))
+
+
 def _of(block: int) -> range:
     return range(BLOCK * block, BLOCK * (block + 1))
 

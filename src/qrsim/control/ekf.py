@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from qrsim.control.consistency import Consistency, Truth, of_blocks, turned
-from qrsim.control.contracts import Estimator
+from qrsim.control.contracts import Preflight
 from qrsim.control.covariance import (
     BLOCK,
     Covariance,
@@ -24,9 +24,14 @@ from qrsim.control.covariance import (
     propagated,
     variance_of,
     variances,
+    widened,
 )
+from qrsim.control.kalman_parameters import KalmanParameters
 from qrsim.control.kalman_readings import Measured, airspeeds, compass, fields, headings, heights, places, velocities
+from qrsim.control.kalman_start import NORMALS, calibrated, levelled, turned_by
 from qrsim.control.kalman_state import (
+    PLACE,
+    SIZE,
     SPEED,
     TURN,
     Inner,
@@ -40,20 +45,22 @@ from qrsim.control.kalman_state import (
     of_angles,
     small,
 )
+from qrsim.control.kalman_unseen import Unseen, along, unseen, with_unseen
 from qrsim.control.reading_fields import AIRSPEED, FIELD, field_of, known, source_of
 from qrsim.control.setpoints import Estimate
-from qrsim.core.fastmath import arctan2
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
-from qrsim.core.tree import derived, parameter, record, replace, setting
+from qrsim.core.tree import record, replace, select
 from qrsim.core.vectors import Euler, Vec3
 
-# Covariance, mean errors, time since a fix that was believed, and innovations.
-Corrected = tuple[Covariance, Array, Array, Innovations]
+# Covariance, mean errors, time since a fix that was believed, innovations, and variances of slow errors.
+# Share of turns about the level axes that is not turned back.
+BACK = 0.1
+Corrected = tuple[Covariance, Array, Array, Innovations, Any]
 
 
 @record
-class ErrorStateKalmanFilter(Estimator):
+class ErrorStateKalmanFilter(KalmanParameters):
     """Position, velocity, attitude and the biases of gyroscope and accelerometer, with their covariance.
 
     With a magnetometer the Earth's field and its bias are estimated too, with an airspeed sensor the horizontal wind.
@@ -61,111 +68,82 @@ class ErrorStateKalmanFilter(Estimator):
     are, and the filter begins there again. Noise that is correlated in time, as that of GNSS is, is taken for white.
     """
 
-    gyroscope_noise: Array = parameter(default=1e-3, unit="rad/s/sqrt(Hz)", doc="density of white noise", minimum=0.0)
-    accelerometer_noise: Array = parameter(
-        default=0.02, unit="m/s^2/sqrt(Hz)", doc="density of white noise, vibration included", minimum=0.0
-    )
-    gyroscope_walk: Array = parameter(default=2e-5, unit="rad/s/sqrt(s)", doc="random walk of its bias", minimum=0.0)
-    accelerometer_walk: Array = parameter(
-        default=3e-4, unit="m/s^2/sqrt(s)", doc="random walk of its bias", minimum=0.0
-    )
-    gyroscope_bias_std: Array = parameter(default=0.01, unit="rad/s", doc="of its bias at the start", minimum=0.0)
-    accelerometer_bias_std: Array = parameter(default=0.1, unit="m/s^2", doc="of its bias at the start", minimum=0.0)
-    position_std: Array = parameter(
-        default=1.5, unit="m", doc="of a fix, per horizontal axis, where it states no accuracy", above=0.0
-    )
-    vertical_std: Array = parameter(default=2.5, unit="m", doc="the same, down", above=0.0)
-    velocity_std: Array = parameter(
-        default=0.2, unit="m/s", doc="of a fix's velocity, per axis, where it states no accuracy", above=0.0
-    )
-    height_std: Array = parameter(default=0.3, unit="m", doc="of a height by the barometer", above=0.0)
-    yaw_std: Array = parameter(default=0.05, unit="rad", doc="of a heading", above=0.0)
-    tilt_std: Array = parameter(default=0.03, unit="rad", doc="of roll and pitch at the start", minimum=0.0)
-    gate: Array = parameter(default=5.0, unit="1", doc="stds from what is expected beyond which nothing is believed",
-                            above=0.0)  # fmt: skip
-    reset_after: Array = parameter(
-        default=7.0, unit="s", doc="time without a believed fix after which the next is", above=0.0
-    )
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
-    magnetometer: Literal["field", "heading"] = setting(
-        default="field", doc="what a magnetic field is taken for: three axes, with states of their own, or a heading"
-    )
-    earth_field_std: Array = parameter(
-        default=0.5, unit="uT", doc="of the Earth's field at the start, per axis", minimum=0.0
-    )
-    field_bias_std: Array = parameter(default=2.0, unit="uT", doc="of its bias at the start, per axis", minimum=0.0)
-    field_std: Array = parameter(default=0.5, unit="uT", doc="of a magnetic field, per axis", above=0.0)
-    field_walk: Array = parameter(
-        default=0.005, unit="uT/sqrt(s)", doc="random walk of the Earth's field as flown through, and of the bias",
-        minimum=0.0,
-    )  # fmt: skip
-    airspeed_std: Array = parameter(default=1.0, unit="m/s", doc="of an airspeed", above=0.0)
-    airspeed_least: Array = parameter(default=5.0, unit="m/s", doc="airspeed below which none is believed", minimum=0.0)
-    wind_std: Array = parameter(default=6.0, unit="m/s", doc="of the wind at the start, per axis", minimum=0.0)
-    wind_walk: Array = parameter(default=0.5, unit="m/s/sqrt(s)", doc="random walk of the wind, gusts included",
-                                 minimum=0.0)  # fmt: skip
-    height_bias: bool = setting(
-        default=False, doc="whether the barometer's error is estimated, so that fixes hold the height for long"
-    )
-    height_bias_std: Array = parameter(default=0.5, unit="m", doc="of it at the start", minimum=0.0)
-    height_bias_walk: Array = parameter(default=0.02, unit="m/sqrt(s)", doc="its random walk", minimum=0.0)
-    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
-    ages: tuple[tuple[str, int], ...] = derived(default=(), doc="sensors by name, and ticks their readings are late by",
-                                                static=True)  # fmt: skip
-
-    # Barometer, heading, magnetometer and airspeed are of use, and not needed.
-    reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "accelerometer", "gyroscope")
-
-    def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> ErrorStateKalmanFilter:
-        """Return the filter that knows how late the readings of each sensor are [ticks], and the Earth's field [uT]."""
-        return replace(self, ages=tuple(sorted(ages.items())), earth_field_ned=earth_field_ned)
-
     def _late(self, readings: Mapping[str, Any]) -> int:
         """Return how late a fix is [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
+    @property
+    def first_normals(self) -> int:  # type: ignore[override]
+        """Standard normals of a start."""
+        return NORMALS if self.start == "aligned" or self.calibration_time > 0.0 else 0
+
     def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[KalmanState, Estimate]:
-        """Return state and estimate (n,) at the first readings; what they do not say is that of the start."""
+        """Return state and estimate (n,) at the first readings, without calibration, alignment and drawn errors."""
+        return self.begin(readings, start, None)
+
+    def begin(
+        self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
+    ) -> tuple[KalmanState, Estimate]:
+        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F6)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
-        height, attitude = field_of(readings, "height"), field_of(readings, "attitude")
-        rates = field_of(readings, "rates_body")
+        height, rates = field_of(readings, "height"), field_of(readings, "rates_body")
         position = start.position_ned if fix is None else known(fix, start.position_ned)
         # With a bias the first height is that of the fix, so that the two are wrong independently.
         by_height = height is not None and not self.height_bias
         if height is not None and by_height:
             position = replace(position, z=known(-height, start.position_ned.z))
         speed = start.velocity_ned if velocity is None else known(velocity, start.velocity_ned)
-        yaw = start.attitude.yaw if attitude is None else known(attitude.yaw, start.attitude.yaw)
         zero = jnp.zeros_like(position.x)
         none = Vec3(zero, zero, zero)
-        begun = Quaternion.of(replace(start.attitude, yaw=yaw))
-        inner = self._first_inner(readings, begun, none)
-        tilt, yaw_variance = self._as(zero, self.tilt_std), self._as(zero, self.yaw_std)
+        begun, turn = self._first_attitude(readings, start.attitude, zero, preflight)
+        bias = calibrated(self, preflight)
+        inner = self._first_inner(readings, begun, none, preflight)
+        first = self.first_inner(inner, bias is not None)
+        place = self._variances(readings, "position_ned", zero, by_height)
         covariance = independent(
-            [
-                *self._variances(readings, "position_ned", zero, by_height),
-                *self._variances(readings, "velocity_ned", zero),
-                *(tilt, tilt, yaw_variance),
-                *(self._as(zero, std) for std in self._inner(inner, self._first_stds)),
-            ]
+            [*place, *self._variances(readings, "velocity_ned", zero), *turn, *(self._as(zero, std) for std in first)]
         )
         state = KalmanState(
-            position, none, speed, begun, inner, none if rates is None else known(rates, none),
-            Vec3(zero, zero, zero - self.gravity), covariance, zero,
+            position, none, speed, begun, inner if bias is None else replace(inner, gyroscope_bias=bias),
+            none if rates is None else known(rates, none), Vec3(zero, zero, zero - self.gravity), covariance, zero,
             Innovations(
                 zero, zero, zero, zero, None if inner.earth_field_ned is None else zero,
                 None if inner.wind_north is None else zero,
             ),
-            (Past(position, none, speed),) * self._late(readings),
+            (Past(position, none, speed),) * self._late(readings), self._slow(place, by_height, zero),
         )  # fmt: skip
+        if preflight is not None and preflight.at_rest is not None and self.start == "aligned":
+            state = select(preflight.at_rest, levelled(self, state, readings), state)
         return state, _estimate(state)
 
-    def _first_inner(self, readings: Mapping[str, Any], turned: Quaternion, none: Vec3) -> Inner:
-        """Return what is estimated beside the motion at the start: its structure says what the filter has."""
+    def _first_attitude(
+        self, readings: Mapping[str, Any], true: Euler, zero: Array, preflight: Preflight | None
+    ) -> tuple[Quaternion, list[Array]]:
+        """Return the attitude (n,) of a start in flight, and the variance of each axis of its error."""
+        attitude = field_of(readings, "attitude")
+        heading = self.heading_std if attitude is None else self.yaw_std
+        begun = Quaternion.of(true if attitude is None else replace(true, yaw=known(attitude.yaw, true.yaw)))
+        if preflight is not None and self.start == "aligned":
+            # The yaw of a reading has an error of its own.
+            drawn = self.heading_std if attitude is None else zero
+            begun = turned_by((self.tilt_std, self.tilt_std, drawn), preflight.normals[:3], begun)
+        return begun, [self._as(zero, std) for std in (self.tilt_std, self.tilt_std, heading)]
+
+    def _slow(self, place: tuple[Array, ...], by_height: bool, zero: Array) -> Vec3:
+        """Return the variance (n,) of the slow errors of each axis of the position, by those of a fix."""
+        level, _, down = place if self.gnss_errors == "coloured" else (zero, zero, zero)
+        return Vec3(level, level, self._as(zero, self.height_drift_std) if by_height else down)
+
+    def _first_inner(
+        self, readings: Mapping[str, Any], turned: Quaternion, none: Vec3, preflight: Preflight | None
+    ) -> Inner:
+        """Return the other estimates (n,) at the start; their structure is that of the filter's errors."""
         field, zero = field_of(readings, FIELD), none.x
         inner = Inner(none, none)
         if field is not None and self.magnetometer == "field":
             earth = self._earth_field(known(field, none), turned)
+            if preflight is not None and self.start == "aligned":
+                earth = earth + Vec3(*(self.earth_field_std * normal for normal in preflight.normals[6:9]))
             inner = replace(inner, earth_field_ned=earth, field_bias=none)
         if field_of(readings, AIRSPEED) is not None:
             inner = replace(inner, wind_north=zero, wind_east=zero)
@@ -179,38 +157,6 @@ class ErrorStateKalmanFilter(Estimator):
             return turned.rotation().to_ned(field)
         return self.earth_field_ned.map(lambda axis: jnp.zeros_like(field.x) + axis)
 
-    @property
-    def _declination(self) -> Array:
-        """Where the Earth's field says north to be; north where nobody says what it is."""
-        if self.earth_field_ned is None:
-            return jnp.zeros_like(self.yaw_std)
-        return arctan2(self.earth_field_ned.y, self.earth_field_ned.x)
-
-    @property
-    def _first_stds(self) -> tuple[Array, ...]:
-        return (
-            self.gyroscope_bias_std, self.accelerometer_bias_std, self.earth_field_std, self.field_bias_std,
-            self.wind_std, self.height_bias_std,
-        )  # fmt: skip
-
-    @property
-    def _walks(self) -> tuple[Array, ...]:
-        return (
-            self.gyroscope_walk, self.accelerometer_walk, self.field_walk, self.field_walk, self.wind_walk,
-            self.height_bias_walk,
-        )  # fmt: skip
-
-    def _inner(self, inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
-        """Return the std of each error that the filter has beside those of the motion: whole blocks, 0 for none."""
-        *first, wind, height = stds
-        own = first[:2] if inner.earth_field_ned is None else first
-        found = [std for std in own for _ in range(3)]
-        if inner.wind_north is not None or inner.height_bias is not None:
-            known = (inner.wind_north, inner.wind_east, inner.height_bias)
-            last = zip(known, (wind, wind, height), strict=True)
-            found += [jnp.zeros_like(std) if part is None else std for part, std in last]
-        return found
-
     def step(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> tuple[KalmanState, Estimate]:
@@ -222,9 +168,14 @@ class ErrorStateKalmanFilter(Estimator):
 
     def std(self, state: KalmanState) -> Estimate:
         """Return the standard deviations (n,) of its estimate."""
-        own = [jnp.sqrt(variance) for variance in variances(state.covariance)[:TURN]]
+        one = jnp.ones_like(state.since_fix)
+        unseen = self._unseen(state)
+        own = variances(state.covariance)[:TURN]
+        own = [jnp.sqrt(variance + along(unseen, {k: one})) for k, variance in enumerate(own)]
         rows = of_angles(state.rotation)
-        angles = [jnp.sqrt(jnp.maximum(variance_of(state.covariance, row)[1], 0.0)) for row in rows]
+        angles = [
+            jnp.sqrt(jnp.maximum(variance_of(state.covariance, row)[1], 0.0) + along(unseen, row)) for row in rows
+        ]
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
 
     def inner(self, state: KalmanState) -> tuple[Inner, Inner]:
@@ -242,7 +193,12 @@ class ErrorStateKalmanFilter(Estimator):
         if known_biases:
             own = (state.inner.gyroscope_bias, state.inner.accelerometer_bias)
             parts += [bias - mean for bias, mean in zip(biases, own, strict=True) if bias is not None]
-        return of_blocks(matrix(state.covariance), [axis for part in parts for axis in part.axes], known_biases)
+        whole = with_unseen(matrix(state.covariance), self._unseen(state))
+        return of_blocks(whole, [axis for part in parts for axis in part.axes], known_biases)
+
+    def _unseen(self, state: KalmanState) -> list[Unseen]:
+        """Return the errors that no reading shows, which the covariance does not contain."""
+        return unseen(state, self.accelerometer_scale, self.gravity)
 
     def innovations(self, state: KalmanState) -> Innovations:
         """Return what the last readings said beside what was expected, in std."""
@@ -259,7 +215,9 @@ class ErrorStateKalmanFilter(Estimator):
             stated = field_of(readings, "speed_accuracy")
             level = down = self._as(like, self.velocity_std)
             if stated is not None:
-                level = down = known(stated * stated, level)
+                # Of all axes together; how much of it is down, the dilutions of the fix say.
+                of_level, of_down = _shares(readings)
+                level, down = (known(share * stated * stated, level) for share in (of_level, of_down))
             return level, level, down
         level = self._as(like, self.position_std)
         down = self._as(like, self.height_std if by_height else self.vertical_std)
@@ -275,7 +233,10 @@ class ErrorStateKalmanFilter(Estimator):
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
         rates = state.rates_body if rates is None else known(rates, state.rates_body)
-        half = (0.5 * (rates + state.rates_body) - state.inner.gyroscope_bias) * (0.5 * dt)
+        # A mean over the tick is that of both its ends already.
+        mean = rates if field_of(readings, "delta_angle") is not None else 0.5 * (rates + state.rates_body)
+        turning = mean - state.inner.gyroscope_bias
+        half = turning * (0.5 * dt)
         before = state.rotation
         attitude = (state.attitude * small(half)).normalised()
         after = attitude.rotation()
@@ -288,35 +249,48 @@ class ErrorStateKalmanFilter(Estimator):
             felt = Vec3(*(jnp.where(seen, axis, still) for axis, still in zip(found.axes, felt.axes, strict=True)))
         change = replace(felt, z=felt.z + self.gravity) * dt
         position, low = added(state.position_ned, state.position_low_ned + (state.velocity_ned + 0.5 * change) * dt)
-        covariance = propagated(state.covariance, moves(felt, after, dt), self._noise(state.inner, dt))
+        noise = self._noise(state.inner, turning, rates - state.rates_body, change, dt)
+        covariance = propagated(state.covariance, moves(felt, after, dt), noise)
         return replace(
             state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
             attitude=attitude, rates_body=rates, force_ned=felt, since_fix=state.since_fix + dt, covariance=covariance,
         )  # fmt: skip
 
-    def _noise(self, inner: Inner, dt: float) -> list[Array]:
-        """Return the variance that a tick adds to each error (F1)."""
+    def _noise(self, inner: Inner, turning: Vec3, swing: Vec3, change: Vec3, dt: float) -> list[Array]:
+        """Return the variance that a tick adds to each error, by rates, their change and that of velocity (F1)."""
+        # Roll and pitch mostly turn back, and with them the errors of scale and misalignment.
+        turned = (jnp.abs(turning.z) + BACK * (jnp.abs(turning.x) + jnp.abs(turning.y))) * dt
+        missed = self.sampling * dt
+        turn = self._as(turned, self.gyroscope_scale) * turned + missed * missed * swing.dot(swing)
+        speed = self._as(turned, self.accelerometer_scale) * change.dot(change) * (1.0 / dt)
         of_motion = (0.0 * self.accelerometer_noise, self.accelerometer_noise, self.gyroscope_noise)
-        stds = [*(std for std in of_motion for _ in range(3)), *self._inner(inner, self._walks)]
-        return [std * std * dt for std in stds]
+        stds = [*(std for std in of_motion for _ in range(3)), *self.walks(inner)]
+        found = [std * std * dt for std in stds]
+        more = {SPEED: speed, TURN: turn}
+        if inner.earth_field_ned is not None:
+            earth = inner.earth_field_ned
+            more[SIZE + BLOCK] = self._as(turned, self.field_scale) * earth.dot(earth) * turned
+        return [
+            part + more[BLOCK * (k // BLOCK)] if BLOCK * (k // BLOCK) in more else part for k, part in enumerate(found)
+        ]
 
     def _measured(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
         """Return the state corrected by what is new (F2)."""
         none = jnp.zeros((state.places.size // BLOCK, BLOCK, *state.since_fix.shape), state.since_fix.dtype)
-        carry: Corrected = (state.covariance, none, state.since_fix, state.innovations)
+        carry: Corrected = (state.covariance, none, state.since_fix, state.innovations, state.slow)
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):
             believe = partial(self._believed, what, scalars, new)
             # Between two readings of a sensor nothing is computed; who hears at times of their own are all looked at.
             carry = lax.cond(due, believe, _unchanged, carry) if due.ndim == 0 else believe(carry)
-        covariance, errors, since_fix, innovations = carry
-        state = replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations)
+        covariance, errors, since_fix, innovations, slow = carry
+        state = replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations, slow=slow)
         return injected(state, errors.reshape(-1, *state.since_fix.shape), dt)
 
     def _believed(self, what: str, scalars: list[Measured], new: Array, carry: Corrected) -> Corrected:
         """Return covariance, errors, time since a fix, and innovations, after the scalars of one kind of reading."""
-        covariance, errors, since_fix, innovations = carry
+        covariance, errors, since_fix, innovations, slow = carry
         for scalar in scalars:
             new = new & jnp.isfinite(scalar.innovation)
         worst = self._worst(covariance, errors, scalars)
@@ -325,12 +299,14 @@ class ErrorStateKalmanFilter(Estimator):
             again = new & ~believed & (since_fix > self.reset_after)
             covariance, believed = lost(covariance, [s.variance for s in scalars], again), believed | again
             since_fix = jnp.where(believed, 0.0, since_fix)
+            if slow is not None and self.gnss_errors == "coloured":
+                covariance, slow = _with_accuracy(covariance, slow, [s.variance for s in scalars], believed)
         for scalar in scalars:
             covariance, errors = corrected(
                 covariance, errors, scalar.sensitivity, scalar.innovation, scalar.variance, believed
             )
         shown = jnp.where(new, jnp.sqrt(worst), getattr(innovations, what))
-        return covariance, errors, since_fix, replace(innovations, **{what: shown})
+        return covariance, errors, since_fix, replace(innovations, **{what: shown}), slow
 
     def _worst(self, covariance: Covariance, errors: Array, scalars: list[Measured]) -> Array:
         """Return the largest square of a kind's innovations (n,), each over its variance."""
@@ -358,7 +334,7 @@ class ErrorStateKalmanFilter(Estimator):
         if field is not None and state.places.field is not None:
             yield "field", fields(state, field, self._as(one, self.field_std)), *new(FIELD)
         elif field is not None:
-            yield "yaw", compass(state, field, self._declination, self._as(one, self.yaw_std)), *new(FIELD)
+            yield "yaw", compass(state, field, self.declination, self._as(one, self.yaw_std)), *new(FIELD)
         elif attitude is not None:
             yield "yaw", headings(state, attitude, self._as(one, self.yaw_std)), *new("attitude")
         airspeed = field_of(readings, AIRSPEED)
@@ -382,6 +358,26 @@ class ErrorStateKalmanFilter(Estimator):
         if velocity is not None:
             variances = self._variances(readings, "velocity_ned", one)
             yield "velocity_ned", velocities(state, velocity, variances, late), *new("velocity_ned")
+
+
+def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], where: Array) -> tuple[Covariance, Vec3]:
+    """Return the covariance and the variances of slow errors by the accuracies (n,) of a fix, where (n,) bool.
+
+    Accuracies that change are those of another slow error, of which a part of the position is not known.
+    """
+    after = [*(jnp.where(where, new, old) for new, old in zip(stated, slow.axes, strict=False)),
+             *slow.axes[len(stated):]]  # fmt: skip
+    jump = {PLACE + i: jnp.abs(new - old) for i, (new, old) in enumerate(zip(after, slow.axes, strict=True))}
+    return widened(covariance, {k: jump[k] for k in list(jump)[: len(stated)]}), Vec3(*after)
+
+
+def _shares(readings: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return the share of a fix's variance on each level axis and down, a third each where it has no dilutions."""
+    level, down = field_of(readings, "hdop"), field_of(readings, "vdop")
+    if level is None or down is None:
+        return 1.0 / 3.0, 1.0 / 3.0
+    level, down = jnp.maximum(level * level, 1e-6), jnp.maximum(down * down, 1e-6)
+    return 0.5 * level / (level + down), down / (level + down)
 
 
 def _unchanged(carry: Corrected) -> Corrected:

@@ -84,6 +84,18 @@ def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured
     return scalars
 
 
+def gravities(state: KalmanState, force: Vec3, gravity: Array, variance: Array) -> list[Measured]:
+    """Return what the specific force (n,) [m/s^2] of a vehicle at rest says of attitude and accelerometer (F6)."""
+    zero = jnp.zeros_like(force.x)
+    up = Vec3(zero, zero, zero - gravity)
+    scalars = []
+    for i, axis in enumerate(body_axes(state.rotation)):
+        miss = force.axes[i] - axis.dot(up) - state.inner.accelerometer_bias.axes[i]
+        sensitivity = dict(enumerate(axis.cross(up).axes, TURN)) | {ACCELEROMETER + i: jnp.ones_like(miss)}
+        scalars.append(Measured(miss, variance, sensitivity))
+    return scalars
+
+
 def compass(state: KalmanState, measured: Vec3, declination: Array, variance: Array) -> list[Measured]:
     """Return what the level part of a magnetic field in body axes (n,) [uT] says of the yaw (F4)."""
     x, y, z = state.rotation.to_ned(measured).axes

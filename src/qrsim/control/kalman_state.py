@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.covariance import Covariance, Moves, forgotten, variances
+from qrsim.control.covariance import Covariance, Moves, forgotten, variances, widened
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import quantity, record, replace
@@ -80,6 +80,10 @@ class KalmanState:
     since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
     innovations: Innovations = quantity(doc="of the last readings")
     past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
+    slow: Vec3 | None = quantity(
+        default=None, unit="m^2", doc="variance of the slow errors of what measures the position, which the covariance "
+        "does not contain; None: they have none",
+    )  # fmt: skip
 
     @property
     def places(self) -> Places:
@@ -145,6 +149,12 @@ def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dic
         {TURN: -sine, TURN + 1: cosine},
         {TURN: -ahead.z * ahead.x / square, TURN + 1: -ahead.z * ahead.y / square, TURN + 2: jnp.ones_like(square)},
     )
+
+
+def with_turn(covariance: Covariance, after: Sequence[Array]) -> Covariance:
+    """Return the covariance of a start with other variances (n,) of the rotation."""
+    before = variances(covariance)[TURN:GYROSCOPE]
+    return widened(covariance, {TURN + i: new - old for i, (new, old) in enumerate(zip(after, before, strict=True))})
 
 
 def small(half: Vec3) -> Quaternion:

@@ -42,6 +42,8 @@ class FieldInfo:
         derived: set while a world is built; no scenario can give it.
         length: of a parameter that is an array, which a scenario gives as a list; 0: it is a number.
         nullable: whether it may be null, which is then its default and has a meaning of its own.
+        of_sensors: whether a scenario that leaves it out takes it from the sensors; the default applies where no
+            sensor states it.
     """
 
     unit: str = ""
@@ -54,6 +56,7 @@ class FieldInfo:
     derived: bool = False
     length: int = 0
     nullable: bool = False
+    of_sensors: bool = False
 
 
 def parameter(
@@ -67,13 +70,17 @@ def parameter(
     inherits: str | None = None,
     length: int = 0,
     nullable: bool = False,
+    of_sensors: bool = False,
 ) -> T:  # type: ignore[type-var]
     """Declare a number of a component: a leaf, so that changing it does not recompile.
 
     Each has a unit and a doc; one without is refused where its class becomes a component, which can name it. With a
-    ``length`` it is a list of as many; one that is ``nullable`` may be null, where the default is None.
+    ``length`` it is a list of as many; one that is ``nullable`` may be null, where the default is None. One that is
+    ``of_sensors`` is null in a scenario until the world is built, and then that of the sensors.
     """
-    info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits, length=length, nullable=nullable)
+    info = FieldInfo(
+        unit, doc, minimum, maximum, above, False, inherits, length=length, nullable=nullable, of_sensors=of_sensors
+    )
     return dataclasses.field(default=default, metadata={INFO: info})
 
 

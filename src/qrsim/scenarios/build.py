@@ -27,6 +27,7 @@ from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
+from qrsim.scenarios.estimating import with_sensed
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
@@ -58,6 +59,8 @@ def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: Sce
             value = np.array(value, np.float64)
         elif value is None and inherits:
             value = inherited(scenario, inherits)
+        elif value is None and field_info(field).of_sensors:
+            continue
         values[field.name] = value
     return cls(**values)
 
@@ -255,7 +258,10 @@ def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], 
         if late:
             ages[name] = round(late * sensor.period / scenario.time_step)
     fields = [sensor.earth_field_ned for sensor in sensors if isinstance(sensor, Magnetometer | IdealMagnetometer)]
-    return component(spec.estimator, known.FILTERS, scenario).fitted(ages, fields[0] if fields else None)
+    estimator = component(spec.estimator, known.FILTERS, scenario)
+    errors = component(scenario.world.sky.errors, known.SKY_ERRORS, scenario)
+    estimator = with_sensed(estimator, spec.estimator, sensors, errors)
+    return estimator.fitted(ages, fields[0] if fields else None)
 
 
 def _start(spec: FleetSpec) -> Start:

@@ -87,7 +87,13 @@ def _bounds(info: FieldInfo) -> dict[str, Any]:
 
 def _described(info: FieldInfo) -> dict[str, Any]:
     inherited = f" (default: that of {info.inherits})" if info.inherits else ""
+    inherited = " (default: that of the sensors)" if info.of_sensors else inherited
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
+
+
+def _optional(info: FieldInfo) -> bool:
+    """Return whether a scenario may give null, which another part of it then fills."""
+    return bool(info.inherits) or info.nullable or info.of_sensors
 
 
 def _one_or_each(value: Any) -> str:
@@ -97,7 +103,7 @@ def _one_or_each(value: Any) -> str:
 def _for_each(info: FieldInfo) -> Any:
     """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
-    entry = number | None if info.inherits or info.nullable else number
+    entry = number | None if _optional(info) else number
     return Annotated[
         Annotated[entry, Tag("one")] | Annotated[list[number], Tag("each")],
         Discriminator(_one_or_each),
@@ -113,7 +119,7 @@ class _Numbers:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         number = core_schema.float_schema(strict=True, allow_inf_nan=False, **_bounds(self.info))
-        one = core_schema.nullable_schema(number) if self.info.inherits or self.info.nullable else number
+        one = core_schema.nullable_schema(number) if _optional(self.info) else number
         return core_schema.tagged_union_schema(
             {"one": one, "each": core_schema.list_schema(number)}, discriminator=_one_or_each
         )
@@ -122,11 +128,12 @@ class _Numbers:
 def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
     info = field_info(field)
     required = field.default is dataclasses.MISSING
+    usual = None if info.of_sensors else field.default
     if dataclasses.is_dataclass(field.default):
         nested = component_model(type(field.default).__name__, type(field.default), tagged=False, each=each)
         return nested, Field(default_factory=nested, **_described(info))
     if each and not info.static:
-        return _for_each(info), Field(... if required else field.default, **_described(info))
+        return _for_each(info), Field(... if required else usual, **_described(info))
     if info.static:
         constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
         annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
@@ -137,10 +144,9 @@ def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> t
         return vector | None if info.nullable else vector, Field(default, **_described(info))
     else:
         annotation = Finite
-    if info.inherits or info.nullable:
+    if _optional(info):
         annotation = annotation | None
-    default = ... if required else field.default
-    return annotation, Field(default, **_bounds(info), **_described(info))
+    return annotation, Field(... if required else usual, **_bounds(info), **_described(info))
 
 
 def component_model(

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.control.kalman_parameters import KalmanParameters
+from qrsim.core.tree import field_info
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.expression_quadrotor import value_at
 from qrsim.models.vehicles.quadrotor import (
@@ -20,6 +22,7 @@ from qrsim.models.vehicles.quadrotor import (
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_warnings
 from qrsim.scenarios.build import component
+from qrsim.scenarios.estimating import sensed
 from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -41,6 +44,8 @@ IDENTIFIED_V = COMMAND_LIMITS["battery"]
 ROUGH_STD_M = 5.0
 # Gusts of hurricanes reach this [m/s].
 FASTEST_WIND = 75.0
+# A filter that is told of an error so many times too small believes what it should not.
+SIGMAS = 3.0
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
@@ -59,6 +64,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _battery(path, fleet)
             yield from _loops(path, fleet, scenario.time_step)
         yield from _capacity(path, fleet)
+        yield from _estimator(path, fleet, scenario)
         yield from wind_warnings(path, fleet, scenario)
         for sensor, spec in fleet.sensors.items():
             period = vars(spec).get("period", 0.0) or 0.0
@@ -102,6 +108,30 @@ def _fast(file: str, wind: Any) -> Iterator[str]:
             f"world.wind.file: {file}: the air moves at {speed.max():.4g} m/s at {time:g} s of the run; plausible: up "
             f"to {FASTEST_WIND:g} m/s; the columns are in m/s"
         )
+
+
+def _estimator(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Warn of a filter that is told of much smaller errors than its sensors have."""
+    if fleet.estimator is None or not issubclass(known.FILTERS[fleet.estimator.type], KalmanParameters):
+        return
+    spec: Any = fleet.estimator
+    errors = component(scenario.world.sky.errors, known.SKY_ERRORS, scenario)
+    sensors = [component(sensor, known.SENSORS, scenario) for sensor in fleet.sensors.values()]
+    units = {field.name: field_info(field).unit for field in dataclasses.fields(KalmanParameters)}
+    # A bias that a calibration removes is not what the filter starts with.
+    unused = "gyroscope_bias_std" if spec.calibration_time > 0.0 else "gyroscope_calibrated_std"
+    for name, value in sensed(sensors, spec.calibration_time, errors).items():
+        given = getattr(spec, name)
+        if given is None or name == unused:
+            continue
+        both = np.broadcast_arrays(np.asarray(given, np.float64), value)
+        i = int(np.argmax(both[1] - SIGMAS * both[0]))
+        told, real = (float(part.flat[i]) for part in both)
+        if real > SIGMAS * told:
+            yield (
+                f"{path}.estimator.{name}: {told:g} {units[name]}, but the errors of its sensors are {real:.3g}; leave "
+                "it out to take it from them"
+            )
 
 
 class _Constants:

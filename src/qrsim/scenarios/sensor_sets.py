@@ -22,10 +22,9 @@ SETS: dict[str, dict[str, Any]] = {
         "barometer": {"type": "barometer"},
     },
 }
-# Goes with the noisy set unless the scenario has its own: gusts that neighbours share, and a filter of the readings. An
-# accelerometer of that preset may be off by 0.2 m/s^2 when it is switched on.
+# Goes with the noisy set unless the scenario has its own: gusts that neighbours share, and a filter of the readings.
 TURBULENCE = {"type": "dryden_field"}
-ESTIMATOR = {"type": "ekf", "accelerometer_bias_std": 0.25}
+ESTIMATOR = {"type": "ekf"}
 
 
 def or_a_set(schema: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control import Estimate
+from qrsim.control.contracts import Preflight
 from qrsim.core.noise import Noise
 from qrsim.core.tree import Record, concatenated, map_tree, replace, select
 from qrsim.core.vectors import Euler, Vec3, root, rotation
@@ -19,7 +20,11 @@ from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.fitting import Fitted, Fitting, mounted, start_fitted
 from qrsim.models.vehicles.contracts import Pose, VehicleState
-from qrsim.world.state import DELIVERY, Belief, Fleet, FleetState, World, period_ticks, when_due
+from qrsim.world.standing import on_ground
+from qrsim.world.state import DELIVERY, ESTIMATOR, Belief, Fleet, FleetState, World, period_ticks, when_due
+
+# A vehicle on the ground is at rest below this speed [m/s], and this rate [rad/s].
+STILL = 0.01
 
 
 def sense(
@@ -177,6 +182,32 @@ def _believed(
     return replace(
         found, estimate=select(valid, found.estimate, kept), std=select(valid, found.std, belief.std)
     )  # fmt: skip
+
+
+def first_belief(
+    fleet: Fleet, state: FleetState, firsts: Sequence[tuple[object, Record]], draws: dict[str, Any],
+    readings: dict[str, Record], start: Estimate,
+) -> Belief | None:  # fmt: skip
+    """Return what a fleet's estimator makes of the first readings, of which ``firsts`` has the sensors' states."""
+    estimator = fleet.own_estimator
+    if estimator is None:
+        return None
+    count = fleet.first_normals
+    if not count:
+        return Belief.of(estimator, *estimator.init(readings, start))
+    standing = on_ground(fleet, state)
+    bias: Any = None
+    if standing is not None:
+        rates = fleet.vehicle.pose(state.vehicle).rates_body
+        standing = standing & (start.velocity_ned.norm() < STILL) & (rates.norm() < STILL)
+    for sensor, (memory, reading) in zip(fleet.sensors, firsts, strict=True):
+        if "rates_body" in reading.__dataclass_fields__:
+            bias = sensor.biases(memory).get("rates_body")
+            break
+    if bias is not None and not isinstance(bias, Vec3):
+        bias = Vec3(*(jnp.zeros_like(axis) + bias for axis in start.velocity_ned.axes))
+    preflight = Preflight(tuple(draws[ESTIMATOR].normals(count)), standing, bias)
+    return Belief.of(estimator, *estimator.begin(readings, start, preflight))
 
 
 def at_rest(estimate: Estimate) -> Estimate:

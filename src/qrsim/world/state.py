@@ -46,6 +46,8 @@ UPDRAFT = "/updrafts"
 DELIVERY = "/delivery"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
 TURBULENCE, PROCESS = "turbulence", "process"
+# What an estimator draws at a start; no sensor's name has a slash.
+ESTIMATOR = "/estimator"
 
 
 @record
@@ -130,7 +132,14 @@ class Fleet:
     @property
     def stream_names(self) -> tuple[str, ...]:
         """Names of the fleet's noise streams, in the order of its keys."""
-        return (TURBULENCE, PROCESS, *self.sensor_names, *(f"{name}{DELIVERY}" for name in self._jittered))
+        delivery = (f"{name}{DELIVERY}" for name in self._jittered)
+        estimator = (ESTIMATOR,) if self.first_normals else ()
+        return (TURBULENCE, PROCESS, *self.sensor_names, *delivery, *estimator)
+
+    @property
+    def first_normals(self) -> int:
+        """Standard normals that its estimator draws for each vehicle at a start."""
+        return 0 if self.own_estimator is None else self.own_estimator.first_normals
 
     @property
     def _jittered(self) -> tuple[str, ...]:

@@ -44,6 +44,7 @@ from qrsim.world.sensing import (
     airspeed_of,
     at_rest,
     faulted,
+    first_belief,
     inputs_of,
     scene_of,
     sense,
@@ -55,7 +56,6 @@ from qrsim.world.state import (
     PROCESS,
     TURBULENCE,
     Action,
-    Belief,
     Fleet,
     FleetState,
     Start,
@@ -342,6 +342,8 @@ def start_fleet(
     force = fleet.vehicle.specific_force(
         vehicle, command, lambda trig: trig.rotation().to_body(air), noiseless, world.time_step, *more
     )
+    if parked is not None:
+        force = select(parked, lying_force(rotation(pose.attitude)), force)
     violation = Violation(jnp.zeros(like.shape, jnp.int32), zero)
     guidance = fleet.guidance.init(fleet.route)
     # Until a sensor speaks, the controller believes what was true at the start.
@@ -389,13 +391,10 @@ def start_fleet(
     for name, reading in readings.items():
         first, passed_on = faulted(fleet, name, reading, passed_on, tick)
         delivered.append(first)
-    estimator = fleet.own_estimator
     known = dict(zip(fleet.sensor_names, delivered, strict=True))
     return replace(
         state,
-        belief=None
-        if estimator is None
-        else Belief.of(estimator, *estimator.init(known, replace(estimate, airspeed=None))),
+        belief=first_belief(fleet, state, firsts, draws, known, replace(estimate, airspeed=None)),
         fitted=starting_fitted(fleet, scene, tuple(reading for _, reading in firsts), tick),
         sensors=tuple(memory for memory, _ in firsts),
         readings=tuple(delivered),

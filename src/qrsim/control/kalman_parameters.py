@@ -1,0 +1,134 @@
+"""Parameters of the error-state Kalman filter, and the standard deviations that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, TypeVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.contracts import Estimator
+from qrsim.control.kalman_state import Inner
+from qrsim.core.fastmath import arctan2
+from qrsim.core.tree import derived, parameter, record, replace, setting
+from qrsim.core.vectors import Vec3
+
+Filter = TypeVar("Filter", bound="KalmanParameters")
+
+
+def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Any:
+    """Declare a number that is that of the sensors where a scenario leaves it out."""
+    bound = {"above": 0.0} if positive else {"minimum": 0.0}
+    return parameter(default=default, unit=unit, doc=doc, of_sensors=True, **bound)  # type: ignore[arg-type]
+
+
+@record
+class KalmanParameters(Estimator):
+    """What the filter takes the errors of the sensors, of the start and of its own model to be."""
+
+    gyroscope_noise: Array = _sensed(1e-3, "rad/s/sqrt(Hz)", "density of white noise")
+    accelerometer_noise: Array = _sensed(0.02, "m/s^2/sqrt(Hz)", "density of white noise, vibration included")
+    gyroscope_walk: Array = _sensed(2e-5, "rad/s/sqrt(s)", "random walk of its bias")
+    accelerometer_walk: Array = _sensed(3e-4, "m/s^2/sqrt(s)", "random walk of its bias")
+    gyroscope_bias_std: Array = _sensed(0.01, "rad/s", "of its bias when it is switched on")
+    gyroscope_calibrated_std: Array = _sensed(1e-3, "rad/s", "of its bias after the calibration on the ground")
+    accelerometer_bias_std: Array = _sensed(0.1, "m/s^2", "of its bias at the start")
+    gyroscope_scale: Array = _sensed(0.0, "1", "error of a rate over the rate: scale and misalignment")
+    accelerometer_scale: Array = _sensed(0.0, "1", "error of an acceleration over it: scale and misalignment")
+    position_std: Array = _sensed(1.5, "m", "of a fix, per horizontal axis, where it states no accuracy", positive=True)
+    vertical_std: Array = _sensed(2.5, "m", "the same, down", positive=True)
+    velocity_std: Array = _sensed(
+        0.2, "m/s", "of a fix's velocity, per axis, where it states no accuracy", positive=True
+    )
+    height_std: Array = _sensed(0.3, "m", "white noise of a height by the barometer", positive=True)
+    height_drift_std: Array = _sensed(0.0, "m", "its slow error, which the filter does not estimate")
+    yaw_std: Array = _sensed(0.05, "rad", "of a heading", positive=True)
+    field_bias_std: Array = _sensed(2.0, "uT", "of the bias of the magnetic field at the start, per axis")
+    field_std: Array = _sensed(0.5, "uT", "of a magnetic field, per axis", positive=True)
+    field_scale: Array = _sensed(0.0, "1", "error of a field over the field: soft iron, scale and misalignment")
+    airspeed_std: Array = _sensed(1.0, "m/s", "of an airspeed", positive=True)
+    gnss_errors: Literal["coloured", "white"] = setting(
+        default="coloured",
+        doc="whether the errors of successive fixes are one slow error, which more fixes do not average away, or white",
+    )
+    start: Literal["aligned", "truth"] = setting(
+        default="aligned", doc="alignment by readings on the ground and by a drawn error in flight, or no error"
+    )
+    calibration_time: float = setting(
+        default=2.0, unit="s", doc="time at rest before the flight over which the gyroscope is averaged; 0: none",
+        minimum=0.0,
+    )  # fmt: skip
+    tilt_std: Array = parameter(default=0.015, unit="rad", doc="of roll and pitch at a start in flight", minimum=0.0)
+    heading_std: Array = parameter(default=0.03, unit="rad", doc="of the yaw at a start in flight", minimum=0.0)
+    sampling: Array = parameter(
+        default=0.2, unit="1", doc="error of the turn in a tick over the change of rate in it, for motion in between",
+        minimum=0.0,
+    )  # fmt: skip
+    gate: Array = parameter(default=5.0, unit="1", doc="stds from what is expected beyond which nothing is believed",
+                            above=0.0)  # fmt: skip
+    reset_after: Array = parameter(
+        default=7.0, unit="s", doc="time without a believed fix after which the next is", above=0.0
+    )
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    magnetometer: Literal["field", "heading"] = setting(
+        default="field", doc="what a magnetic field is taken for: three axes, with states of their own, or a heading"
+    )
+    earth_field_std: Array = parameter(
+        default=0.15, unit="uT", doc="of the Earth's field at the start, per axis", minimum=0.0
+    )
+    field_walk: Array = parameter(
+        default=0.005, unit="uT/sqrt(s)", doc="random walk of the Earth's field as flown through, and of the bias",
+        minimum=0.0,
+    )  # fmt: skip
+    airspeed_least: Array = parameter(default=5.0, unit="m/s", doc="airspeed below which none is believed", minimum=0.0)
+    wind_std: Array = parameter(default=6.0, unit="m/s", doc="of the wind at the start, per axis", minimum=0.0)
+    wind_walk: Array = parameter(default=0.5, unit="m/s/sqrt(s)", doc="random walk of the wind, gusts included",
+                                 minimum=0.0)  # fmt: skip
+    height_bias: bool = setting(
+        default=False, doc="whether the barometer's error is estimated, so that fixes hold the height for long"
+    )
+    height_bias_std: Array = parameter(default=0.5, unit="m", doc="of it at the start", minimum=0.0)
+    height_bias_walk: Array = parameter(default=0.02, unit="m/sqrt(s)", doc="its random walk", minimum=0.0)
+    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
+    ages: tuple[tuple[str, int], ...] = derived(default=(), doc="sensors by name, and ticks their readings are late by",
+                                                static=True)  # fmt: skip
+
+    # Barometer, heading, magnetometer and airspeed are of use, and not needed.
+    reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "accelerometer", "gyroscope")
+
+    def fitted(self: Filter, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Filter:
+        """Return the filter that knows how late the readings of each sensor are [ticks], and the Earth's field [uT]."""
+        return replace(self, ages=tuple(sorted(ages.items())), earth_field_ned=earth_field_ned)
+
+    @property
+    def declination(self) -> Array:
+        """Direction of magnetic north [rad]; north where the Earth's field is not known."""
+        if self.earth_field_ned is None:
+            return jnp.zeros_like(self.yaw_std)
+        return arctan2(self.earth_field_ned.y, self.earth_field_ned.x)
+
+    def first_inner(self, inner: Inner, calibrated: bool) -> list[Array]:
+        """Return the std of each error at the start but those of the motion."""
+        gyroscope = self.gyroscope_calibrated_std if calibrated else self.gyroscope_bias_std
+        stds = (gyroscope, self.accelerometer_bias_std, self.earth_field_std, self.field_bias_std, self.wind_std,
+                self.height_bias_std)  # fmt: skip
+        return _each(inner, stds)
+
+    def walks(self, inner: Inner) -> list[Array]:
+        """Return the random walk of each error but those of the motion."""
+        stds = (self.gyroscope_walk, self.accelerometer_walk, self.field_walk, self.field_walk, self.wind_walk,
+                self.height_bias_walk)  # fmt: skip
+        return _each(inner, stds)
+
+
+def _each(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
+    """Return the std of each error that the filter has besides those of the motion: whole blocks, 0 for none."""
+    *first, wind, height = stds
+    own = first[:2] if inner.earth_field_ned is None else first
+    found = [std for std in own for _ in range(3)]
+    if inner.wind_north is not None or inner.height_bias is not None:
+        known = (inner.wind_north, inner.wind_east, inner.height_bias)
+        last = zip(known, (wind, wind, height), strict=True)
+        found += [jnp.zeros_like(std) if part is None else std for part, std in last]
+    return found
