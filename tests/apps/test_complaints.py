@@ -11,7 +11,7 @@ from qrsim.cli import main
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ("run hover --seed x", "qrsim run: --seed 'x': expected a whole number"),
+        ("run hover --seed x", "qrsim run: --seed 'x': expected a whole number (see 'qrsim run --help')"),
         ("run hover --seed 1.5", "qrsim run: --seed '1.5': expected a whole number"),
         ("check hover --seeds ten", "qrsim check: --seeds 'ten': expected a whole number"),
         ("run hover --sed 1", "qrsim run: no such option '--sed'; did you mean '--seed'?"),
@@ -24,6 +24,7 @@ from qrsim.cli import main
         ),
         ("check", "qrsim check: SCENARIO is missing: Name (see 'qrsim list') or YAML file"),
         ("compare a", "qrsim compare: RUN_B is missing: Another one"),
+        ("openloop a.csv b.csv", "qrsim openloop: --units {raw,si} is missing: Units of the commands"),
         ("autopilot", "qrsim autopilot: expected a command: betaflight, ardupilot"),
         ("autopilot betaflight --scenari x", "qrsim autopilot betaflight: no such option '--scenari'"),
         ("autopilot betaflght", "qrsim autopilot: no such command 'betaflght'; did you mean 'betaflight'?"),

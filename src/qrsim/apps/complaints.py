@@ -34,7 +34,7 @@ def in_a_sentence(program: str, options: Sequence[str], again: Callable[[], obje
     except SystemExit as leaving:
         if leaving.code != 2:
             raise
-        raise UsageError(f"{program}: {sentence(_box(again), options)}") from None
+        raise UsageError(f"{program}: {sentence(_box(again), options)} (see '{program} --help')") from None
 
 
 def _box(parse: Callable[[], object]) -> str:
@@ -65,7 +65,7 @@ def sentence(box: str, options: Sequence[str]) -> str:
         return _unknown(found[1].split(", ")[0], options)
     if found := re.match(r"Missing value for argument '(.*?)'", words):
         return f"{found[1]}: its value is missing"
-    if found := re.fullmatch(r"Missing from .*?: (\S+) (.*?)\.?(?: \(required\).*)?", words):
+    if found := re.fullmatch(r"Missing from .*?: (--\S+ \S+|\S+) (.*?)\.?(?: \(required\).*)?", words):
         return f"{found[1]} is missing: {found[2]}"
     if found := re.fullmatch(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)\.", words):
         value, option, choices = found.groups()

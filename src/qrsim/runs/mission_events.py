@@ -70,7 +70,8 @@ def _told(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind: str) ->
 
 def _leg(route: Mission, index: int, vehicle: int) -> str:
     """Name a leg by where it leads."""
-    north, east, down = (float(getattr(route.position_ned, axis)[index, vehicle]) for axis in "xyz")
+    # To a millimetre: what is left of a conversion from degrees is no place.
+    north, east, down = (round(float(getattr(route.position_ned, axis)[index, vehicle]), 3) for axis in "xyz")
     place = f"north {north:.4g} m, east {east:.4g} m"
     return f"a landing at {place}" if route.lands[index, vehicle] else f"to {place}, {0.0 - down:.4g} m up"
 
