@@ -55,8 +55,8 @@ def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     if speed + turbulence.sweep < SLOWEST and (frozen or turbulence.lifetime > LONGEST):
         lasting = "it is frozen" if frozen else f"its waves have a lifetime of {turbulence.lifetime:g} s"
         yield (
-            f"world.turbulence: the field moves at {speed:.3g} m/s, its sweep is {turbulence.sweep:g} m/s and {lasting},"
-            " so a vehicle that hovers meets a steady wind in place of gusts; give convection_ned, sweep or a lifetime"
+            f"world.turbulence: the field moves at {speed:.3g} m/s, its sweep is {turbulence.sweep:g} m/s and {lasting}"
+            ", so a vehicle that hovers meets a steady wind in place of gusts; give convection_ned, sweep or a lifetime"
             f" of at most {LONGEST:g}"
         )
 
