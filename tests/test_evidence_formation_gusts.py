@@ -89,8 +89,9 @@ def test_one_air_keeps_formations_together_and_carries_gusts_along() -> None:
     for axis, factor in (("north", 4.0), ("east", 4.0), ("down", 2.0)):
         both = [near[kind]["relative_std"][axis]["value"] for kind in study.KINDS]
         assert both[0] > factor * both[1]
+        # One air: the 40 seeds of 160 s of the full study have a standard error of 5.5 %, so that these have 24 %.
         assert near["dryden"]["own_std"][axis]["value"] == pytest.approx(
-            near["dryden_field"]["own_std"][axis]["value"], rel=0.25
+            near["dryden_field"]["own_std"][axis]["value"], rel=0.5
         )
         centre = [near[kind]["centre_std"][axis]["value"] for kind in study.KINDS]
         assert centre[1] > 2.0 * centre[0]
