@@ -162,3 +162,33 @@ def test_half_of_the_power_of_a_multirotor_of_ones_own_is_induced(arm: float, ro
     ideal = thrust**1.5 / math.sqrt(2.0 * 1.225 * math.pi * vehicle.rotor_radius**2)
     speed = math.sqrt(thrust / vehicle.thrust_coefficient)
     assert ideal / (vehicle.torque_ratio * thrust * speed / vehicle.efficiency) == pytest.approx(0.52, rel=1e-6)
+
+
+@pytest.mark.long
+def test_a_wing_at_three_thousand_metres_flies_at_a_larger_angle() -> None:
+    """In 0.8998 kg/m^3 at 3100 m the lift of (W2) is 107.9 N at 25 m/s: about 107.9/(0.5 rho V^2 S) = 0.697 of CL.
+
+    CL0 = 0.23 and CLa = 5.61 leave 0.083 rad, with what the elevator pushes down 0.0879; at sea level it is 0.053. On a
+    day 20 K warmer its pitot tube has 25 m/s less by the root of the density, 0.8381 kg/m^3.
+    """
+    found = []
+    for offset in (0.0, 20.0):
+        content = hovering(3000.0, offset=offset)
+        content["world"] = {"area": {"type": "box", "x_min": -2000.0, "x_max": 2000.0, "z_min": -400.0}}
+        content["fleets"]["quads"] = {
+            "vehicle": {"type": "fixed_wing"}, "controller": {"type": "fixed_wing", "feed": "truth"},
+            "guidance": {"type": "fixed_wing", "radius": 300.0}, "sensors": {"pitot": {"type": "ideal_airspeed"}},
+            "vehicles": [{"position_ned": [-1000.0, 0.0, -100.0], "waypoints_ned": [[1500.0, 0.0, -100.0]]}],
+        }  # fmt: skip
+        simulation = qrsim.Simulation(load_scenario(content).world())
+        simulation.reset(seed=1)
+        simulation.step(ticks=1000)
+        state: Any = simulation.state.fleets[0].vehicle
+        pitot = simulation.reading.pitot
+        found.append((float(state.angle_of_attack[0]), float(state.airspeed[0])))
+        density = 0.8998 if offset == 0.0 else 0.8381
+        ratio = float(pitot.indicated_airspeed[0] / pitot.true_airspeed[0])
+        assert ratio == pytest.approx(math.sqrt(density / 1.225), rel=1e-3)
+        assert float(pitot.true_airspeed[0]) == pytest.approx(found[-1][1] * math.cos(found[-1][0]), rel=1e-3)
+    assert found[0] == pytest.approx((0.0879, 25.0), abs=0.002)
+    assert found[1] == pytest.approx((0.0976, 25.0), abs=0.002)
