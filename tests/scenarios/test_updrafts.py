@@ -76,6 +76,7 @@ FEW = [{"type": "thermals", "w_star": 3.0, "z_i": 2500.0, "count": 20}]
 WIND = {"type": "log_shear", "speed_20ft": 5.0, "wind_from_deg": 180.0}
 
 
+@pytest.mark.long
 def test_each_episode_has_thermals_of_its_own_and_a_batch_those_of_its_worlds() -> None:
     world = qrsim.make_world(**held(updrafts=FEW, wind=WIND))
     alone = []
@@ -95,6 +96,7 @@ def test_each_episode_has_thermals_of_its_own_and_a_batch_those_of_its_worlds() 
     np.testing.assert_array_equal(np.asarray(batch.recorded)[:, -1], np.array(alone, np.float32))
 
 
+@pytest.mark.long
 def test_a_world_without_them_has_the_bits_that_it_had() -> None:
     """The stream of the places is one of its own: neither gusts nor anything else is drawn another way."""
     gusty = {"turbulence": {"type": "dryden_field"}, "wind": WIND}
@@ -107,6 +109,7 @@ def test_a_world_without_them_has_the_bits_that_it_had() -> None:
     np.testing.assert_array_equal(found[0][:, :2], found[1][:, :2])
 
 
+@pytest.mark.long
 def test_the_air_in_a_plane_is_that_of_the_vehicles() -> None:
     world = qrsim.make_world(**held(updrafts=FEW, wind=WIND))
     assert has_a_plane(world)
@@ -140,6 +143,7 @@ def test_a_number_of_them_can_be_drawn_and_an_object_can_be_given() -> None:
         qrsim.make_scenario(**held(updrafts=FEW, ranges=[{"path": "world.updrafts.0.count", "low": 1, "high": 2}]))
 
 
+@pytest.mark.long
 def test_wind_rises_at_hills_and_falls_behind_buildings(tmp_path: Path) -> None:
     north, east = np.arange(-1000.0, 1001.0, 50.0), np.array([-1000.0, 1000.0])
     hill = 80.0 * np.exp(-((north / 200.0) ** 2))
@@ -164,3 +168,34 @@ def test_wind_rises_at_hills_and_falls_behind_buildings(tmp_path: Path) -> None:
     mean = 5.0 * np.log(100.0 / 0.04572) / np.log(6.096 / 0.04572)
     assert along[9] < -mean
     assert -mean < along[18] < -0.01
+
+
+OWN = """
+import jax.numpy as jnp
+import qrsim
+
+@qrsim.record
+class Fountain:
+    up: float = qrsim.parameter(2.0, unit="m/s", doc="everywhere", minimum=0.0)
+    {extra}
+
+    def velocity_ned(self, position_ned, height_agl, wind_ned, seconds, fraction{more}):
+        zero = jnp.zeros_like(height_agl)
+        return qrsim.Vec3(zero, zero, zero - self.up)
+"""
+
+
+def test_one_of_ones_own_is_taken_in_and_flown(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(OWN.format(extra='reads = ("ground",)', more=", ground"))
+    simulation = Simulation(qrsim.make_world(**held(updrafts=[{"type": f"{file}:Fountain", "up": 1.5}])), seed=1)
+    simulation.reset()
+    simulation.step(ticks=1)
+    np.testing.assert_array_equal(simulation.truth.wind_ned[:, 2], -1.5)
+
+
+def test_one_of_ones_own_that_reads_what_there_is_not_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.py"
+    file.write_text(OWN.format(extra='reads = ("grund",)', more=", grund"))
+    with pytest.raises(ScenarioError, match="which an updraft cannot read; did you mean 'ground'"):
+        qrsim.make_scenario(**held(updrafts=[{"type": f"{file}:Fountain"}]))

@@ -179,7 +179,7 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
 
 
 def _a(kind: str) -> str:
-    return f"{'an' if kind[0] in 'aeo' else 'a'} {kind}"
+    return f"{'an' if kind[0] in 'aeou' else 'a'} {kind}"
 
 
 def _shown(part: inspect.Parameter) -> str:

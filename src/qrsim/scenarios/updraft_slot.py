@@ -21,7 +21,7 @@ MOST_UPDRAFTS = 20
 
 @cache
 def _model(name: str, kind: type) -> type[Strict]:
-    if kind is not Thermals:
+    if not issubclass(kind, Thermals):
         return component_model(name, kind)
     text = "[north, east] [m] of each at the start; empty: drawn once an episode"
     places: dict[str, Any] = {"places_ned": (list[Corner], Field([], description=text, max_length=MOST_THERMALS))}

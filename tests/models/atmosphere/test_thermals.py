@@ -30,6 +30,7 @@ BY_HAND = [
     (980.0, 150.0, -0.1364561, -0.1339347),
     (1300.0, 0.0, -0.1212594, -0.1212594),
     (1300.0, 40.0, -0.1033791, -0.1033791),
+    (1300.0, 150.0, 0.0, 0.0),
     (20.0, 5.0, 1.4486009, 1.4486009),
     (1400.0, 0.0, 0.0, 0.0),
     (5000.0, 0.0, 0.0, 0.0),
@@ -167,6 +168,8 @@ def test_places_are_drawn_all_over_the_area() -> None:
     drawn = thermals.draw(draw)
     north, east = np.asarray(drawn.x), np.asarray(drawn.y)
     assert (north.min() > 100.0) & (north.max() < 1100.0) & (east.min() > -900.0) & (east.max() < -400.0)
+    parts = [np.asarray(row[0]) / np.sqrt(12.0) + 0.5 for row in draw.uniform_pairs(jnp.zeros(1, jnp.uint32))]
+    np.testing.assert_allclose([north, east], [100.0 + 1000.0 * parts[0], -900.0 + 500.0 * parts[1]], rtol=1e-5)
     # Of 111 uniform numbers: the mean within 3.3 of its standard deviations.
     assert abs(north.mean() - 600.0) < 3.3 * 1000.0 / np.sqrt(12.0 * 111.0)
     assert abs(east.mean() + 650.0) < 3.3 * 500.0 / np.sqrt(12.0 * 111.0)

@@ -148,7 +148,7 @@ class Thermals(Updraft):
         mean = self.w_star * power(part, 1.0 / 3.0) * (1.0 - 1.1 * part)
         peak = 3.0 / (1.0 + ratio + ratio * ratio)
         x = distance / outer
-        bell = jnp.where(part < 1.0, jnp.maximum(_bell(x, ratio), 0.0), 0.0)
+        bell = jnp.maximum(_bell(x, ratio), 0.0)
         ring = jnp.where((part > 0.5) & (part <= 0.9), 2.5 * (part - 0.5), 0.0)
         sine, _ = sincos(math.pi * jnp.minimum(x, 2.0))
         edge = jnp.where(x > ratio, ring * jnp.minimum((math.pi / 6.0) * sine, 0.0), 0.0)
