@@ -238,7 +238,7 @@ class TestBadInput:
         ("parts", "message"),
         [
             ({"wind": "log_sheer"}, "world.wind.*did you mean 'log_shear'"),
-            ({"wind": 3}, "world.wind: expected keys and values, found 3"),
+            ({"wind": [3]}, "world.wind: expected keys and values, found .3."),
             ({"vehicle": {"type": "pelican", "mas": 2.0}}, "fleets.vehicles.vehicle.mas: .*did you mean 'mass'"),
             ({"vehicle": Quadrotor(mass=-1.0)}, "fleets.vehicles.vehicle.mass: -1.0 is out of range"),  # type: ignore[arg-type]
             ({"vehicle": Quadrotor(mass=np.ones(3))}, "3 numbers in a list; allowed: 2"),  # type: ignore[arg-type]
