@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Any
+from typing import cast
 
 import jax
 import numpy as np
@@ -22,8 +22,6 @@ from qrsim.interface.arrays import Floats
 from qrsim.world.state import FleetState, State, World
 
 Offsets = npt.NDArray[np.intp]
-# What is looked into; everything else is unpacked as a whole.
-_CONTAINERS = (tuple, State, FleetState)
 _FIELDS = frozenset(field.name for field in dataclasses.fields(State))
 
 
@@ -50,8 +48,11 @@ class StateOffsets:
         self._of_vehicles: dict[str, Offsets | None] = {}
 
     @cached_property
-    def _tree(self) -> Any:
-        return jax.tree.unflatten(self.layout.structure, map(Leaf, *zip(*enumerate(self.layout.shapes), strict=True)))
+    def _tree(self) -> State:
+        tree: State = jax.tree.unflatten(
+            self.layout.structure, map(Leaf, *zip(*enumerate(self.layout.shapes), strict=True))
+        )
+        return tree
 
     @cached_property
     def in_two_parts(self) -> bool:
@@ -110,24 +111,29 @@ class StateOffsets:
 
 
 class Part:
-    """A part of a state, of which only what somebody looks at is unpacked."""
+    """A tuple, a state or that of a fleet, of which only what somebody looks at is unpacked."""
 
-    def __init__(self, seen: Seen, numbers: Any):
+    def __init__(self, seen: Seen, numbers: State | FleetState | tuple[object, ...]):
         self._seen, self._part = seen, numbers
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name.startswith("_"):
             raise AttributeError(name)
-        return self._seen.opened(getattr(self._part, name))
+        part: object = getattr(self._part, name)
+        return self._seen.opened(part)
 
-    def __getitem__(self, number: int) -> Any:
-        return self._seen.opened(self._part[number])
+    @property
+    def _each(self) -> tuple[object, ...]:
+        return cast(tuple[object, ...], self._part)
 
-    def __iter__(self) -> Iterator[Any]:
-        return map(self._seen.opened, self._part)
+    def __getitem__(self, number: int) -> object:
+        return self._seen.opened(self._each[number])
+
+    def __iter__(self) -> Iterator[object]:
+        return map(self._seen.opened, self._each)
 
     def __len__(self) -> int:
-        return len(self._part)
+        return len(self._each)
 
 
 class Seen:
@@ -144,7 +150,8 @@ class Seen:
     __slots__ = ("__weakref__", "_buffers", "_kept", "_whole", "offsets")
 
     def __init__(self, offsets: StateOffsets, buffers: Buffers):
-        self.offsets, self._buffers, self._kept = offsets, buffers, False
+        own: tuple[Floats, Floats] = buffers
+        self.offsets, self._buffers, self._kept = offsets, own, False
         self._whole: State | None = None
 
     def keep(self) -> None:
@@ -163,16 +170,17 @@ class Seen:
             if self._buffers is buffers:
                 return found
 
-    def opened(self, numbers: Any) -> Any:
+    def opened(self, numbers: object) -> object:
         """Return a part of the state by the numbers of its leaves."""
-        if isinstance(numbers, _CONTAINERS):
+        if isinstance(numbers, tuple | State | FleetState):
             return Part(self, numbers)
-        return jax.tree.map(self._leaf, numbers)
+        part: object = jax.tree.map(self._leaf, numbers)
+        return part
 
-    def _leaf(self, number: int) -> Any:
+    def _leaf(self, number: int) -> Floats:
         while True:
             buffers = self._buffers
-            found = np.array(self.offsets.layout.leaf(buffers, number))
+            found: Floats = np.array(self.offsets.layout.leaf(buffers, number))
             if self._buffers is buffers:
                 return found
 
@@ -183,7 +191,8 @@ class Seen:
             self._whole = self.offsets.layout.unpack(self._buffers)
         return self._whole
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name not in _FIELDS:
             raise AttributeError(name)
-        return self.opened(getattr(self.offsets.layout.numbers, name))
+        numbers: State = self.offsets.layout.numbers
+        return self.opened(vars(numbers)[name])

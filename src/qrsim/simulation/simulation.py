@@ -6,7 +6,7 @@ import contextlib
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -161,7 +161,7 @@ class Simulation(Alone, Tabled):
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
             self.tick, self._now = 0, _nobody
-            refuse_unplaced(self.world, self._seen().placed)
+            refuse_unplaced(self.world, cast(State, self._seen()).placed)
         return self.reading
 
     def _keys(self, seed: int, number: int) -> WorldKeys:
@@ -190,8 +190,8 @@ class Simulation(Alone, Tabled):
         try:
             self._advance(command, ticks, estimate)
             if self._crowded:
-                self._crowded = warn_of_overfull(self.world, self._seen())  # type: ignore[arg-type]
-            return Reading(self.world, self._seen(), self.tick, self.site)  # type: ignore[arg-type]
+                self._crowded = warn_of_overfull(self.world, cast(State, self._seen()))
+            return Reading(self.world, cast(State, self._seen()), self.tick, self.site)
         finally:
             self._changes = False
             self._lock.release()
@@ -446,7 +446,7 @@ class Simulation(Alone, Tabled):
     def reading(self) -> Reading:
         """Present readings of the sensors."""
         with self._lock:
-            return Reading(self.world, self._seen(), self.tick, self.site)  # type: ignore[arg-type]
+            return Reading(self.world, cast(State, self._seen()), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
@@ -458,13 +458,13 @@ class Simulation(Alone, Tabled):
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(n,) whether each vehicle still flies."""
         with self._lock:
-            return np.concatenate([fleet.violation.code == 0 for fleet in self._seen().fleets])
+            return np.concatenate([fleet.violation.code == 0 for fleet in cast(State, self._seen()).fleets])
 
     @property
     def reasons(self) -> list[str]:
         """Why each of the n vehicles is invalid, "" while it is valid; kind, field and value."""
         with self._lock:
-            found = [fleet.violation for fleet in self._seen().fleets]
+            found = [fleet.violation for fleet in cast(State, self._seen()).fleets]
         codes, values = (np.concatenate(each) for each in zip(*((one.code, one.value) for one in found), strict=True))
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 
