@@ -256,8 +256,8 @@ def test_a_table_that_would_not_fit_is_refused_with_the_pitch_that_does() -> Non
 
 @pytest.mark.parametrize(("half", "pitch"), [(20.0, 1.0), (100.0, 2.0), (400.0, 4.0)])
 def test_the_cells_of_a_table_are_as_fine_as_is_cheap(half: float, pitch: float) -> None:
-    """A tower of 60 m is seen at 340 m above 10 degrees: areas of 40, 200 and 800 m, of 64 x 8 entries of 4 bytes."""
-    tower = [{"type": "box", "x_min": 0.0, "x_max": 10.0, "y_min": 0.0, "y_max": 10.0, "z_min": -60.0}]
+    """A tower of 60 m is seen at 340 m above 10 degrees: areas of 40, 200 and 800 m, of 64 x 9 entries of 4 bytes."""
+    tower = [{"type": "box", "x_min": 5.0, "x_max": 15.0, "y_min": 5.0, "y_max": 15.0, "z_min": -60.0}]
     content = seen_by(tower)
     content["world"]["area"] = {
         "type": "box",

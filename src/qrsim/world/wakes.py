@@ -71,7 +71,7 @@ def wakes_on(
     def by_pairs() -> tuple[Vec3, Vec3]:
         near = [_reached(jets, pose.position_ned, extent) & _others(jets, fleet, same) for jets, same in found]
         anyone = functools.reduce(operator.or_, [jnp.any(each) for each in near])
-        return jax.lax.cond(anyone, lambda: felt(near), lambda: nothing)  # type: ignore[no-any-return]
+        return jax.lax.cond(anyone, lambda: felt(near), lambda: nothing)
 
     def felt(near: list[Array]) -> tuple[Vec3, Vec3]:
         places = [pose.position_ned + turned.to_ned(_vector(point, pose.position_ned.x)) for point in points]
@@ -84,7 +84,7 @@ def wakes_on(
     if sum(each.size for each in world.fleets) < FEW:
         return by_pairs()
     apart = _apart(world, before, [jets for jets, _ in found], jnp.max(extent))
-    return jax.lax.cond(apart, lambda: nothing, by_pairs)  # type: ignore[no-any-return]
+    return jax.lax.cond(apart, lambda: nothing, by_pairs)
 
 
 def _apart(world: World, before: tuple[FleetState, ...], jets: list[_Jets], extent: Array) -> Array:
