@@ -112,6 +112,45 @@ def by_height(preset: str, count: int, times: int) -> dict[str, Any]:
     return found
 
 
+def classed(pitches: tuple[float, ...], count: int) -> dict[str, Any]:
+    """Return the share of satellites, above 10 degrees, that tables take for hidden or seen otherwise than by a ray."""
+    import jax.numpy as jnp
+
+    from qrsim.core.vectors import Vec3
+    from qrsim.models.gnss.sight import Sight
+    from qrsim.models.gnss.skyline_table import frame_of, make_table, walls_of
+    from qrsim.models.scene.rays import ray_distance
+    from qrsim.scenarios.scenario import load_scenario
+
+    blocks, lowest, half = town(), math.radians(10.0), 60.0
+    walls = walls_of([([block["corners_ned"]], -block["z_min"], 0.0) for block in blocks])
+    flat = streets(blocks, 12 * count)
+    flat = flat[np.abs(flat).max(axis=1) < half][:count]
+    rng = np.random.default_rng(SEED)
+    azimuth = rng.uniform(0.0, 2.0 * math.pi, 64)
+    elevation = np.arcsin(rng.uniform(math.sin(lowest), 1.0, 64))
+    level = np.cos(elevation)
+    ways = [
+        jnp.asarray(way, jnp.float32) for way in (level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation))
+    ]
+    zero = jnp.zeros(64)
+    sight = Sight(Vec3(*ways), jnp.asarray(elevation, jnp.float32), zero, zero, zero, zero)
+    obstacles = load_scenario(scenario("m8n", np.zeros((1, 3)), blocks, 3), quiet=True).world().obstacles
+    found: dict[str, Any] = {}
+    for pitch in pitches:
+        frame = frame_of(walls, (-half, half, -half, half), lowest, pitch, 64)
+        assert frame is not None
+        table = make_table(walls, frame, lowest)
+        for height in HEIGHTS[:4]:
+            places = [jnp.asarray(part, jnp.float32) for part in (flat[:, 0], flat[:, 1], np.full(len(flat), -height))]
+            hidden = np.asarray(table.look(Vec3(*places), sight)[0])
+            rays = Vec3(*(way[:, None] for way in ways))
+            met = np.asarray(ray_distance(obstacles, Vec3(*(place[None] for place in places)), rays))
+            name = f"h{height:g}m".replace(".", "_")
+            found.setdefault(name, {})[f"cell_{pitch:g}m"] = float(100.0 * np.mean(hidden != np.isfinite(met)))
+    return found
+
+
 def flight(duration: float, draw: bool) -> dict[str, Any]:
     """Return how far off two receivers are on the way through the streets of ``street_canyon``, and above the roofs."""
     sim = qrsim.load("street_canyon", seed=SEED)
@@ -185,5 +224,6 @@ def run(full: bool) -> dict[str, Any]:
         "places": count,
         "times_of_day": times,
         "heights": {name: by_height(name, count, times) for name in (("m8n", "f9p_single") if full else ("m8n",))},
+        "classed_otherwise_percent": classed((4.0, 2.0, 1.0) if full else (4.0,), 100 if full else 10),
         "flight": flight(90.0 if full else 20.0, draw=full),
     }

@@ -36,6 +36,12 @@ DATA: dict[str, tuple[float, float, float, float, float, int, str, float]] = {
     "lora_sf12": (868e6, 14.0, 125e3, 293.0, 6.0, 32, "threshold", -21.1),
 }
 EXPONENT, WIDTH = 2.2, 0.5
+# Heights above the ground [m] of the two that packets are counted between, and of ends of which the reach is computed.
+HEIGHT = 30.0
+ENDS = {"ground_ground": (1.5, 1.5), "ground_30m": (1.5, 30.0), "10m_10m": (10.0, 10.0), "30m_30m": (30.0, 30.0),
+        "100m_100m": (100.0, 100.0)}  # fmt: skip
+# Man-made noise of a residential land above thermal noise: 72.5 - 27.7 lg f [MHz] (P.372).
+RESIDENTIAL = (72.5, 27.7)
 # Chances of loss at whose distances packets are counted.
 LEVELS = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 # Between a station on the ground and a vehicle so high above it [m], at so many distances [m]: a and b, and dB beside
@@ -56,10 +62,16 @@ IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "radio_deli
 Values = np.ndarray[Any, Any]
 
 
-def received(preset: str, distance: Any) -> Any:
-    """Return the power [dBm] received at distances [m] without shadowing."""
-    first = 20.0 * math.log10(4.0 * math.pi * DATA[preset][0] / 299_792_458.0)
-    return DATA[preset][1] - first - 10.0 * EXPONENT * np.log10(np.maximum(distance, 1.0))
+def received(preset: str, distance: Any, ends: tuple[float, float] | None = (HEIGHT, HEIGHT)) -> Any:
+    """Return the power [dBm] at distances [m], without shadowing, of ends at heights [m]; None: without a ground."""
+    frequency, power, *_ = DATA[preset]
+    length = np.maximum(distance, 1.0)
+    lost = 20.0 * math.log10(4.0 * math.pi * frequency / 299_792_458.0) + 10.0 * EXPONENT * np.log10(length)
+    if ends is not None:
+        least = 299_792_458.0 / frequency / (2.0 * math.pi * math.sqrt(14.0) / 15.0)
+        high = math.hypot(ends[0], least) * math.hypot(ends[1], least)
+        lost = np.maximum(lost, 40.0 * np.log10(length) - 20.0 * math.log10(high))
+    return power - lost
 
 
 def received_over(land: str, level: Any) -> Any:
@@ -78,8 +90,10 @@ def closed_form(preset: str, distance: Values) -> Values:
 
 def lost_at(preset: str, power: Values) -> Values:
     """Return the chance that a packet is lost that is received at powers [dBm]."""
-    _, _, bandwidth, rate, figure, length, law, half = DATA[preset]
-    snr = power + 174.0 - 10.0 * math.log10(bandwidth) - figure
+    frequency, _, bandwidth, rate, figure, length, law, half = DATA[preset]
+    others = RESIDENTIAL[0] - RESIDENTIAL[1] * math.log10(1e-6 * frequency)
+    noise = 10.0 * math.log10(10.0 ** (0.1 * figure) + 10.0 ** (0.1 * others))
+    snr = power + 174.0 - 10.0 * math.log10(bandwidth) - noise
     if law == "threshold":
         return 1.0 / (1.0 + np.exp((snr - half) / WIDTH))
     bit = 0.5 * np.exp(-0.5 * 10.0 ** (snr / 10.0) * bandwidth / rate)
@@ -125,21 +139,27 @@ def exchanged(radio: Network, north: Any, said: Outbox, periods: int, height: An
 def delivery(preset: str, packets: int) -> dict[str, Any]:
     """Return the measured and the computed chance of loss at each distance, and how many are outside of the band."""
     where = distances(preset)
-    found = counted(network(preset), where, packets, closed_form(preset, where))
-    return {**found, "dbm_10": received(preset, float(where[1]))}
+    found = counted(network(preset), where, packets, closed_form(preset, where), (HEIGHT, HEIGHT))
+    many = np.geomspace(10.0, 1e6, 200_001)
+    reach = {name: np.interp(0.1, lost_at(preset, received(preset, many, ends)), many) for name, ends in ENDS.items()}
+    free = np.interp(0.1, lost_at(preset, received(preset, many, None)), many)
+    return {
+        **found, "dbm_10": received(preset, float(where[1])), "reach_without_ground": float(free),
+        "reach": {name: float(value) for name, value in reach.items()},
+    }  # fmt: skip
 
 
 def over_land(land: str, packets: int) -> dict[str, Any]:
     """Return the same of links between the ground and the air over built-up land, by the distance on the ground."""
     many = np.geomspace(10.0, 1e6, 200_001)
     where = np.interp(LEVELS, lost_at(OVER, received_over(land, many)), many)
-    return counted(network(OVER, land), where, packets, lost_at(OVER, received_over(land, where)), ABOVE)
+    return counted(network(OVER, land), where, packets, lost_at(OVER, received_over(land, where)), (0.0, ABOVE))
 
 
-def counted(radio: Network, where: Values, packets: int, law: Values, above: float | None = None) -> dict[str, Any]:
-    """Return the measured and the computed chance of loss at distances [m] of two, the other one at a height [m]."""
+def counted(radio: Network, where: Values, packets: int, law: Values, heights: tuple[float, float]) -> dict[str, Any]:
+    """Return the measured and the computed chance of loss at distances [m] of two at heights [m]."""
     said = Outbox(jnp.zeros((radio.size, 2)), jnp.ones(2, bool), jnp.full(2, -1, jnp.int32))
-    height = None if above is None else jnp.array([0.0, above], jnp.float32)
+    height = jnp.array(heights, jnp.float32)
     counts = jax.jit(jax.vmap(lambda far: exchanged(radio, jnp.stack([0.0 * far, far]), said, packets // 2, height)))(
         jnp.asarray(where, jnp.float32)
     )

@@ -254,6 +254,24 @@ def test_a_table_that_would_not_fit_is_refused_with_the_pitch_that_does() -> Non
     assert load_scenario(with_world({"obstacles": far})).world().skyline is None, "nobody looks at satellites"
 
 
+@pytest.mark.parametrize(("half", "pitch"), [(20.0, 1.0), (100.0, 2.0), (400.0, 4.0)])
+def test_the_cells_of_a_table_are_as_fine_as_is_cheap(half: float, pitch: float) -> None:
+    """A tower of 60 m is seen at 340 m above 10 degrees: areas of 40, 200 and 800 m, of 64 x 9 entries of 4 bytes."""
+    tower = [{"type": "box", "x_min": 5.0, "x_max": 15.0, "y_min": 5.0, "y_max": 15.0, "z_min": -60.0}]
+    content = seen_by(tower)
+    content["world"]["area"] = {
+        "type": "box",
+        "x_min": -half,
+        "x_max": half,
+        "y_min": -half,
+        "y_max": half,
+        "z_min": -90,
+    }
+    plan = skylines._plan(load_scenario(content).spec)
+    assert plan is not None
+    assert plan.frame.pitch == pitch
+
+
 def test_a_table_is_kept_and_made_anew_where_it_is_damaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("QRSIM_CACHE_DIR", str(tmp_path / "qrsim"))
     monkeypatch.delenv("QRSIM_COMPILATION_CACHE", raising=False)

@@ -90,7 +90,12 @@ def obstacle_slot(choices: Mapping[str, type]) -> Any:
 class MaskSpec(Strict):
     """How finely a world says what its obstacles hide of the sky."""
 
-    pitch: Finite = Field(4.0, description="side of a cell [m]", ge=0.5, le=50)
+    pitch: Finite | None = Field(
+        None,
+        description="side of a cell [m]; default: 1, 2 or 4 m, the finest of which the table is small",
+        ge=0.5,
+        le=50,
+    )
     azimuths: int = Field(64, description="directions at each cell", ge=16, le=256, strict=True)
 
 

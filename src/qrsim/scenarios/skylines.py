@@ -26,6 +26,8 @@ from qrsim.scenarios.schema import ScenarioSpec
 NARROWEST = 1.0
 SIDES = 16
 LARGEST = 256 * 2**20
+# Sides of a cell [m] of which the first is taken whose table has no more bytes than that, else the last: 3 s to make.
+PITCHES, SMALL = (1.0, 2.0, 4.0), 32 * 2**20
 # Of the table's making: another one makes other files. Small tables are not worth one.
 VERSION, LEAST_KEPT = 2, 2**20
 
@@ -44,8 +46,15 @@ def _plan(scenario: ScenarioSpec) -> _Plan | None:
         return None
     walls, lowest = walls_of(solids), min(masks)
     spec = MaskSpec.model_validate({}) if scenario.world.buildings is None else scenario.world.buildings.table
-    frame = frame_of(walls, bounds_of(scenario.world.area), lowest, spec.pitch, spec.azimuths)
-    return None if frame is None else _Plan(walls, frame, lowest)
+    bounds = bounds_of(scenario.world.area)
+    for pitch in PITCHES if spec.pitch is None else (spec.pitch,):
+        frame = frame_of(walls, bounds, lowest, pitch, spec.azimuths)
+        if frame is None:
+            return None
+        plan = _Plan(walls, frame, lowest)
+        if frame.size <= SMALL:
+            break
+    return plan
 
 
 def _solid(spec: Any) -> tuple[list[Any], float, float] | None:

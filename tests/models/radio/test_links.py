@@ -68,7 +68,7 @@ def test_power_falls_by_gains_distance_and_two_walls_at_most():
 )
 def test_between_ground_and_air_there_is_the_land(land, far, lost):
     """Free space and what buildings take by the elevation; links of two in the air, or on the ground, are as usual."""
-    way = PathLoss(shadowing_db=0.0, waves=1, air_to_ground=land)
+    way = PathLoss(shadowing_db=0.0, waves=1, ground="none", air_to_ground=land)
     radio = cast(Network(path_loss=way), np.float32)
     place = Vec3(f32(0, far, 0), f32(0, 0, 300), f32(-4, -104, -3))
     length = np.hypot(far, 100.0)
@@ -84,7 +84,30 @@ def test_between_ground_and_air_there_is_the_land(land, far, lost):
     np.testing.assert_allclose(found[:2], over, atol=0.01)
     assert found[2] == pytest.approx(20.0 - 31.676 - 22.0 * np.log10(300.0), abs=0.01)
     np.testing.assert_allclose(received(5.1, 104.0, 3.0)[:2], 20.0 - 31.676 - 22.0 * np.log10(length), atol=0.01)
-    assert not Network().asks_height
+    assert not Network(path_loss=PathLoss(ground="none")).asks_height
+
+
+@pytest.mark.parametrize(
+    ("ground", "heights", "distance", "lost"),
+    [
+        # At 915 MHz 31.676 dB in the first metre and 22 dB a decade; mirrored 40 lg d - 20 lg(h1 h2).
+        ("two_ray", (10.0, 10.0), 1_000.0, 31.676 + 66.0),
+        ("two_ray", (10.0, 10.0), 20_000.0, 172.041 - 40.0),
+        ("two_ray", (100.0, 100.0), 20_000.0, 31.676 + 94.623),
+        ("none", (10.0, 10.0), 20_000.0, 31.676 + 94.623),
+        # On the ground an antenna is as if 0.638 x 0.3276 = 0.209 m high: 26.80 dB of both.
+        ("two_ray", (0.0, 0.0), 1_000.0, 120.0 + 27.19),
+    ],
+)
+def test_the_ground_mirrors(ground, heights, distance, lost):
+    way = PathLoss(shadowing_db=0.0, waves=1, ground=ground)
+    radio = cast(Network(path_loss=way), np.float32)
+    place = Vec3(f32(0, distance), f32(0, 0), f32(-heights[0], -heights[1]))
+    near, zero = near_of([[1, 0]], [[distance**2, distance**2]]), f32(0)
+    still = ShadowField(Vec3(zero, zero, zero), Vec3(zero, zero, zero), zero)
+    found = powers(radio, still, near, Surfaces(place, jnp.ones(2, bool), height=f32(*heights)))
+    np.testing.assert_allclose(found[0], 20.0 - lost, atol=0.02)
+    assert radio.asks_height == (ground == "two_ray")
 
 
 AIR, PERIOD = 0.0075, 0.2

@@ -54,7 +54,7 @@ def test_what_is_not_of_a_preset_has_its_default():
     usual = Network()
     assert vars(usual.path_loss) == {
         "exponent": 2.2, "shadowing_db": 3.0, "correlation_distance": 50.0, "blocked_db": 20.0, "waves": 32,
-        "air_to_ground": "none", "ground_height": 5.0,
+        "ground": "two_ray", "air_to_ground": "none", "ground_height": 5.0,
     }  # fmt: skip
     assert (usual.packet.capture_db, usual.packet.width_db, usual.delay.fixed, usual.delay.jitter) == (
         6.0, 0.5, 0.005, 0.002
@@ -208,6 +208,19 @@ def test_who_listens_first_does_not_collide_with_whom_it_hears():
     assert found["heard"] == 11 * found["sent"]
     assert found["sent"] + found["deferred"] == 12 * 11
     assert 0 < found["deferred"] < 0.3 * 12 * 11
+
+
+@pytest.mark.parametrize(("sense", "collide"), [("packet", True), ("noise", False)])
+def test_who_is_hidden_from_another_sends_at_the_same_time(sense, collide):
+    """Of three in a row 500 m apart the outer ones are 5 dB above each other's noise, too weak for their packets."""
+    mac = Mac(type="csma", sense=sense)
+    packet = Packet(model="threshold", snr50_db=10.0)
+    radio = network(
+        power_dbm=-13.4, rate_kbps=8.0, mac=mac, packet=packet, inbox=InboxSize(size=2, candidates=2, reach=5000.0)
+    )
+    air = Air(radio, [(-500.0, 0, 0), (0, 0, 0), (500.0, 0, 0)])
+    np.testing.assert_array_equal(counts(air.fly(150))["sent"] > np.full(3, 0), True)
+    assert (counts(air)["lost_collision"][1] > 2) == collide
 
 
 @pytest.mark.long

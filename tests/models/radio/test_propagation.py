@@ -31,6 +31,15 @@ def test_noise_of_a_receiver():
     np.testing.assert_allclose(way.noise_floor(250e3, jnp.float32(6.0)), -114.02, atol=5e-3)
 
 
+def test_man_made_noise():
+    """P.372 at 30 MHz in a city: 76.8 - 27.7 lg 30 = 35.88 dB, in a quiet land 53.6 - 28.6 lg 30 = 11.36 dB; at 915 MHz -5.23 dB, 0.30 dB more than 6 dB."""
+    np.testing.assert_allclose(way.with_man_made(f32(6.0), f32(30.0), "city"), 35.89, atol=5e-3)
+    np.testing.assert_allclose(way.with_man_made(f32(6.0), f32(915.0), "city"), 6.314, atol=5e-3)
+    np.testing.assert_allclose(way.with_man_made(f32(6.0), f32(915.0), "residential"), 6.121, atol=5e-3)
+    np.testing.assert_allclose(way.with_man_made(f32(6.0), f32(30.0), "quiet_rural"), 12.465, atol=5e-3)
+    np.testing.assert_array_equal(way.with_man_made(f32(6.0), f32(915.0), "none"), f32(6.0))
+
+
 def test_bit_and_packet_error_rates():
     """FSK and BPSK at 0, 5 and 10 dB, and packets of 480 bits, by formulas of the C library in double precision."""
     per_bit = np.array([1.0, 10**0.5, 10.0])

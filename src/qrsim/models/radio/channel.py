@@ -10,8 +10,8 @@ from jax import Array
 
 from qrsim.core.noise import LARGEST_NORMAL
 from qrsim.core.tree import derived, parameter, quantity, record, setting
-from qrsim.models.radio.parameters import PRESETS, Delay, InboxSize, Mac, Packet, PathLoss, PresetName
-from qrsim.models.radio.propagation import lora_air_time, noise_floor
+from qrsim.models.radio.parameters import PRESETS, Delay, InboxSize, Mac, ManMade, Packet, PathLoss, PresetName
+from qrsim.models.radio.propagation import lora_air_time, noise_floor, with_man_made
 
 # Of the logarithm of the jitter.
 JITTER_SIGMA = 0.5
@@ -56,6 +56,10 @@ class Channel:
     bandwidth_khz: float = setting(default=250.0, unit="kHz", doc="of the receiver's filter", above=0.0)
     rate_kbps: float = setting(default=64.0, unit="kbit/s", doc="on the air", above=0.0)
     noise_figure_db: Array = parameter(default=6.0, unit="dB", doc="of the receiver", minimum=0.0)
+    man_made: ManMade = setting(
+        default="residential",
+        doc="land by whose man-made noise the noise of receivers grows; none: thermal noise alone",
+    )
     size: int = setting(default=6, doc="numbers of a message (D)", minimum=1, maximum=256)
     beacon: bool = setting(
         default=True, doc="who has nothing to say sends its own estimate of position and velocity in every period"
@@ -76,12 +80,13 @@ class Channel:
     def noise_dbm(self) -> Array:
         """Noise of the receivers [dBm]: () of all, or (n,) of each."""
         figure = self.noise_figure_db if self.own is None else self.own.noise(self.noise_figure_db)
+        figure = with_man_made(figure, self.frequency_mhz, self.man_made)
         return noise_floor(1000.0 * self.bandwidth_khz, figure)
 
     @property
     def asks_height(self) -> bool:
         """Whether it matters how high the ends of links are above the ground."""
-        return self.path_loss.air_to_ground != "none"
+        return self.path_loss.air_to_ground != "none" or self.path_loss.ground == "two_ray"
 
     @property
     def air_time(self) -> float:

@@ -19,13 +19,14 @@ from qrsim.models.radio.propagation import (
     path_loss,
     ratio,
     threshold_error,
+    two_ray_loss,
 )
 from qrsim.models.scene.rays import walls_between
 
 # As many obstacles in the way count as one has to go around.
 _MOST_WALLS = 2
 # Above this chance of loss without others, a packet is out of range.
-_OUT_OF_RANGE = 0.9
+OUT_OF_RANGE = 0.9
 # What a power of nothing is [mW]: far below all noise, and a number that both compilers know.
 _NOTHING = 1e-30
 
@@ -67,7 +68,10 @@ def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Sur
         power = sent.at[there].get(mode="promise_in_bounds")
         gain = own.gain(network.gain_db)[None]
     lost = path_loss(squared, 1e6 * network.frequency_mhz, way.exponent)
-    if network.asks_height:
+    if way.ground == "two_ray" and surfaces.height is not None:
+        ends = (surfaces.height.at[there].get(mode="promise_in_bounds"), surfaces.height[None])
+        lost = jnp.maximum(lost, two_ray_loss(squared, 1e6 * network.frequency_mhz, ends))
+    if way.air_to_ground != "none":
         lost = _over_land(network, near, surfaces, squared, other.z - here.z, lost)
     shadow = way.shadowing_db * field.between(here, other, way.correlation_distance)
     received = power + gain - lost - shadow
@@ -133,10 +137,10 @@ def outcomes(
     # Others neither hear a packet for one vehicle nor miss it.
     meant = comes & ((receiver < 0) | (receiver == itself))
     missed = chance <= lost
-    outcome = jnp.where(missed, jnp.where(alone > _OUT_OF_RANGE, Outcome.WEAK, Outcome.NOISE), Outcome.HEARD)
+    outcome = jnp.where(missed, jnp.where(alone > OUT_OF_RANGE, Outcome.WEAK, Outcome.NOISE), Outcome.HEARD)
     # What would have come through alone is lost to the others.
     by_others = collides | (missed & ~(chance <= alone))
-    outcome = jnp.where(by_others & ~(alone > _OUT_OF_RANGE), Outcome.COLLISION, outcome)
+    outcome = jnp.where(by_others & ~(alone > OUT_OF_RANGE), Outcome.COLLISION, outcome)
     return Links(
         sender=jnp.where(comes, near.index, -1),
         rssi=jnp.where(comes, power, 0.0),

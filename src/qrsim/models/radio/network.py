@@ -16,7 +16,7 @@ from qrsim.core.tree import quantity, record, replace
 from qrsim.models.radio.access import starts
 from qrsim.models.radio.channel import JITTER_SIGMA, Channel
 from qrsim.models.radio.contracts import STREAMS, Exchange, Inbox, Outbox, Radio
-from qrsim.models.radio.links import Links, Outcome, outcomes, powers
+from qrsim.models.radio.links import OUT_OF_RANGE, Links, Outcome, error_rate, outcomes, powers
 from qrsim.models.radio.propagation import SPEED_OF_LIGHT, ShadowField
 from qrsim.models.radio.tables import NOBODY, Heard, first_of, library_of, newest, taken
 from qrsim.models.scene.uniform import uniform
@@ -196,8 +196,13 @@ class Network(Channel, Radio):
         return payload, to, since, queued, queued | now.beacons.send
 
     def _audible(self, near: Neighbours, power: Array) -> tuple[Array, Array]:
-        """Return whom each vehicle hears well enough to wait for: those above its noise."""
-        return jnp.maximum(near.index, 0), (near.index >= 0) & (power > jnp.broadcast_to(self.noise_dbm, power.shape))
+        """Return whom each vehicle hears well enough to wait for, at its own place; others are hidden from it."""
+        above = power - jnp.broadcast_to(self.noise_dbm, power.shape)
+        if self.mac.sense == "noise":
+            hears = above > 0.0
+        else:
+            hears = error_rate(self, above, near.squared) <= OUT_OF_RANGE
+        return jnp.maximum(near.index, 0), (near.index >= 0) & hears
 
     @staticmethod
     def _stream(keys: StreamKeys, which: int, ids: Any, frame: Any) -> Stream:

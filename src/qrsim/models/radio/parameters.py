@@ -10,6 +10,8 @@ from qrsim.core.tree import parameter, record, setting
 
 # Built-up land about a station, by what its buildings do (models/radio/propagation.py).
 Land = Literal["none", "suburban", "urban", "dense_urban", "high_rise"]
+# Where radios are used, by the noise of what people run there.
+ManMade = Literal["city", "residential", "rural", "quiet_rural", "none"]
 PresetName = Literal["sik_915", "xbee_pro_900", "wifi_2g4", "lora_sf7", "lora_sf12", "sphere"]
 
 
@@ -30,6 +32,10 @@ class PathLoss:
         default=20.0, unit="dB", doc="loss for each obstacle in the way, at most twice", minimum=0.0
     )
     waves: int = setting(default=32, doc="whose sum the shadowing is", minimum=1, maximum=1024)
+    ground: Literal["two_ray", "none"] = setting(
+        default="two_ray",
+        doc="two_ray: the ground mirrors, and far away power falls with the fourth power of distance; none: no ground",
+    )
     air_to_ground: Land = setting(
         default="none",
         doc="land between a station or a person on the ground and who is above; none: all links are alike",
@@ -77,6 +83,10 @@ class Mac:
     slots: int = setting(default=20, doc="of tdma in a period; vehicle i has slot i modulo slots", minimum=1)
     queue: int = setting(
         default=4, doc="messages that wait with a vehicle; of more, the oldest are lost", minimum=1, maximum=64
+    )
+    sense: Literal["packet", "noise"] = setting(
+        default="packet",
+        doc="whom csma waits for; packet: whose packets can be received there; noise: who is above the noise there",
     )
     attempts: int = setting(
         default=4, doc="of csma in a period, until a message has to wait for the next", minimum=1, maximum=16
@@ -128,5 +138,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "packet": {"model": "threshold", "snr50_db": -21.1, "spreading_factor": 12, "bytes": 32},
         "mac": {"period": 2.0}, "inbox": {"forget": 20.0},
     },
-    "sphere": {"packet": {"model": "probability"}, "path_loss": {"shadowing_db": 0.0, "blocked_db": 0.0}},
+    "sphere": {
+        "packet": {"model": "probability"}, "man_made": "none",
+        "path_loss": {"shadowing_db": 0.0, "blocked_db": 0.0, "ground": "none"},
+    },
 }  # fmt: skip

@@ -46,6 +46,27 @@ def path_loss(squared: Array, frequency_hz: Array, exponent: Array) -> Array:
     return first + 0.5 * exponent * db(jnp.maximum(squared, 1.0))
 
 
+# Of average land, the height [wavelengths] of an antenna on the ground that has the same loss: 1/(2 pi sqrt(14)/15).
+GROUND_WAVELENGTHS = 0.638
+
+
+def two_ray_loss(squared: Array, frequency_hz: Array, heights: tuple[Array, Array]) -> Array:
+    """Return the loss [dB] of links far along the ground, where the ray that it mirrors nearly cancels the direct one.
+
+    K. Bullington, "Radio propagation at frequencies above 30 megacycles", Proc. IRE 35, 1947: d^4/(h1 h2)^2, with
+    heights that are not less than what the ground itself gives, of vertical antennas over land of permittivity 15.
+
+    Args:
+        squared: lengths squared [m^2].
+        frequency_hz: of the carrier.
+        heights: of both ends above the ground [m].
+    """
+    least = GROUND_WAVELENGTHS * SPEED_OF_LIGHT / frequency_hz
+    one, other = (jnp.maximum(height, 0.0) for height in heights)
+    together = (one * one + least * least) * (other * other + least * least)
+    return 2.0 * db(jnp.maximum(squared, 1.0)) - db(together)
+
+
 # Of built-up land: a, b of the chance of a line of sight, and what is lost beside free space with one and without [dB].
 LANDS = {
     "suburban": (4.88, 0.43, 0.1, 21.0),
@@ -83,6 +104,21 @@ def air_to_ground_loss(squared: Array, frequency_hz: Array, elevation: Array, la
 def noise_floor(bandwidth_hz: float, noise_figure_db: Array) -> Array:
     """Return the noise [dBm] of a receiver."""
     return THERMAL + db(jnp.asarray(bandwidth_hz)) + noise_figure_db
+
+
+# c of the median noise c - 27.7 lg f [MHz] above thermal noise, by land.
+MAN_MADE = {"city": 76.8, "residential": 72.5, "rural": 67.2, "quiet_rural": 53.6}
+
+
+def with_man_made(noise_figure_db: Array, frequency_mhz: Array, land: str) -> Array:
+    """Return the noise figure [dB] of receivers together with man-made noise of a land, or of none.
+
+    Recommendation ITU-R P.372: c - d lg f, d = 27.7, in a quiet rural land 28.6; measured up to 250 MHz.
+    """
+    if land == "none":
+        return noise_figure_db
+    slope = 2.86 if land == "quiet_rural" else 2.77
+    return db(ratio(noise_figure_db) + ratio(MAN_MADE[land] - slope * db(jnp.asarray(frequency_mhz))))
 
 
 @record
