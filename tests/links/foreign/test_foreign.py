@@ -1,6 +1,6 @@
 """Others' scripts fly: what the public examples of MAVSDK, DroneKit, pymavlink and MAVProxy do.
 
-Each flies on vehicles 1 to 5 at once, three times in a row, on a machine that five simulators' worth of programs load.
+Each flies on vehicles 1 to 5 at once, three times in a row, while the programs of all five load the machine.
 Of MAVSDK, versions 2, 3 and 4 fly side by side, each time on other vehicles.
 """
 
