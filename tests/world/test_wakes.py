@@ -95,6 +95,12 @@ def test_many_are_compared_only_where_somebody_may_be_reached() -> None:
     assert not felt_by([100.0, 140.0, -10.0]).any()
 
 
+@pytest.mark.parametrize(("below", "down"), [(250.0, 0.1066), (290.0, 0.0)])
+def test_it_ends_where_it_is_slow(below: float, down: float) -> None:
+    """26.63 m^2/s over the distance: less than 0.1 m/s from 266 m on."""
+    assert felt({"type": "fixed_point"}, [0.0, 0.0, below - 10.0], "none")[0][2] == pytest.approx(down, abs=1e-3)
+
+
 def test_it_can_be_left_out() -> None:
     assert felt({"type": "pelican", "downwash": "ignored"}, [0.0, 0.0, -8.0]) is None
 
