@@ -15,6 +15,8 @@ def test_the_published_patrol_says_what_it_said() -> None:
     _, content = read_scenario("patrol_published")
     # It was the default of all, and is that of this one alone.
     assert content["fleets"]["pelicans"]["limits"].pop("yaw") == 31.41592653589793
+    # Nor did it have wakes, which identified quadrotors feel by default.
+    assert content["fleets"]["pelicans"]["vehicle"].pop("downwash") == "ignored"
     text = json.dumps(content, sort_keys=True, default=str)
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "ec33d0c172c8bbce"
 

@@ -20,9 +20,9 @@ AT_10_M, AT_3010_M = 1.000480, 1.161397
 
 
 def pair(
-    vehicle: dict[str, Any], place: list[float], controller: str = "cascade", site: float = 0.0
+    vehicle: dict[str, Any], place: list[float], controller: str = "cascade", down: float = -10.0, site: float = 0.0
 ) -> qrsim.Simulation:
-    """Return a calm world of an X500 that hovers 10 m up, and a vehicle that heads north."""
+    """Return a calm world of an X500 that hovers at a down coordinate [m], and a vehicle that heads north."""
 
     def fleet(vehicle: dict[str, Any], place: list[float], controller: str) -> dict[str, Any]:
         flown = {"type": controller, "feed": "truth"} if controller != "none" else {"type": "none"}
@@ -32,9 +32,14 @@ def pair(
         "name": "pair",
         "duration": 10.0,
         "site": {"height": site},
-        "world": {"wind": "calm", "turbulence": "still", "collision_distance": 0.0},
+        "world": {
+            "wind": "calm",
+            "turbulence": "still",
+            "collision_distance": 0.0,
+            "area": {"type": "box", "z_min": -400.0},
+        },
         "fleets": {
-            "upper": fleet({"type": "multirotor"}, [0.0, 0.0, -10.0], "cascade"),
+            "upper": fleet({"type": "multirotor"}, [0.0, 0.0, down], "cascade"),
             "lower": fleet(vehicle, place, controller),
         },
     }
@@ -43,9 +48,11 @@ def pair(
     return simulation
 
 
-def felt(vehicle: dict[str, Any], place: list[float], controller: str = "cascade", site: float = 0.0) -> Any:
+def felt(
+    vehicle: dict[str, Any], place: list[float], controller: str = "cascade", down: float = -10.0, site: float = 0.0
+) -> Any:
     """Return the velocity (3,) in NED and the rotation (3,) in body axes that wakes add at the lower vehicle."""
-    simulation = pair(vehicle, place, controller, site)
+    simulation = pair(vehicle, place, controller, down, site)
     fleet, state = simulation.world.fleets[1], simulation.state.fleets[1]
     pose = fleet.vehicle.pose(state.vehicle)
     wakes = wakes_on(simulation.world, simulation.state.fleets, fleet, pose, rotation(pose.attitude))
@@ -105,6 +112,13 @@ def test_many_are_compared_only_where_somebody_may_be_reached() -> None:
     assert below[47] == pytest.approx(AT_10_M * 5.4373, abs=1e-3)
     assert not below[:47].any()
     assert not felt_by([100.0, 140.0, -10.0]).any()
+
+
+@pytest.mark.parametrize(("below", "down"), [(250.0, 0.1079), (290.0, 0.0)])
+def test_it_ends_where_it_is_slow(below: float, down: float) -> None:
+    """26.63 m^2/s, at 260 m 1.0126 times as much, over the distance: less than 0.1 m/s from 270 m on."""
+    found = felt({"type": "fixed_point"}, [0.0, 0.0, -10.0], "none", -10.0 - below)
+    assert found[0][2] == pytest.approx(down, abs=1e-3)
 
 
 def test_it_can_be_left_out() -> None:

@@ -15,7 +15,18 @@ from qrsim.core.nearest import nearest_squared
 from qrsim.core.tree import concatenated
 from qrsim.core.vectors import Rotation, Vec3, rotation
 from qrsim.models.vehicles.contracts import Point, Pose
-from qrsim.models.vehicles.wake import AIR_DENSITY, EDGE, SPREAD, Wake, first_jet_speed, half_width, jet_axis, jet_speed
+from qrsim.models.vehicles.wake import (
+    AIR_DENSITY,
+    EDGE,
+    SLOWEST,
+    SPREAD,
+    Wake,
+    first_jet_speed,
+    half_width,
+    jet_axis,
+    jet_speed,
+    jet_strength,
+)
 from qrsim.world.state import Fleet, FleetState, World
 
 # Vehicles of a world from which on a search of neighbours comes before all pairs.
@@ -145,8 +156,10 @@ def _cylindrical(jets: _Jets, position_ned: Vec3) -> tuple[Array, Array]:
 def _reached(jets: _Jets, position_ned: Vec3, extent: Array) -> Array:
     """Return which wakes touch vehicles (m, n) that extend so far [m] from their place."""
     along, beside_squared = _cylindrical(jets, position_ned)
-    edge = EDGE * half_width(jets.wake, along) + extent
-    return (along > -extent) & (beside_squared < edge * edge)
+    width = half_width(jets.wake, along)
+    edge = EDGE * width + extent
+    lasts = SLOWEST * width < jet_strength(jets.thrust)
+    return (along > -extent) & (beside_squared < edge * edge) & lasts
 
 
 def _sum_at(jets: _Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:

@@ -226,7 +226,7 @@ def test_who_is_hidden_from_another_sends_at_the_same_time(sense, collide):
 @pytest.mark.long
 def test_the_chance_of_loss_at_five_distances_is_that_of_the_law():
     """1e5 packets at each: within 3 standard deviations of 1 - (1 - exp(-SNR B/2R)/2)^480, in double precision."""
-    radio, many = network(), 100_000
+    radio, many = network(man_made="none"), 100_000
     keys, ids = Key.root(3).streams(STREAMS), np.arange(many, dtype=np.uint32)
     for number, distance in enumerate((13_000.0, 15_000.0, 17_000.0, 19_000.0, 22_000.0)):
         loss = 20.0 * np.log10(4.0 * np.pi * 915e6 / 299792458.0) + 22.0 * np.log10(distance)

@@ -32,9 +32,9 @@ def test_noise_of_a_receiver():
 
 
 def test_man_made_noise():
-    """P.372 at 30 MHz in a city: 76.8 - 27.7 lg 30 = 35.88 dB, in a quiet land 53.6 - 28.6 lg 30 = 11.36 dB.
+    """P.372 at 30 MHz: 76.8 - 27.7 lg 30 = 35.88 dB in a city, 53.6 - 28.6 lg 30 = 11.36 dB in a quiet land.
 
-    At 915 MHz in a city -5.23 dB, 0.30 dB more than 6 dB.
+    In a city at 915 MHz -5.23 dB, which makes 6 dB 6.31 dB.
     """
     np.testing.assert_allclose(way.with_man_made(f32(6.0), f32(30.0), "city"), 35.89, atol=5e-3)
     np.testing.assert_allclose(way.with_man_made(f32(6.0), f32(915.0), "city"), 6.314, atol=5e-3)

@@ -26,6 +26,8 @@ AIR_DENSITY = 1.225
 _PROFILE = math.sqrt(2.0) - 1.0
 # Half widths beside the axis at which a wake ends; there it has 0.8 % of its speed.
 EDGE = 5.0
+# Speed on its axis [m/s] at which a wake ends.
+SLOWEST = 0.1
 
 
 @record
@@ -59,8 +61,12 @@ def jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) ->
         beside_squared: squared distance from the axis [m^2].
     """
     width = half_width(wake, along)
-    middle = jnp.sqrt(jnp.maximum(thrust, 0.0) * (3.0 * _PROFILE / (AIR_DENSITY * math.pi))) / width
-    return _profile(middle, width, along, beside_squared)
+    return _profile(jet_strength(thrust) / width, width, along, beside_squared)
+
+
+def jet_strength(thrust: Array) -> Array:
+    """Return the speed on the axis of a wake times its half width [m^2/s], which does not change along it."""
+    return jnp.sqrt(jnp.maximum(thrust, 0.0) * (3.0 * _PROFILE / (AIR_DENSITY * math.pi)))
 
 
 def half_width(wake: Wake, along: Array) -> Array:
