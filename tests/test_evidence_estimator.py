@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from evidence import _outdoors as outdoors
 from evidence import estimator as study
+
+from qrsim.core.tree import replace
 
 pytestmark = pytest.mark.long
 
