@@ -133,7 +133,7 @@ def _yaws(sensors: str, seeds: int, more: str = "") -> np.ndarray:
 
 @pytest.mark.long
 def test_a_magnetometer_holds_the_yaw_of_a_hover():
-    """Within 3 std of what is stated but for rare moments, and that is 0.03 rad; without one it rises, and it drifts."""
+    """Within 3 std but for rare moments, and those are 0.03 rad; without one they rise, and it drifts."""
     held = _yaws("imu: {type: imu}, compass: {type: magnetometer}", 4)
     assert (np.abs(held[..., 0]) < 3.0 * held[..., 1]).mean() > 0.9
     assert (np.abs(held[..., 0]) < 4.0 * held[..., 1]).all()

@@ -84,7 +84,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def begin(
         self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
-        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F6)."""
+        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F8)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rates = field_of(readings, "height"), field_of(readings, "rates_body")
         position = start.position_ned if fix is None else known(fix, start.position_ned)
