@@ -1,4 +1,4 @@
-"""How the Kalman filter starts, and the errors that it considers, by hand from docs/estimators.md (F7, F8)."""
+"""How the Kalman filter starts, and the errors that it considers, by hand from docs/estimators.md (F6, F7)."""
 
 from __future__ import annotations
 

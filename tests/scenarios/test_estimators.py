@@ -31,6 +31,7 @@ EKF = "fleets.pelicans.estimator=ekf"
         ),
         ([EKF, "fleets.pelicans.estimator.gate=0"], "estimator.gate: 0 is out of range; allowed: above 0"),
         ([EKF, "fleets.pelicans.estimator.gate=[1, 2]"], "2 numbers in a list; allowed: 5, one for each vehicle"),
+        ([EKF, "fleets.pelicans.estimator.height_std=0"], "estimator.height_std: 0 is out of range; allowed: above 0"),
         ([EKF, "fleets.pelicans.estimator.ages=[]"], "ages"),
     ],
 )  # fmt: skip

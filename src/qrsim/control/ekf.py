@@ -1,6 +1,6 @@
 """An error-state extended Kalman filter on inertial, GNSS, height, heading, magnetic and air speed readings.
 
-Equations F1 to F5, F7 and F8 of docs/estimators.md. Gates, late measurements and resets follow what autopilots do.
+Equations F1 to F7 of docs/estimators.md. Gates, late measurements and resets follow what autopilots do.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def begin(
         self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
-        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F8)."""
+        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F7)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rates = field_of(readings, "height"), field_of(readings, "rates_body")
         position = start.position_ned if fix is None else known(fix, start.position_ned)

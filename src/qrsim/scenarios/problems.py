@@ -279,7 +279,11 @@ def _entry(annotation: Any) -> Any:
 def _rules(annotation: Any) -> list[Any]:
     """Return the bounds that Annotated says about a type."""
     annotation = _given(annotation)
-    infos = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
+    if get_origin(annotation) is not Annotated:
+        return []
+    bare, *infos = get_args(annotation)
+    # What may be null has its bounds inside of that.
+    infos = [*(get_args(_given(bare))[1:] if get_origin(_given(bare)) is Annotated else ()), *infos]
     return [rule for info in infos for rule in (info.metadata if isinstance(info, FieldInfo) else [info])]
 
 
