@@ -1,4 +1,4 @@
-"""What estimators compute, by hand from docs/estimators.md (F1 to F6), where the numbers are small enough for that."""
+"""What estimators compute, by hand from docs/estimators.md (F1 to F8), where the numbers are small enough for that."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ class TestKalman:
 
 
 class TestComplementary:
-    """(F6), of a state that is level and at rest."""
+    """(F8), of a state that is level and at rest."""
 
     def test_two_fixes_at_once_are_a_millisecond_apart(self) -> None:
         """3 mm/s within that: 3 m/s^2."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ EKF = "fleets.pelicans.estimator=ekf"
         ),
         ([EKF, "fleets.pelicans.estimator.gate=0"], "estimator.gate: 0 is out of range; allowed: above 0"),
         ([EKF, "fleets.pelicans.estimator.gate=[1, 2]"], "2 numbers in a list; allowed: 5, one for each vehicle"),
+        ([EKF, "fleets.pelicans.estimator.height_std=0"], "estimator.height_std: 0 is out of range; allowed: above 0"),
         ([EKF, "fleets.pelicans.estimator.ages=[]"], "ages"),
     ],
 )  # fmt: skip
@@ -66,8 +68,8 @@ def test_what_is_logged_is_of_the_same_tick_as_the_truth(flown: Path):
     assert np.abs(found["estimate.position_ned.z"] - truth["position_ned.z"])[late].max() < 1.2
     assert np.abs(found["estimate.attitude.roll"] - truth["attitude.roll"])[late].max() < 0.1
     std = found["estimate_std.position_ned.x"][late]
-    # Two seconds of fixes of 1.5 m, five a second, each 0.2 s late.
-    assert ((std > 0.1) & (std < 0.8)).all()
+    # Range errors of 1.5 m with a dilution of 0.85 per axis are errors of the position for as long as the flight lasts.
+    assert ((std > 1.2) & (std < 1.5)).all()
     assert (found["innovation.position_ned"][late] < 5.0).all()
 
 
@@ -109,12 +111,12 @@ def test_the_default_patrol_is_flown_on_it_in_wind():
     assert np.asarray(found.metrics["distance_m"]).min() > 300.0
 
 
-def _yaws(sensors: str, seeds: int) -> np.ndarray:
+def _yaws(sensors: str, seeds: int, more: str = "") -> np.ndarray:
     """Errors of the yaw and the std stated of it (seeds, T, 2) at every second of a hover of 120 s in 6 m/s."""
     overrides = [
         "fleets.pelicans.vehicles=[{position_ned: [0, 0, -20]}]",
         f"fleets.pelicans.sensors={{gnss: {{type: gnss_receiver}}, barometer: {{type: barometer}}, {sensors}}}",
-        "fleets.pelicans.estimator={type: ekf}",
+        f"fleets.pelicans.estimator={{type: ekf{more}}}",
         "world.wind.speed_20ft=6",
         "duration=120",
     ]
@@ -132,11 +134,12 @@ def _yaws(sensors: str, seeds: int) -> np.ndarray:
 
 @pytest.mark.long
 def test_a_magnetometer_holds_the_yaw_of_a_hover():
-    """Within 3 std, which fall below 0.05 rad, those of the start; without one they rise above it, and it drifts."""
+    """Within 3 std but for rare moments, and those are 0.03 rad; without one they rise, and it drifts."""
     held = _yaws("imu: {type: imu}, compass: {type: magnetometer}", 4)
-    assert (np.abs(held[..., 0]) < 3.0 * held[..., 1]).all()
+    assert (np.abs(held[..., 0]) < 3.0 * held[..., 1]).mean() > 0.9
+    assert (np.abs(held[..., 0]) < 4.0 * held[..., 1]).all()
     assert (held[:, 30:, 1] < 0.035).all()
-    lost = _yaws("imu: {type: imu}", 4)
+    lost = _yaws("imu: {type: imu}", 4, ", calibration_time: 0")
     assert (lost[:, 30:, 1] > 0.08).all()
     assert (np.abs(lost[..., 0]) < 3.0 * lost[..., 1]).all(), "it says that it is lost"
     assert np.abs(lost[:, 30:, 0]).max() > 2.0 * np.abs(held[:, 30:, 0]).max()
@@ -154,10 +157,106 @@ def test_the_default_patrol_is_flown_on_a_magnetometer_in_wind():
 
 @pytest.mark.long
 def test_what_is_stated_is_compared_with_the_truth():
-    """ANEES of flights: far above 1 on GNSS errors that are not white; NaN where nothing is stated."""
-    found = qrsim.rollout(qrsim.load_scenario("patrol_plain", [EKF, "duration=20"], quiet=True), seeds=range(4)).metrics
-    assert found["anees_position"].mean() > 5.0
-    assert found["anees"].mean() > 3.0
+    """ANEES of flights: far above 1 where GNSS errors are taken for white; NaN where nothing is stated."""
+    white = "fleets.pelicans.estimator={type: ekf, gnss_errors: white}"
+    scenario = qrsim.load_scenario("patrol_plain", [white, "duration=20"], quiet=True)
+    found = qrsim.rollout(scenario, seeds=range(4)).metrics
+    assert found["anees_position"].mean() > 4.0
     assert np.isfinite(found["anees_bias"]).all()
     bare = qrsim.rollout(qrsim.load_scenario("patrol_plain", ["duration=2"], quiet=True), seeds=range(2)).metrics
     assert np.isnan(bare["anees"]).all()
+
+
+PATROL = "fleets.pelicans"
+
+
+def _filter(*overrides: str) -> Any:
+    return qrsim.load_scenario("outdoor_patrol", list(overrides), quiet=True).world().fleets[0].own_estimator
+
+
+def test_the_numbers_of_the_filter_are_those_of_its_sensors():
+    """By the data sheet of the ICM-42688-P and the numbers of the magnetometer, and of another chip likewise.
+
+    An accelerometer that is off by 20 mg and leans by 1 % in 9.81 m/s^2; hard iron of 0.5 uT, currents of 1 uT in any
+    direction, and soft iron of 1 % of 50 uT.
+    """
+    kalman = _filter()
+    scale = ((0.005**2 + 2.0 * 0.01**2) / 3.0) ** 0.5
+    assert float(kalman.accelerometer_scale) == pytest.approx(scale, rel=1e-3)
+    assert float(kalman.accelerometer_bias_std) == pytest.approx((0.196133**2 + (9.81 * scale) ** 2) ** 0.5, rel=1e-3)
+    soft = 0.01**2 + (0.005**2 + 2.0 * 0.002**2) / 3.0
+    bias = 0.5**2 + 1.0 / 3.0 + 0.02**2 + soft * 50.0**2
+    assert float(kalman.field_bias_std) == pytest.approx(bias**0.5, rel=1e-3)
+    assert float(kalman.height_drift_std) == pytest.approx(0.26)
+    mpu = _filter(f"{PATROL}.sensors.imu.preset=mpu6000")
+    # 20 degrees a second, and 0.1 for each g.
+    assert float(mpu.gyroscope_bias_std) == pytest.approx(0.3491, rel=1e-3)
+
+
+def test_a_number_that_is_given_counts():
+    kalman = _filter(f"{PATROL}.estimator.accelerometer_bias_std=0.5", f"{PATROL}.estimator.height_std=0.7")
+    assert [float(kalman.accelerometer_bias_std), float(kalman.height_std)] == pytest.approx([0.5, 0.7])
+    assert float(kalman.height_drift_std) == pytest.approx(0.26)
+
+
+def test_a_scenario_that_is_read_again_is_the_same():
+    """Numbers that are left out are still left out, so that other sensors have others."""
+    spec = qrsim.load_scenario("outdoor_patrol", quiet=True).spec
+    biased = f"{PATROL}.sensors.imu.gyroscope_turn_on_bias=0.3"
+    again: Any = qrsim.load_scenario(spec.model_dump(mode="json"), [biased], quiet=True).world().fleets[0].own_estimator
+    assert float(again.gyroscope_bias_std) == pytest.approx(0.3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ([f"{PATROL}.estimator.accelerometer_bias_std=0.05"], "accelerometer_bias_std: 0.05 m/s^2, but the errors of"),
+        ([f"{PATROL}.estimator={{type: ekf, calibration_time: 0, gyroscope_bias_std: 0.001}}"], "gyroscope_bias_std"),
+        ([f"{PATROL}.estimator.accelerometer_bias_std=0.1"], None),
+        ([f"{PATROL}.estimator.gyroscope_bias_std=0.0001"], None),
+    ],
+    ids=["a fourth", "no calibration", "half", "calibrated away"],
+)
+def test_numbers_that_are_far_too_small_are_warned_of(overrides: list[str], words: str | None):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        qrsim.load_scenario("outdoor_patrol", overrides)
+    told = [str(warning.message) for warning in found if "errors of its sensors" in str(warning.message)]
+    assert len(told) == (words is not None)
+    assert words is None or words in told[0]
+
+
+def _starts(overrides: list[str], seeds: range) -> np.ndarray:
+    """Errors of roll, pitch and yaw of the five vehicles at their start, (seeds, 3, 5)."""
+
+    def look(state: Any) -> Any:
+        fleet = state.fleets[0]
+        angles = zip(vars(fleet.belief.estimate.attitude).values(), vars(fleet.vehicle.attitude).values(), strict=True)
+        return jnp.stack([wrap_angle(mine - true) for mine, true in angles])
+
+    scenario = qrsim.load_scenario("outdoor_patrol", overrides, quiet=True)
+    return np.asarray(qrsim.rollout(scenario, ticks=1, seeds=seeds, record=look).recorded)[:, 0]
+
+
+@pytest.mark.long
+def test_a_start_in_flight_is_not_on_the_truth():
+    """0.015 rad of roll and pitch and 0.03 of the yaw, within 4 standard errors; the same of the same seed."""
+    found = _starts([], range(40))
+    stds = found.std(axis=(0, 2))
+    assert stds == pytest.approx([0.015, 0.015, 0.03], rel=4.0 / (2.0 * 200.0) ** 0.5)
+    np.testing.assert_array_equal(_starts([], range(3)), found[:3])
+    np.testing.assert_allclose(_starts([f"{PATROL}.estimator.start=truth"], range(2)), 0.0, atol=1e-6)
+
+
+@pytest.mark.long
+def test_a_gyroscope_that_is_off_by_degrees_a_second_is_calibrated():
+    """20 degrees a second as one std: the estimate of the attitude stays within 0.1 rad, and everybody flies."""
+
+    def look(state: Any) -> Any:
+        fleet = state.fleets[0]
+        return fleet.belief.estimate.attitude.roll - fleet.vehicle.attitude.roll
+
+    overrides = [f"{PATROL}.sensors.imu.preset=mpu6000", "duration=40"]
+    found = qrsim.rollout(qrsim.load_scenario("outdoor_patrol", overrides, quiet=True), seeds=range(4), record=look)
+    assert np.asarray(found.metrics["flown_s"]) == pytest.approx(40.0)
+    assert np.abs(np.asarray(found.recorded)).max() < 0.1

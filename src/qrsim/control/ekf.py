@@ -1,6 +1,6 @@
 """An error-state extended Kalman filter on inertial, GNSS, height, heading, magnetic and air speed readings.
 
-Equations F1 to F5 of docs/estimators.md. Gates, late measurements and resets follow what autopilots do.
+Equations F1 to F7 of docs/estimators.md. Gates, late measurements and resets follow what autopilots do.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import record, replace, select
 from qrsim.core.vectors import Euler, Vec3
 
-# Covariance, mean errors, time since a fix that was believed, innovations, and variances of slow errors.
 # Share of turns about the level axes that is not turned back.
 BACK = 0.1
+# Covariance, mean errors, time since a fix that was believed, innovations, and variances of slow errors.
 Corrected = tuple[Covariance, Array, Array, Innovations, Any]
 
 
@@ -65,7 +65,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
 
     With a magnetometer the Earth's field and its bias are estimated too, with an airspeed sensor the horizontal wind.
     Readings that are too far from what is expected are not believed (gates); fixes that are not for ``reset_after``
-    are, and the filter begins there again. Noise that is correlated in time, as that of GNSS is, is taken for white.
+    are, and the filter begins there again. Slow errors of fixes are considered in what it reports, and not estimated.
     """
 
     def _late(self, readings: Mapping[str, Any]) -> int:
@@ -84,7 +84,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def begin(
         self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
-        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F6)."""
+        """Return state and estimate (n,) at the first readings, and of the start where they are missing (F7)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rates = field_of(readings, "height"), field_of(readings, "rates_body")
         position = start.position_ned if fix is None else known(fix, start.position_ned)

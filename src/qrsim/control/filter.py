@@ -119,7 +119,7 @@ class ComplementaryFilter(Estimator):
         return state, _estimate(state)
 
     def _turned(self, turning: Turning, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float) -> Turning:
-        """Return the own attitude a tick later (docs/estimators.md, F6)."""
+        """Return the own attitude a tick later (docs/estimators.md, F8)."""
         turning = turning.waited(dt)
         velocity, force = field_of(readings, "velocity_ned"), field_of(readings, "specific_force")
         rates = known(field_of(readings, "rates_body"), turning.rates_body)

@@ -85,7 +85,7 @@ def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured
 
 
 def gravities(state: KalmanState, force: Vec3, gravity: Array, variance: Array) -> list[Measured]:
-    """Return what the specific force (n,) [m/s^2] of a vehicle at rest says of attitude and accelerometer (F6)."""
+    """Return what the specific force (n,) [m/s^2] of a vehicle at rest says of attitude and accelerometer (F7)."""
     zero = jnp.zeros_like(force.x)
     up = Vec3(zero, zero, zero - gravity)
     scalars = []

@@ -1,4 +1,4 @@
-"""Errors that no reading shows the Kalman filter: considered in what it reports, and not estimated (F7).
+"""Errors that no reading shows the Kalman filter: considered in what it reports, and not estimated (F6).
 
 The covariance of the filter is that of its errors against its sensors. What the sensors have in common with the
 estimate cannot be learned from them: the slow error of the fixes is one of the position, and an accelerometer that is
