@@ -32,7 +32,7 @@ EQUIVALENT: dict[tuple[str, str, int, str], str] = {
     ("qrsim/models/atmosphere/dryden.py", "_THIRD_SERIES_BELOW = {4: (1.0, 2.0), 8: (0.25, 0.25)}", 32, "larger"): "two formulas of one function change over there, and agree to rounding",
     ("qrsim/models/atmosphere/dryden.py", "_THIRD_SERIES_BELOW = {4: (1.0, 2.0), 8: (0.25, 0.25)}", 42, "larger"): "two formulas of one function change over there, and agree to rounding",
     ("qrsim/models/atmosphere/dryden.py", "_THIRD_SERIES_BELOW = {4: (1.0, 2.0), 8: (0.25, 0.25)}", 48, "larger"): "two formulas of one function change over there, and agree to rounding",
-    ("qrsim/models/atmosphere/field.py", "TURN = 2.0**32", 7, "sign"): "an even power: (-2)^32 is 2^32",
+    ("qrsim/models/atmosphere/field_waves.py", "TURN = 2.0**32", 7, "sign"): "an even power: (-2)^32 is 2^32",
     ("qrsim/models/atmosphere/field.py", "scale = field.dilation * (1.0 if dryden else VON_KARMAN_SCALE)", 26, "sign"): "only the square of scale and its type are used",
     ("qrsim/models/atmosphere/field.py", "speed = jnp.sqrt(jnp.where(moves, square, 1.0))", 42, "larger"): "where nothing moves the quotient by it, and its slope, are thrown away",
     ("qrsim/models/atmosphere/field_modes.py", "eps = np.where(np.arange(GROUPS) % 2 == 0, 1.0, -1.0)", 35, "larger"): "of two groups, 0 and 1, the same one leaves no remainder",

@@ -86,6 +86,7 @@ OTHERS = {
     "teams.png": "make evidence teams",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
+    "thermal.png": "make evidence thermal",
     "turbulence_line.png": "make evidence field",
     "turbulence_gust.gif": "make evidence formation_gusts",
     "turbulence_spacing.png": "make evidence formation_gusts",

@@ -122,7 +122,7 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     if called in known:
         return called
     found = next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.6)), None)
-    if found is None or not found.endswith("_rad") or name.endswith("rad"):
+    if found is None or not found.endswith("_rad") or "_rad" in name:
         return found
     # People have angles in degrees unless they say otherwise.
     twin = f"{found.removesuffix('_rad')}_deg"

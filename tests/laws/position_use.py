@@ -26,7 +26,7 @@ def only_adds(vehicle: Any) -> bool:
     state = vehicle.initial_state(vector(-5.0), Euler(0.0 * one, 0.0 * one, 0.0 * one), vector(1.0), vector(0.0))  # type: ignore[arg-type]
     command = vehicle.idle_command(jnp.asarray(one))
     noise = vehicle.draw_noise(Drawn((jnp.asarray(one),) * vehicle.normals), DT)
-    around = Around(lambda place: (0.0 * place.x, place * 0.0), vector(0.0), lambda place: place * 0.0)
+    around = Around(lambda place: (0.0 * place.x, place * 0.0), vector(0.0))
     more = (around,) if vehicle.reads else ()
 
     def step(axes: list[Any]) -> Any:

@@ -11,7 +11,8 @@ import numpy as np
 
 from qrsim.control.kalman_parameters import KalmanParameters
 from qrsim.core.tree import field_info, replace
-from qrsim.models.gnss.receivers import GnssReceiver
+from qrsim.models.gnss.errors import GaussMarkov2
+from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors
 from qrsim.models.sensors.airspeed import Airspeed
 from qrsim.models.sensors.attitude import AttitudeEstimator
 from qrsim.models.sensors.barometer import Barometer
@@ -159,13 +160,12 @@ def _attitude(sensor: Any, _: float, __: Any) -> Stds:
 
 
 def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
-    std = getattr(errors, "std", None)
-    if std is None:
+    if not isinstance(errors, OrnsteinUhlenbeckErrors | GaussMarkov2):
         return {}
-    std, noise = np.asarray(std), np.asarray(sensor.range_noise_std)
+    std, noise = np.asarray(errors.std), np.asarray(sensor.range_noise_std)
     # Of a first-order process the change in a period is as random as its value.
     rate = std * np.sqrt(2.0 * sensor.period / np.asarray(errors.time_constant)) / sensor.period
-    if hasattr(errors, "drive_time_constant"):
+    if isinstance(errors, GaussMarkov2):
         rate = std / np.sqrt(np.asarray(errors.time_constant) * np.asarray(errors.drive_time_constant))
     own = sensor.doppler_noise_std
     if sensor.velocity == "differenced":

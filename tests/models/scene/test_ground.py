@@ -18,13 +18,15 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.scene.ground import ElevationFile, FlatGround, GridGround
 from qrsim.models.site import Site
+from qrsim.models.vehicles.contracts import Pose
 from qrsim.scenarios.making import make_scenario, make_world
 from qrsim.world.air import around_of
 from qrsim.world.episode import surroundings
 from qrsim.world.tick import reset
 
 POINTS = Vec3(*np.array([[0.0, 3.0], [0.0, -4.0], [-12.5, 6.0]]))  # type: ignore[arg-type]
-LEVEL = Euler(*np.zeros((3, 2), np.float32))  # type: ignore[arg-type]
+STILL = Vec3(*np.zeros((3, 2), np.float32))  # type: ignore[arg-type]
+LEVEL = Pose(STILL, Euler(*np.zeros((3, 2), np.float32)), STILL, STILL)  # type: ignore[arg-type]
 AREA = {"type": "box", "x_min": -50, "x_max": 50, "y_min": -40, "y_max": 40}
 BOX = (-50.0, 50.0, -40.0, 40.0)
 SITE = Site()

@@ -107,7 +107,7 @@ def test_drag_and_thrust_of_an_instant_go_with_the_density() -> None:
             state = vehicle.initial_state(place, qrsim.Euler(zero, zero, zero), still, still)
             state = replace(state, rotor_speed=(zero + 500.0,) * 4)
             command, wind = vehicle.idle_command(zero), Vec3(zero - 10.0, zero, zero)
-            around = Around(lambda place: (zero + 5000.0, Vec3(zero, zero, zero - 1.0)), still, lambda place: still)
+            around = Around(lambda place: (zero + 5000.0, Vec3(zero, zero, zero - 1.0)), still)
             noise = ProcessNoise(still, still)
             force = vehicle.specific_force(state, command, lambda trig, wind=wind: wind, noise, 0.02, around)
             forces.append([float(axis[0]) for axis in force.axes])

@@ -207,7 +207,7 @@ def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str, height: flo
             return trig.rotation().to_body(air)
 
         ground = zero + 5000.0, Vec3(zero, zero, zero - 1.0)
-        around = Around(lambda place: ground, still, lambda place: still)
+        around = Around(lambda place: ground, still)
         force = model.specific_force(
             state, model.idle_command(zero), air_velocity, ProcessNoise(still, still), 0.02, around
         )
