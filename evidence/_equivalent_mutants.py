@@ -167,7 +167,7 @@ EQUIVALENT: dict[tuple[str, str, int, str], str] = {
     ("qrsim/models/vehicles/multirotor/geometry.py", "sizes = reach([rotor.position for rotor in rotors]) or 1.0", 55, "sign"): "singular values do not depend on the sign of a row",
     ("qrsim/models/vehicles/multirotor/geometry.py", "scaled = table / np.array([[1.0], [sizes], [sizes], [torque_ratio]])", 28, "sign"): "singular values do not depend on the sign of a row",
     ("qrsim/models/vehicles/multirotor/mixer.py", "for axis in (1, 2, 3)", 16, "sign"): "effects are four numbers, of which number -2 is number 2",
-    ("qrsim/models/vehicles/quadrotor.py", "return Wake(0.42 * one, 4.0 * math.pi * 0.127**2 * one)", 40, "sign"): "it is squared",
+    ("qrsim/models/vehicles/quadrotor.py", "return Wake(SIZE * one, 4.0 * math.pi * 0.127**2 * one)", 40, "sign"): "it is squared",
     ("qrsim/models/vehicles/quadrotor.py", "gain = self.kpq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)", 20, "sign"): "the gain stands in cosines alone, which are even",
     ("qrsim/models/vehicles/wake.py", "DECAY, SPREAD = 6.0, 0.096", 21, "sign"): "the width of the jet is squared",
 }
