@@ -24,6 +24,7 @@ from qrsim.models.vehicles.wake import (
     first_jet_speed,
     half_width,
     jet_axis,
+    jet_share,
     jet_speed,
     jet_strength,
 )
@@ -136,8 +137,8 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState, wake: Wake) -> _Jets
     # In thin air jets are faster: they are those of as much more thrust at sea level, for which the laws are.
     thrust = jnp.where(flies, thrust * (AIR_DENSITY / world.air.density(pose.position_ned)), 0.0)
     high, push = Wake(upper(wake.size), upper(wake.disc_area)), upper(thrust)
-    axis = jet_axis(high, push, turned.down.map(upper), wind.map(upper))
-    return _Jets(high, push, axis, pose.position_ned.map(upper))
+    flow = high, push, turned.down.map(upper), wind.map(upper)
+    return _Jets(high, push * jet_share(*flow), jet_axis(*flow), pose.position_ned.map(upper))
 
 
 def _others(jets: _Jets, fleet: Fleet, same: bool) -> Array:

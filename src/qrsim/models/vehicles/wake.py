@@ -51,6 +51,16 @@ def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3)
     return through * (1.0 / jnp.sqrt(jnp.maximum(through.dot(through), 1e-12)))
 
 
+def jet_share(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Array:
+    """Return which part of its thrust leaves a vehicle as a jet; arguments as those of ``jet_axis``.
+
+    All of it down to a descent at half of the induced velocity of a hover. There the vortex ring state begins, in which
+    the flow returns to the rotors, and at the whole of it nothing goes away as a jet (Leishman 2006, section 2.13.6).
+    """
+    against = relative_wind_ned.dot(down_ned) / jnp.maximum(_exhaust(wake, thrust), 1e-6)
+    return jnp.clip(2.0 + 4.0 * against, 0.0, 1.0)
+
+
 def jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
     """Return the speed [m/s] of a wake along its axis (V32); the momentum at every distance is the thrust.
 

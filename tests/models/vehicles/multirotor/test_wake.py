@@ -12,7 +12,7 @@ import pytest
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.multirotor.aerodynamics import near_ground
-from qrsim.models.vehicles.wake import Wake, first_jet_speed, jet_axis, jet_speed
+from qrsim.models.vehicles.wake import Wake, first_jet_speed, jet_axis, jet_share, jet_speed
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -50,6 +50,16 @@ def test_it_begins_at_twice_the_induced_velocity_and_spreads_as_a_jet() -> None:
     assert at(5.0, 0.48)[0] == pytest.approx(5.326 / 2.0, abs=0.005)
     assert at(10.0)[0] == pytest.approx(5.326 / 2.0, abs=0.005)
     assert at(-0.1)[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("descent", "share"), [(-3.0, 1.0), (0.0, 1.0), (3.1, 1.0), (4.752, 0.5), (6.4, 0.0), (20.0, 0.0)]
+)
+def test_in_the_vortex_ring_state_nothing_goes_away_as_a_jet(descent: float, share: float) -> None:
+    """It begins at half of the induced velocity of a hover, 6.336 m/s here, and is there at the whole of it."""
+    zero, down = 0.0 * ONE, Vec3(0.0 * ONE, 0.0 * ONE, ONE)
+    found = jet_share(wake_of(*X500[:3]), 20.25 * ONE, down, Vec3(5.0 * ONE, zero, -descent * ONE))
+    assert float(found[0]) == pytest.approx(share, abs=1e-3)
 
 
 def test_the_first_law_stays() -> None:
