@@ -574,7 +574,8 @@ class Orbits(catalogue.ORBITS["nominal_constellation"]): pass
 @qrsim.record
 class Area(catalogue.AREAS["box"]): pass
 @qrsim.record
-class Vehicle(catalogue.VEHICLES["pelican"]): pass
+class Vehicle(catalogue.VEHICLES["pelican"]):
+    adds_position = True
 @qrsim.record
 class Battery(catalogue.BATTERIES["lithium_polymer"]): pass
 @qrsim.record

@@ -22,7 +22,10 @@ def scenario(sensors: dict[str, Any]) -> dict[str, Any]:
     vehicles = [{"position_ned": place, "waypoints_ned": [[-x for x in place[:2]] + [place[2]]]} for place in PLACES]
     return {
         "name": "three", "extends": "range_only_slam", "duration": 8.0, "world": {"collision_distance": 0.0},
-        "fleets": {"pelicans": {"sensors": sensors, "vehicles": vehicles}},
+        # They pass through each other, where wakes would be the strongest.
+        "fleets": {
+            "pelicans": {"vehicle": {"downwash": "ignored"}, "sensors": sensors, "vehicles": vehicles},
+        },
     }  # fmt: skip
 
 
