@@ -136,7 +136,8 @@ def _yaws(sensors: str, seeds: int, more: str = "") -> np.ndarray:
 def test_a_magnetometer_holds_the_yaw_of_a_hover():
     """It stays within 4 std for two minutes; without a magnetometer the std rises, and the heading drifts.
 
-    Tilts in gusts seem to tell the heading, and are wrong by soft iron: of 16 seeds the error is 2.0 std rms at the end.
+    Tilts in gusts seem to tell the heading, and soft iron makes them wrong: of 16 seeds the error is 2.0 std rms at the
+    end.
     """
     held = _yaws("imu: {type: imu}, compass: {type: magnetometer}", 16)
     assert np.sqrt(np.mean(np.square(held[:, -1, 0] / held[:, -1, 1]))) < 2.6
