@@ -30,6 +30,8 @@ OF_RADIO = "measurements"
 # JAX traces the poses again for every number of ticks, which takes as long as computing them. Shorter parts of a flight
 # are padded to this number.
 _TICKS, _MOST_POSES = 500, 20_000
+_load = on_host(lambda vehicle, states: vehicle.load(states))
+_voltage = on_host(lambda battery, states, load: battery.voltage(states, load))
 _poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
 
 
@@ -114,13 +116,13 @@ def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any
     """Return what vehicles with electric motors take, as ``_tree`` does, without columns that there are."""
     if not fleet.vehicle.gives_power:
         return []
-    load = fleet.vehicle.load(state.vehicle)
+    load = _load(fleet.vehicle, state.vehicle)
     items = [
         ("thrust", load.thrust, "N", "collective thrust of the rotors at their speeds"),
         ("power", load.power, "W", "electrical power of motors and avionics"),
     ]
     if fleet.battery.drains:
-        items.append(("battery.voltage", fleet.battery.voltage(state.battery, load), "V", "under load"))
+        items.append(("battery.voltage", _voltage(fleet.battery, state.battery, load), "V", "under load"))
     shape = state.violation.code.shape
     return [
         (name, np.broadcast_to(np.asarray(leaf), shape), unit, doc)
