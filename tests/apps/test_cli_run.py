@@ -697,7 +697,7 @@ def test_a_stopped_run_can_be_drawn(stopped, name, capsys):
 
 def test_a_plain_run_compiles_nothing_by_xla(tmp_path):
     """In a new process, because this one has compiled programs already."""
-    command = [sys.executable, "-m", "qrsim.cli", "run", "outdoor_patrol", "--duration", "0.1", "--no-figure"]
+    command = [sys.executable, "-m", "qrsim.cli", "run", "mixed_team", "--duration", "0.1", "--no-figure"]
     found = subprocess.run(
         command, cwd=tmp_path, env=os.environ | {"JAX_LOG_COMPILES": "1"}, capture_output=True, text=True, check=True
     )
