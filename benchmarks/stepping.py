@@ -23,7 +23,7 @@ AGAINST = {"against_us": "against [us]", "ratio": "ratio"}
 
 
 def doors() -> dict[str, Callable[[], Any]]:
-    """Return what is measured, by what a user writes."""
+    """Return the measured calls by the expression that a user writes."""
     import qrsim
 
     sim = qrsim.load(_common.patrol(5), seed=1)

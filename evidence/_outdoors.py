@@ -28,7 +28,7 @@ CASES: dict[str, list[str]] = {
 # Rows of a record that belong together.
 BLOCKS = {"position": (0, 1, 2), "velocity": (3, 4, 5), "tilt": (6, 7), "yaw": (8,)}
 _ANGLES = ("roll", "pitch", "yaw")
-# Of an error with the std that is stated, 95 % are within so many of it.
+# 95 % of errors are within this multiple of their std.
 _WITHIN = 1.96
 
 

@@ -1,7 +1,7 @@
 """The turbulence field against the closed forms of isotropic turbulence and of MIL-F-8785C.
 
 What has a closed form in the mean over worlds (correlations, sweep, variances) is tested against it; spectra along
-hovering and flying vehicles, rotation and divergence are reported beside the standard's or the exact ones. Whether a
+hovering and flying vehicles, rotation and divergence are compared with the standard's or the exact ones. Whether a
 vehicle that hovers for two hours meets tones is told by autocorrelations at lags from one minute to one hour.
 """
 
@@ -139,7 +139,7 @@ def aged(worlds: int) -> dict[str, Any]:
 
 
 def hovering(worlds: int) -> dict[str, Any]:
-    """Return what vehicles that hover for two hours, one in each world, meet of tones.
+    """Return the tones in the gusts at vehicles that hover for two hours, one in each world.
 
     Of the field, of the frozen field, and of Gaussian noise with the standard's spectra: for gusts along the wind,
     across it and down, the largest autocorrelation at HOVER_LAGS and the number of lines of the spectrum that have

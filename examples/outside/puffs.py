@@ -1,4 +1,4 @@
-"""A turbulence: gusts that are the same at every height, each axis an Ornstein-Uhlenbeck process of its own."""
+"""A turbulence: gusts that are the same at every height, with an independent Ornstein-Uhlenbeck process for each axis."""
 
 import jax.numpy as jnp
 import qrsim

@@ -63,12 +63,14 @@ def wakes_on(
         Both, None where no wake can be felt.
     """
     model = fleet.vehicle
+    if model.downwash == "ignored":
+        return None
     found = [
         (_jets_of(world, other, state, wake), other.name == fleet.name)
         for other, state, wake in ((a, b, a.vehicle.wake()) for a, b in zip(world.fleets, before, strict=True))
         if wake is not None and (other.name != fleet.name or fleet.size > 1)
     ]
-    if model.downwash == "ignored" or not found:
+    if not found:
         return None
     if model.downwash == "at_centre":
         total = _sum(

@@ -19,7 +19,7 @@ ROWS = {
     "bias": "anees_bias",
 }
 
-# Squared errors so many times what is stated ask for an explanation.
+# From this ratio of squared errors to the stated variance on, an explanation is printed.
 MUCH = 2.0
 EXPLAINED = """  Above 1 the estimate errs by more than it states: GNSS errors last for minutes, and the filter takes
   them for white noise. The flights above had these errors; what is stated is too small (docs/estimators.md)."""
