@@ -53,7 +53,7 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
 
 def problem(seconds: float, states: str) -> tuple[Any, Any, Any]:
     """Return the graph, the states and the landmarks at which the iterations begin, of one flight of the example."""
-    from qrsim.slam import example, graph, study
+    from qrsim.studies.slam import example, graph, study
 
     (flight,) = study.fly(range(SEED, SEED + 1), duration=seconds, state_period=STATE_PERIOD)["coloured"]
     ranging = example.ranging_of(flight, SEED)
@@ -70,8 +70,8 @@ def linear(seconds: float) -> tuple[dict[str, Any], dict[str, Any]]:
     import jax
     import jax.numpy as jnp
 
-    from qrsim.slam import graph as graphs
-    from qrsim.slam import solve
+    from qrsim.studies.slam import graph as graphs
+    from qrsim.studies.slam import solve
 
     made, x, guess = problem(seconds, "full")
     reached = solve.solve(made, x, guess, 100).point
@@ -97,7 +97,7 @@ def linear(seconds: float) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def poses(seconds: float) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return our row of the whole minimisation with poses, and what the other side is given."""
-    from qrsim.slam import solve
+    from qrsim.studies.slam import solve
 
     made, x, guess = problem(seconds, "poses")
     found, cpu = timed(lambda: solve.solve(made, x, guess, 100))

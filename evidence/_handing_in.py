@@ -89,7 +89,7 @@ class Workshop:
         """Every study that comes with qrsim."""
         from importlib import resources
 
-        folder = resources.files("qrsim").joinpath("studies")
+        folder = resources.files("qrsim.studies.sweep")
         return [(item.name, item.read_bytes()) for item in sorted(folder.iterdir(), key=str) if ".yaml" in item.name]
 
     @cached_property
@@ -204,8 +204,8 @@ def _kml(shop: Workshop, rng: Rng) -> None:
 
 
 def _study(shop: Workshop, rng: Rng) -> None:
-    from qrsim.sweep.prepare import plan_of
-    from qrsim.sweep.study import load_study
+    from qrsim.studies.sweep.prepare import plan_of
+    from qrsim.studies.sweep.study import load_study
 
     _, data = shop.studies[int(rng.integers(len(shop.studies)))]
     plan = plan_of(load_study(str(shop.write("study.yaml", mutated(rng, data)))))
@@ -260,8 +260,8 @@ def _read_run(folder: Path, skip_damaged: bool) -> None:
 
 
 def _flight_log(shop: Workshop, rng: Rng) -> None:
-    from qrsim.flight_logs import read_log
-    from qrsim.flight_logs.inertial import read_inertial
+    from qrsim.studies.flight_logs import read_log
+    from qrsim.studies.flight_logs.inertial import read_inertial
 
     name, data, binary = shop.logs[int(rng.integers(len(shop.logs)))]
     path = shop.write(f"log{Path(name).suffix}", mutated(rng, data, binary))
@@ -269,7 +269,7 @@ def _flight_log(shop: Workshop, rng: Rng) -> None:
 
 
 def _bag(shop: Workshop, rng: Rng) -> None:
-    from qrsim.flight_logs import read_log
+    from qrsim.studies.flight_logs import read_log
 
     copy = shop.folder / "damaged"
     shutil.rmtree(copy, ignore_errors=True)

@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 
 from evidence.identify import random_steps
-from qrsim.flight_logs import FlightLog
-from qrsim.identify.constants import CONSTANTS, PITCH
-from qrsim.identify.fit import Question
-from qrsim.identify.identification import identify
-from qrsim.identify.problem import cut
-from qrsim.identify.scores import open_loop, score
 from qrsim.links.autopilot.firmware import binary, configured
 from qrsim.links.autopilot.fleet import prepared
 from qrsim.links.autopilot.flight import Flight
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
+from qrsim.studies.flight_logs import FlightLog
+from qrsim.studies.identify.constants import CONSTANTS, PITCH
+from qrsim.studies.identify.fit import Question
+from qrsim.studies.identify.identification import identify
+from qrsim.studies.identify.problem import cut
+from qrsim.studies.identify.scores import open_loop, score
 
 DOC = "constants identified from flights of Betaflight's firmware, and their errors on other flights, also in wind"
 SEED = 20261123

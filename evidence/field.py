@@ -16,9 +16,9 @@ import numpy as np
 import scipy
 
 from evidence import _field as of
-from qrsim.validate.statistics import against, judge, mean_and_error
-from qrsim.validate.wind_field import LIFETIME
-from qrsim.validate.wind_field import kept as remembered
+from qrsim.studies.validate.statistics import against, judge, mean_and_error
+from qrsim.studies.validate.wind_field import LIFETIME
+from qrsim.studies.validate.wind_field import kept as remembered
 
 DOC = "correlations, spectra, rotation and divergence of dryden_field, and what its waves leave out"
 # The day on which Batchelor's book appeared is not known; its year, and a day.

@@ -17,9 +17,9 @@ import numpy as np
 import qrsim
 from evidence import _field as of
 from evidence import _intervals as interval
-from qrsim.sweep.study import load_study
-from qrsim.validate.wind_field import LIFETIME
-from qrsim.validate.wind_field import kept as remembered
+from qrsim.studies.sweep.study import load_study
+from qrsim.studies.validate.wind_field import LIFETIME
+from qrsim.studies.validate.wind_field import kept as remembered
 from qrsim.world.state import State
 
 DOC = "formations in gusts of each vehicle's own and of one field: separation, common motion, lags; 1 to 50 m, sweep"

@@ -24,8 +24,8 @@ from qrsim.models.gnss.interference import Interference, Jammer, jammed
 from qrsim.models.gnss.orbits import dilution_of_precision, elevation_azimuth
 from qrsim.models.gnss.presets import PRESETS
 from qrsim.models.site import Site
-from qrsim.validate.gnss import RECORDING, ROWS
-from qrsim.validate.receiver import recorded_receiver
+from qrsim.studies.validate.gnss import RECORDING, ROWS
+from qrsim.studies.validate.receiver import recorded_receiver
 
 DOC = "receivers of type gnss: accuracy, fix types, jammers, what vehicles share, and a recorded receiver"
 SEED = 23

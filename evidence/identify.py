@@ -16,17 +16,17 @@ import scipy
 import qrsim
 from evidence.recordings import data_folder
 from qrsim.core.tree import replace
-from qrsim.discover.discovery import Discovery, discover, is_published
-from qrsim.flight_logs import FlightLog, read_log
-from qrsim.identify.constants import CONSTANTS, PITCH, constants_in
-from qrsim.identify.fit import Answer, Question, solve
-from qrsim.identify.identification import identify
-from qrsim.identify.problem import cut
-from qrsim.identify.scores import whiteness
-from qrsim.identify.verdicts import coloured_channels
 from qrsim.models.vehicles.quadrotor import THROTTLE_RAW_PER_UNIT, Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.simulation.openloop import hover_state, simulate_open_loop
+from qrsim.studies.discover.discovery import Discovery, discover, is_published
+from qrsim.studies.flight_logs import FlightLog, read_log
+from qrsim.studies.identify.constants import CONSTANTS, PITCH, constants_in
+from qrsim.studies.identify.fit import Answer, Question, solve
+from qrsim.studies.identify.identification import identify
+from qrsim.studies.identify.problem import cut
+from qrsim.studies.identify.scores import whiteness
+from qrsim.studies.identify.verdicts import coloured_channels
 
 DOC = "constants and laws found again in simulated flights; errors on held-out parts of the recordings"
 SEED = 20261121

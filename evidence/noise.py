@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
-from qrsim.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
+from qrsim.studies.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
 
 DOC = "standard normals and Ornstein-Uhlenbeck processes against their theory"
 SEED = 20140914

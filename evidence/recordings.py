@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import RunError
-from qrsim.validate import outdoor, rotation, thrust
-from qrsim.validate.recorded import FETCH, command_rows
+from qrsim.studies.validate import outdoor, rotation, thrust
+from qrsim.studies.validate.recorded import FETCH, command_rows
 
 __all__ = ["DOC", "command_rows", "data_folder", "run"]
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.slam import example
-from qrsim.slam import study as studies
-from qrsim.slam.study import Study
+from qrsim.studies.slam import example
+from qrsim.studies.slam import study as studies
+from qrsim.studies.slam.study import Study
 
 DOC = "errors of range-only SLAM under white and coloured GNSS noise, with paired tests; time and memory"
 SEED = 20140918
@@ -34,7 +34,7 @@ PROGRAM = """
 import json, pickle, sys, time
 from pathlib import Path
 from evidence.rollout import peak_bytes
-from qrsim.slam.estimate import bytes_needed, estimate
+from qrsim.studies.slam.estimate import bytes_needed, estimate
 
 flight, ranging = pickle.loads(Path(sys.argv[1]).read_bytes())
 before = peak_bytes()

@@ -13,9 +13,9 @@ import numpy as np
 import scipy
 
 from evidence._intervals import share
-from qrsim.slam import example
-from qrsim.slam import study as studies
-from qrsim.slam.estimate import BIAS_TIME_CONSTANT, Slam, estimate
+from qrsim.studies.slam import example
+from qrsim.studies.slam import study as studies
+from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, Slam, estimate
 
 DOC = "NEES and coverage of range-only SLAM under white noise, and coloured noise taken for white or as a state"
 SEED = 20140918

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from evidence.slam_consistency import band, judged, nees
-from qrsim.slam import team
-from qrsim.slam.between import BETWEEN_STD, part_of
-from qrsim.slam.cooperative import CooperativeSlam, estimate_together
-from qrsim.slam.estimate import BIAS_TIME_CONSTANT
-from qrsim.slam.example import MEMORY
-from qrsim.slam.flight import Flight
-from qrsim.slam.study import interval, paired
+from qrsim.studies.slam import team
+from qrsim.studies.slam.between import BETWEEN_STD, part_of
+from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
+from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
+from qrsim.studies.slam.example import MEMORY
+from qrsim.studies.slam.flight import Flight
+from qrsim.studies.slam.study import interval, paired
 
 DOC = "errors and NEES of 1, 2 and 5 vehicles that range to each other, by what their GNSS errors have in common"
 SEED = 20140918

@@ -57,12 +57,12 @@ import json, sys, tempfile, time
 from pathlib import Path
 
 import qrsim
-from qrsim.sweep.cluster import workers_of
-from qrsim.sweep.flying import fly
-from qrsim.sweep.prepare import plan_of
-from qrsim.sweep.store import Store
-from qrsim.sweep.study import load_study
-from qrsim.sweep.sweeping import Jobs, sweep
+from qrsim.studies.sweep.cluster import workers_of
+from qrsim.studies.sweep.flying import fly
+from qrsim.studies.sweep.prepare import plan_of
+from qrsim.studies.sweep.store import Store
+from qrsim.studies.sweep.study import load_study
+from qrsim.studies.sweep.sweeping import Jobs, sweep
 
 if __name__ == "__main__":
     study, rounds, workers = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
@@ -100,9 +100,9 @@ import json, sys, tempfile
 from pathlib import Path
 
 from evidence.rollout import peak_bytes
-from qrsim.sweep.prepare import plan_of
-from qrsim.sweep.store import Store
-from qrsim.sweep.study import load_study
+from qrsim.studies.sweep.prepare import plan_of
+from qrsim.studies.sweep.store import Store
+from qrsim.studies.sweep.study import load_study
 
 with tempfile.TemporaryDirectory() as folder:
     study = Path(folder) / "million.yaml"

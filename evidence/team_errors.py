@@ -49,7 +49,7 @@ def flown(full: bool, folder: Path) -> Any:
 
 def fewer(path: Path) -> Path:
     """Write the shipped study with fewer conditions, and return its path."""
-    text = resources.files("qrsim").joinpath("studies", f"{STUDY}.yaml").read_text("utf-8")
+    text = resources.files("qrsim.studies.sweep").joinpath(f"{STUDY}.yaml").read_text("utf-8")
     content = parse_yaml(text, STUDY)
     for name, kept in FEWER.items():
         conditions = content["vary"][name]["conditions"]

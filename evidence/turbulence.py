@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from qrsim.validate.jsbsim_gusts import INSTALL, TYPES, jsbsim_theory
-from qrsim.validate.spectra import CASES, COMPONENTS, DT, SEVERITY, SPAN, closed_form
-from qrsim.validate.statistics import judge
-from qrsim.validate.turbulence import spectra_figure, study_case
+from qrsim.studies.validate.jsbsim_gusts import INSTALL, TYPES, jsbsim_theory
+from qrsim.studies.validate.spectra import CASES, COMPONENTS, DT, SEVERITY, SPAN, closed_form
+from qrsim.studies.validate.statistics import judge
+from qrsim.studies.validate.turbulence import spectra_figure, study_case
 
 __all__ = ["CASES", "COMPONENTS", "DOC", "INSTALL", "SEED", "TYPES", "closed_form", "jsbsim_theory", "run"]
 

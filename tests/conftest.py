@@ -62,13 +62,13 @@ def resident_bytes() -> int:
 
 
 # Rooms whose tests compile many programs that run for a moment.
-QUICKLY_COMPILED = {"control", "core", "laws", "models", "slam"}
+QUICKLY_COMPILED = ("control", "core", "laws", "models", "studies/slam")
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _quick_xla(request: pytest.FixtureRequest) -> Iterator[None]:
     """Have XLA compile without the passes that take longer than what they save in a test."""
-    quick = request.path.relative_to(Path(__file__).parent).parts[0] in QUICKLY_COMPILED
+    quick = any(request.path.is_relative_to(Path(__file__).parent / room) for room in QUICKLY_COMPILED)
     jax.config.update("jax_disable_most_optimizations", quick)
     yield
     jax.config.update("jax_disable_most_optimizations", False)

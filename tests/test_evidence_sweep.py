@@ -1,6 +1,6 @@
 """The small form of the study of sweeps (``make evidence sweep``), and what the full form must have found.
 
-What it does to processes is in tests/sweep/test_workers.py.
+What it does to processes is in tests/studies/sweep/test_workers.py.
 """
 
 from __future__ import annotations

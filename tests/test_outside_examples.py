@@ -22,8 +22,8 @@ from qrsim.files import code
 from qrsim.links.reference.readout import Readout
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
-from qrsim.sweep.flying import dumped
-from qrsim.sweep.groups import make_group
+from qrsim.studies.sweep.flying import dumped
+from qrsim.studies.sweep.groups import make_group
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "outside"
 LASER = EXAMPLES / "laser.yaml"
@@ -107,7 +107,7 @@ class TestLaser:
         group = make_group(load_scenario(LASER).spec.model_dump(mode="json"), {}, [], "float32")
         (tmp_path / "group").write_bytes(dumped(group))
         program = (
-            "from pathlib import Path\nfrom qrsim.sweep.flying import _group\n"
+            "from pathlib import Path\nfrom qrsim.studies.sweep.flying import _group\n"
             f"world = _group(Path({str(tmp_path / 'group')!r}).read_bytes()).world\n"
             "print(type(world.fleets[0].sensors[-1]).__name__)"
         )

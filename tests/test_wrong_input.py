@@ -18,10 +18,10 @@ from tests.runs.small_run import COLUMNS, VEHICLES, append_chunk
 import qrsim
 from qrsim.cli import main
 from qrsim.errors import QrsimError, RunError, ScenarioError, UsageError
-from qrsim.flight_logs import read_log
 from qrsim.runs import RunInfo, RunWriter, open_run
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.sweep.study import load_study
+from qrsim.studies.flight_logs import read_log
+from qrsim.studies.sweep.study import load_study
 
 
 @pytest.fixture

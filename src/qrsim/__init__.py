@@ -90,7 +90,15 @@ _LAZY = {
 }
 
 # Rooms and modules that are used as a library, imported on first use too.
-_ROOMS = ("contracts", "discover", "envs", "identify", "slam", "sweep", "validate")
+_ROOMS = {
+    "contracts": "qrsim.contracts",
+    "discover": "qrsim.studies.discover",
+    "envs": "qrsim.envs",
+    "identify": "qrsim.studies.identify",
+    "slam": "qrsim.studies.slam",
+    "sweep": "qrsim.studies.sweep",
+    "validate": "qrsim.studies.validate",
+}
 
 __all__ = [
     "AttitudeCommand",
@@ -172,7 +180,7 @@ def __getattr__(name: str) -> Any:
     if name in _ROOMS:
         import importlib
 
-        return importlib.import_module(f"qrsim.{name}")
+        return importlib.import_module(_ROOMS[name])
     from qrsim.errors import did_you_mean, nearest
 
     # Python itself asks for names such as __path__; of these nobody has mistyped one.

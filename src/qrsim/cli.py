@@ -24,7 +24,6 @@ import qrsim.starting  # noqa: F401 (before the others)
 # isort: split
 import tyro
 
-from qrsim import interruptions
 from qrsim.apps.autopilot import Ardupilot, Betaflight
 from qrsim.apps.cache import Clear, Info, Pack, Unpack
 from qrsim.apps.check.command import Check
@@ -50,6 +49,7 @@ from qrsim.apps.sweep_report import SweepReport
 from qrsim.apps.validate import Validate
 from qrsim.apps.view import View
 from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened, visible
+from qrsim.files import interruptions
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
 

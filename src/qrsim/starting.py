@@ -7,7 +7,7 @@ import gc
 import os
 import sys
 
-from qrsim.interruptions import leave_at_once
+from qrsim.files.interruptions import leave_at_once
 
 # By any other name somebody imports the command line into a program of their own.
 if os.path.basename(sys.argv[0] if sys.argv else "") in ("qrsim", "qrsim.exe"):

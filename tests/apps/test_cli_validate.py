@@ -20,10 +20,10 @@ from qrsim import cli
 from qrsim.core.allan import exponential_allan_variance
 from qrsim.errors import RunError
 from qrsim.files.recordings import RECORDINGS
-from qrsim.validate import gnss, outdoor, parts, receiver, report, thrust, translation, turbulence
-from qrsim.validate.parts import PARTS
-from qrsim.validate.published import RangeErrors
-from qrsim.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
+from qrsim.studies.validate import gnss, outdoor, parts, receiver, report, thrust, translation, turbulence
+from qrsim.studies.validate.parts import PARTS
+from qrsim.studies.validate.published import RangeErrors
+from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 
 PIXEL = bytes.fromhex("89504e470d0a1a0a")
 

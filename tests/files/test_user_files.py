@@ -13,10 +13,10 @@ import pytest
 from qrsim.cli import main
 from qrsim.errors import QrsimError
 from qrsim.files.user_files import open_file, read_bytes, read_text
-from qrsim.flight_logs import read_log
 from qrsim.interface.policies import load_function
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.studies.flight_logs import read_log
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def named(ending: str, read: Any) -> Any:
 
 
 def study(path: Path) -> None:
-    from qrsim.sweep.study import load_study
+    from qrsim.studies.sweep.study import load_study
 
     load_study(str(path))
 

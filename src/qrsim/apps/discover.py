@@ -14,7 +14,7 @@ from qrsim.apps import OPTIONAL_SECONDS
 from qrsim.errors import LogError, RunError, UsageError
 
 if TYPE_CHECKING:
-    from qrsim.discover.discovery import Discovery
+    from qrsim.studies.discover.discovery import Discovery
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ class Discover:
     def run(self) -> None:
         """Check, read, evolve, write, print."""
         self._check()
-        from qrsim.discover.discovery import discover
-        from qrsim.discover.picture import draw
         from qrsim.files.atomic import write_atomically
-        from qrsim.flight_logs import read_log
         from qrsim.runs.picture import save_picture
         from qrsim.scenarios.reading import dump_yaml
+        from qrsim.studies.discover.discovery import discover
+        from qrsim.studies.discover.picture import draw
+        from qrsim.studies.flight_logs import read_log
 
         log = read_log(self.log, boot=self.boot)
         say: Callable[[str], None] = (
@@ -130,7 +130,7 @@ def _summary(found: Discovery) -> dict[str, Any]:
 
 
 def _print(found: Discovery, out: Path) -> None:
-    from qrsim.discover.flight import TRIM_UNITS
+    from qrsim.studies.discover.flight import TRIM_UNITS
 
     for law in found.laws.values():
         print(f"\n{law.text}\n  {law.chosen.size} nodes; error by nodes:", end=" ")

@@ -13,8 +13,8 @@ from qrsim.apps import OPTIONAL_SECONDS, SECONDS
 from qrsim.errors import LogError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from qrsim.identify.fit import Question
-    from qrsim.identify.result import Result
+    from qrsim.studies.identify.fit import Question
+    from qrsim.studies.identify.result import Result
 
 OUT = Path("my_vehicle.yaml")
 _Optional = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: all of it)")
@@ -87,7 +87,7 @@ class Identify:
     def run(self) -> None:
         """Check, read, fit, write, print."""
         if self.imu:
-            from qrsim.identify.imu_noise import checked_imu, identify_imu
+            from qrsim.studies.identify.imu_noise import checked_imu, identify_imu
 
             out = checked_imu(self.logs, self.out, OUT, overwrite=self.overwrite)
             if not self.begin < self.end:
@@ -95,11 +95,11 @@ class Identify:
             identify_imu(self.logs[0], out, self.begin, self.end, quiet=self.quiet, as_json=self.json)
             return
         self._check()
-        from qrsim.flight_logs import read_log
-        from qrsim.identify.constants import lacking
-        from qrsim.identify.identification import identify, part_of
-        from qrsim.identify.report import write_report
-        from qrsim.identify.result import write_text
+        from qrsim.studies.flight_logs import read_log
+        from qrsim.studies.identify.constants import lacking
+        from qrsim.studies.identify.identification import identify, part_of
+        from qrsim.studies.identify.report import write_report
+        from qrsim.studies.identify.result import write_text
 
         question = self._question()
         logs = [part_of(read_log(path, self.namespace, self.boot), self.begin, self.end) for path in self.logs]
@@ -139,9 +139,9 @@ class Identify:
             raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
 
     def _question(self) -> Question:
-        from qrsim.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
-        from qrsim.identify.fit import Prior, Question
-        from qrsim.identify.starting import starting_values
+        from qrsim.studies.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
+        from qrsim.studies.identify.fit import Prior, Question
+        from qrsim.studies.identify.starting import starting_values
 
         start = starting_values(self.start, self.separate)
         priors: dict[str, Prior] = {}
@@ -185,7 +185,7 @@ def _number(option: str, text: str) -> float:
 
 
 def _prior(option: str, text: str, form: str) -> Any:
-    from qrsim.identify.fit import Prior
+    from qrsim.studies.identify.fit import Prior
 
     value, colon, std = text.partition(":")
     if not colon:

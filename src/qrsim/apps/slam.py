@@ -15,8 +15,8 @@ from qrsim.apps import SECONDS
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
-    from qrsim.slam.estimate import Slam
-    from qrsim.slam.study import Study, Sweep
+    from qrsim.studies.slam.estimate import Slam
+    from qrsim.studies.slam.study import Study, Sweep
 
 
 SWEPT = {"plain": "taken for white", "bias": "as a state"}
@@ -97,7 +97,7 @@ class SlamCommand:
             raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
         if not 0.0 < self.duration <= 1e7:
             raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds, at most 10 000 000")
-        from qrsim.slam.team_report import check_together
+        from qrsim.studies.slam.team_report import check_together
 
         single = [name for name in ("noise", "sweep", "vehicle") if getattr(self, name) != getattr(SlamCommand, name)]
         check_together(self.vehicles, self.graph, self.run_folder is not None, single)
@@ -115,8 +115,8 @@ class SlamCommand:
     def _solve_run(self, folder: Path) -> None:
         from qrsim.runs import open_run
         from qrsim.runs.picture import save_picture
-        from qrsim.slam.estimate import from_run
-        from qrsim.slam.figures import draw_run
+        from qrsim.studies.slam.estimate import from_run
+        from qrsim.studies.slam.figures import draw_run
 
         self._make_out()
         if self.vehicles > 1:
@@ -140,19 +140,19 @@ class SlamCommand:
 
     def _solve_together(self, folder: Path) -> None:
         from qrsim.runs import open_run
-        from qrsim.slam.team_report import solve_run_together, text_of_run
+        from qrsim.studies.slam.team_report import solve_run_together, text_of_run
 
         found, result = solve_run_together(open_run(folder, code=self.code), self.vehicles, self.states)
         if self.out is not None:
             from qrsim.runs.picture import save_picture
-            from qrsim.slam.team_figures import draw_together
+            from qrsim.studies.slam.team_figures import draw_together
 
             save_picture(lambda: draw_together(found, str(folder)), self.out / "trajectory.png")
         self._report(result, text_of_run(found, result))
 
     def _team(self) -> None:
-        from qrsim.slam.team_report import text_of_study
-        from qrsim.slam.team_study import CASES, compare
+        from qrsim.studies.slam.team_report import text_of_study
+        from qrsim.studies.slam.team_study import CASES, compare
 
         self._make_out()
         seeds = range(self.first_seed, self.first_seed + self.seeds)
@@ -162,7 +162,7 @@ class SlamCommand:
         result = {**flown, **found.numbers()}
         if self.out is not None:
             from qrsim.runs.picture import save_picture
-            from qrsim.slam.team_figures import draw_gain, draw_together
+            from qrsim.studies.slam.team_figures import draw_gain, draw_together
 
             title = f"seed {self.first_seed}, errors of each vehicle's own, as states"
             save_picture(lambda: draw_together(found.together["own_as_own_states"][0], title), self.out / "team.png")
@@ -181,9 +181,9 @@ class SlamCommand:
             print(f"\nfigures and numbers: {self.out}")
 
     def _study(self) -> None:
-        from qrsim.slam import example
-        from qrsim.slam import study as studies
-        from qrsim.slam.estimate import BIAS_TIME_CONSTANT
+        from qrsim.studies.slam import example
+        from qrsim.studies.slam import study as studies
+        from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
 
         noises = studies.NOISES if self.noise == "both" else (self.noise,)
         seeds = range(self.first_seed, self.first_seed + self.seeds)
@@ -214,7 +214,7 @@ class SlamCommand:
 
 def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
     from qrsim.runs.picture import save_picture
-    from qrsim.slam import figures
+    from qrsim.studies.slam import figures
 
     save_picture(lambda: figures.draw_trajectories(found), folder / "trajectories.png")
     save_picture(lambda: figures.draw_allan(found), folder / "allan.png")
@@ -251,8 +251,8 @@ def _of_run(found: Slam) -> dict[str, Any]:
 
 
 def _print_study(result: dict[str, Any]) -> None:
-    from qrsim.slam.estimate import MOST_ITERATIONS
-    from qrsim.slam.study import ARMS
+    from qrsim.studies.slam.estimate import MOST_ITERATIONS
+    from qrsim.studies.slam.study import ARMS
 
     arms = ARMS[result["graph"]]
     count = f"{result['seeds']} flight{'s' if result['seeds'] > 1 else ''}"

@@ -15,8 +15,8 @@ import tyro
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
-    from qrsim.sweep.plan import Batch, Plan
-    from qrsim.sweep.study import Study
+    from qrsim.studies.sweep.plan import Batch, Plan
+    from qrsim.studies.sweep.study import Study
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Sweep:
         from qrsim.extras import require
 
         require("sweep", "qrsim sweep")
-        from qrsim.sweep.prepare import plan_of
+        from qrsim.studies.sweep.prepare import plan_of
 
         plan = plan_of(study)
         out = self.out or Path("sweeps") / f"{study.spec.name}.zarr"
@@ -82,7 +82,7 @@ class Sweep:
         self._fly(plan, out)
 
     def _study(self) -> Study:
-        from qrsim.sweep.study import load_study
+        from qrsim.studies.sweep.study import load_study
 
         for name in ("workers", "seeds", "points", "values"):
             value = getattr(self, name)
@@ -101,9 +101,9 @@ class Sweep:
 
     def _fly(self, plan: Plan, out: Path) -> None:
         from qrsim.engine.settings import available_cores
-        from qrsim.sweep.cluster import Tls, workers_of
-        from qrsim.sweep.store import Store
-        from qrsim.sweep.sweeping import sweep
+        from qrsim.studies.sweep.cluster import Tls, workers_of
+        from qrsim.studies.sweep.store import Store
+        from qrsim.studies.sweep.sweeping import sweep
 
         begun = time.perf_counter()
         store = Store(out, plan)

@@ -49,7 +49,7 @@ class SweepReport:
         from qrsim.extras import require
 
         require("sweep", "qrsim sweep-report")
-        from qrsim.sweep.report import find, print_report, to_json, write
+        from qrsim.studies.sweep.report import find, print_report, to_json, write
 
         if not self.store.name:
             raise UsageError(f"{self.store}: it is no store of a sweep; 'qrsim sweep STUDY' writes one")

@@ -15,8 +15,8 @@ from qrsim.errors import RunError
 from qrsim.extras import require
 
 if TYPE_CHECKING:
-    from qrsim.validate.parts import Result
-    from qrsim.validate.report import Part
+    from qrsim.studies.validate.parts import Result
+    from qrsim.studies.validate.report import Part
 
 PAGE, PRINTED, NUMBERS, FIGURES = "validation.html", "validation.pdf", "validation.json", "figures"
 
@@ -49,7 +49,7 @@ class Validate:
     def run(self) -> int:
         """Check, run, write, report."""
         from qrsim.engine.settings import use_compilation_cache
-        from qrsim.validate.parts import choose, find_recordings, run_parts
+        from qrsim.studies.validate.parts import choose, find_recordings, run_parts
 
         parts = choose(self.only)
         require("validate", "qrsim validate")
@@ -65,8 +65,8 @@ class Validate:
 
     def _write(self, results: list[Result], report: dict[str, Any]) -> None:
         from qrsim.files.atomic import write_atomically
-        from qrsim.validate.page import write_page
-        from qrsim.validate.pdf import figures, write_pdf
+        from qrsim.studies.validate.page import write_page
+        from qrsim.studies.validate.pdf import figures, write_pdf
 
         texts = {PAGE: write_page(results, report), NUMBERS: _dump(report)}
         files = {name: text.encode("utf-8") for name, text in texts.items()}

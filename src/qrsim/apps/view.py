@@ -15,7 +15,7 @@ import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS
 from qrsim.errors import RunError, UsageError
-from qrsim.interruptions import calling
+from qrsim.files.interruptions import calling
 
 if TYPE_CHECKING:
     from qrsim.view.recording import Recording

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
-from qrsim.interruptions import word
+from qrsim.files.interruptions import word
 from qrsim.runs.buffers import Buffer, VehicleRows, make_buffers
 from qrsim.runs.layout import (
     EVENTS,

@@ -18,7 +18,7 @@ from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT
 from qrsim.models.atmosphere.field import VON_KARMAN_ENERGY, VON_KARMAN_SCALE, ResidualState
 from qrsim.models.atmosphere.field_modes import modes
 from qrsim.models.atmosphere.field_waves import whole_turns
-from qrsim.validate import hover_gusts
+from qrsim.studies.validate import hover_gusts
 
 Floats = np.ndarray[Any, Any]
 SEPARATIONS = np.geomspace(1.0, 600.0, 40)

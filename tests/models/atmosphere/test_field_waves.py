@@ -12,7 +12,7 @@ from evidence import _field as field
 
 from qrsim.core.tree import replace
 from qrsim.models.atmosphere.field_waves import mixed, stagger, waves_at
-from qrsim.validate import wind_field
+from qrsim.studies.validate import wind_field
 
 
 @pytest.mark.parametrize("evolution", ["lifetime", "frozen"])

@@ -17,7 +17,7 @@ from qrsim.apps import OPTIONAL_SECONDS
 from qrsim.apps.run.page import OFF, replay, shown, stay
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
-from qrsim.interruptions import word
+from qrsim.files.interruptions import word
 
 if TYPE_CHECKING:
     from qrsim.runs import Run as RecordedRun

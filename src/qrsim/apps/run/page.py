@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qrsim.errors import QrsimError, nearest, warn_user
-from qrsim.interruptions import ending
+from qrsim.files.interruptions import ending
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView

@@ -1,0 +1,133 @@
+"""Scores on held-out data: prediction errors, and whiteness of the residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import scipy
+
+from qrsim.errors import UsageError
+from qrsim.studies.flight_logs import FlightLog
+from qrsim.studies.flight_logs.signals import Floats
+from qrsim.studies.identify.constants import VELOCITY, vehicle_of
+from qrsim.studies.identify.problem import Piece, Shooting, cut
+
+LAGS = 20
+HORIZON_S = 5.0
+
+
+def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str, float], separate: bool) -> Floats:
+    """Simulate the channels (W, n, C) of a piece open loop from its recorded first rows."""
+    shooting = Shooting(piece, vehicle_of(dict(values), separate))
+    return shooting.simulated(nuisances)
+
+
+def mean_square(piece: Piece, simulated: Floats) -> dict[str, float]:
+    """Return the mean squared error of each channel; infinite if a simulation diverged."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.square(simulated - piece.recorded)[piece.used].mean(axis=0)
+    return dict(zip(piece.channels, np.nan_to_num(error, nan=np.inf, posinf=np.inf).tolist(), strict=True))
+
+
+def score(
+    log: FlightLog,
+    share: tuple[float, float],
+    start: Mapping[str, float],
+    identified: Mapping[str, float],
+    nuisances: Mapping[str, float],
+    separate: bool,
+) -> dict[str, Any]:
+    """Compare constants on a part of a log, open loop from its first row (again from the first row after a gap).
+
+    The constants at the start have the same delay, once with neither wind nor trims and once with those of the fit.
+
+    Args:
+        log: what was read.
+        share: first and last share of its rows.
+        start: the constants before.
+        identified: the constants after.
+        nuisances: of this log, from its training part.
+        separate: pitch has constants of its own.
+    """
+    piece = cut(log, math.inf, *share)
+    bare = {"delay": nuisances["delay"]}
+    cases = {"start": (start, bare), "start_with_nuisances": (start, nuisances), "identified": (identified, nuisances)}
+    runs = {name: open_loop(piece, values, own, separate) for name, (values, own) in cases.items()}
+    result: dict[str, Any] = {
+        "rows": int(piece.used.sum()),
+        "variance": dict(zip(piece.channels, np.var(piece.recorded[piece.used], axis=0).tolist(), strict=True)),
+        **{name: mean_square(piece, run) for name, run in runs.items()},
+    }
+    result["lower_percent"] = lower(result["start"], result["identified"])
+    if set(VELOCITY) <= set(piece.channels):
+        result["velocity_5_s"] = _horizon(log, share, cases, separate)
+    return result
+
+
+def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
+    """Return the reduction of each error [%]; none for errors that are 0 or infinite."""
+    names = [name for name in before if before[name] > 0.0 and math.isfinite(before[name] + after[name])]
+    return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
+
+
+def _horizon(
+    log: FlightLog, share: tuple[float, float], cases: Mapping[str, tuple[Any, Any]], separate: bool
+) -> dict[str, Any]:
+    """Return the mean squared error of the horizontal velocity [(m/s)^2] within 5 s of starts from the record."""
+    try:
+        piece = cut(log, HORIZON_S, *share, whole=True)
+    except UsageError:
+        return {}
+    result = {}
+    for name, (values, own) in cases.items():
+        errors = mean_square(piece, open_loop(piece, values, own, separate))
+        result[name] = errors["velocity_north"] + errors["velocity_east"]
+    still = np.broadcast_to(piece.recorded[:1], piece.recorded.shape)
+    errors = mean_square(piece, still)
+    result["no_change"] = errors["velocity_north"] + errors["velocity_east"]
+    result["pieces"] = piece.windows.shape[1]
+    if not all(math.isfinite(each) and each > 0.0 for each in (result[name] for name in cases)):
+        return {}
+    result["lower_percent"] = 100.0 * (1.0 - result["identified"] / result["start"])
+    result["lower_percent_with_nuisances"] = 100.0 * (1.0 - result["identified"] / result["start_with_nuisances"])
+    return result
+
+
+def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
+    """Test each channel's residuals (W, n, C) for whiteness.
+
+    ``lag_1``: autocorrelation of neighbouring rows; ``correlated_s``: time over which the autocorrelation falls to
+    1/e; ``ljung_box_p``: probability of so much correlation within 20 rows in white noise; ``input``: largest
+    correlation with a command up to 20 rows earlier, which is motion that the model's form leaves out.
+    """
+    result = {}
+    commands = piece.commands[piece.windows]
+    for c, name in enumerate(piece.channels):
+        r = np.where(piece.used, residuals[:, :, c] - residuals[:, :, c][piece.used].mean(), 0.0)
+        correlations = _correlations(r, r, piece)
+        count, lags = int(piece.used.sum()), np.arange(1, len(correlations))
+        box = count * (count + 2) * float(np.sum(correlations[1:] ** 2 / np.maximum(count - lags, 1)))
+        below = np.flatnonzero(correlations < 1.0 / math.e)
+        largest = 0.0
+        for k in range(commands.shape[2]):
+            u = commands[:, :, k] - commands[:, :, k][piece.used].mean()
+            if np.std(u[piece.used]) > 1e-9:
+                largest = max(largest, float(np.abs(_correlations(np.where(piece.used, u, 0.0), r, piece)).max()))
+        result[name] = {
+            "lag_1": float(correlations[1]) if len(correlations) > 1 else 0.0,
+            "correlated_s": float(below[0] if len(below) else len(correlations)) * piece.log.dt,
+            "ljung_box_p": float(scipy.stats.chi2.sf(box, max(len(lags), 1))),
+            "input": largest,
+        }
+    return result
+
+
+def _correlations(first: Floats, second: Floats, piece: Piece) -> Floats:
+    """Return the correlations of (W, n) with what comes 0 to 20 rows later, within windows; rows unused are 0."""
+    length = max(min(LAGS, len(first) - 2), 0)
+    scale = math.sqrt(float(np.sum(first**2)) * float(np.sum(second**2))) or 1.0
+    sums = [float(np.sum(first[: len(first) - lag] * second[lag:])) for lag in range(length + 1)]
+    return np.array(sums) / scale

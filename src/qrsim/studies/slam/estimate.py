@@ -1,0 +1,390 @@
+"""``qrsim.slam``: the smoothed trajectory and the landmarks of a recorded flight."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from qrsim.engine.settings import use_compilation_cache
+from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
+from qrsim.runs import Run, open_run
+from qrsim.studies.slam.covariance import covariance
+from qrsim.studies.slam.flight import SIZE, Flight, Floats
+from qrsim.studies.slam.graph import GRAPHS, POSE, PRIORS, STATES, make_graph
+from qrsim.studies.slam.mirror import Mirrors, mirrors
+from qrsim.studies.slam.ranging import (
+    FEWEST_RANGES,
+    RANGE_LIMIT,
+    RANGE_STD,
+    Ranging,
+    given_ranges,
+    landmarks_given,
+    measure_ranges,
+)
+from qrsim.studies.slam.solve import DAMPINGS, Point, Problem, Solution, solve
+
+MOST_ITERATIONS = 100
+FIXED_BYTES = 200 * 2**20
+# Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]; equation (G8) of docs/models/gnss.md.
+BIAS_TIME_CONSTANT = 44.3
+
+
+@dataclass(frozen=True)
+class Slam:
+    """The smoothed estimate of a flight.
+
+    Attributes:
+        graph, states, prior: what was asked for.
+        flight, ranging: all that went in, for an estimator of your own.
+        time: (T + 1,) since the first state [s].
+        position_ned: (T + 1, 3) [m].
+        state: (T + 1, D) position, Euler angles, velocity and rates in body axes and thrust; for poses position and
+            heading.
+        bias: (T + 1, 2) estimated GNSS error, north and east [m]; None where it is not modelled.
+        landmarks_ned: (L, 3) [m]; NaN where a landmark has too few ranges.
+        landmarks_std: (L,) [m], the largest standard deviation in any direction.
+        position_covariance: (T + 1, 3, 3) marginal covariance of the positions, north, east and down [m^2].
+        landmarks_covariance: (L, 3, 3) marginal covariance of the landmarks [m^2]; NaN as in landmarks_ned.
+        determined: (L,) whether the ranges say where each landmark is.
+        mirrors: where each landmark's reflection fits the ranges as well, and how well.
+        iterations, converged, costs: how the solution was found.
+        kept: number of iterations -> the point after them.
+    """
+
+    graph: str
+    states: str
+    prior: str
+    flight: Flight
+    ranging: Ranging
+    time: Floats
+    position_ned: Floats
+    state: Floats
+    bias: Floats | None
+    landmarks_ned: Floats
+    landmarks_std: Floats
+    position_covariance: Floats
+    landmarks_covariance: Floats
+    determined: npt.NDArray[np.bool_]
+    mirrors: Mirrors
+    iterations: int
+    converged: bool
+    costs: tuple[float, ...]
+    kept: dict[int, Point]
+
+    @property
+    def problems(self) -> list[str]:
+        """Problems of the result, one sentence each: landmarks that are not determined, no convergence."""
+        found = []
+        for i in np.flatnonzero(~self.determined):
+            found.append(why_not_determined(int(i), int(self.ranging.per_landmark[i]), self.landmarks_std[i]))
+        if not self.converged:
+            found.append(f"not converged after {self.iterations} iterations")
+        return found
+
+    @property
+    def trajectory_rmse_m(self) -> float:
+        """Root mean square distance of the positions from the truth [m]."""
+        return self.score(position_ned=self.position_ned)["trajectory_rmse_m"]
+
+    @property
+    def landmark_rmse_m(self) -> float:
+        """Root mean square distance of the determined landmarks from the truth [m]; NaN if the truth is unknown."""
+        return self.score(landmarks_ned=self.landmarks_ned).get("landmark_rmse_m", float("nan"))
+
+    def score(
+        self, position_ned: npt.ArrayLike | None = None, landmarks_ned: npt.ArrayLike | None = None
+    ) -> dict[str, float]:
+        """Score another estimate of the same flight by this one's error measures.
+
+        Args:
+            position_ned: (T + 1, 3) [m].
+            landmarks_ned: (L, 3) [m]; those that are not determined do not count.
+
+        Raises:
+            UsageError: an array of another shape.
+        """
+        found: dict[str, float] = {}
+        given: dict[str, tuple[Any, Floats, Any]] = {}
+        given["trajectory_rmse_m"] = (position_ned, self.flight.truth[:, :3], slice(None))
+        if self.ranging.true_ned is not None:
+            given["landmark_rmse_m"] = (landmarks_ned, self.ranging.true_ned, self.determined)
+        for name, (values, truth, rows) in given.items():
+            if values is None:
+                continue
+            array = np.asarray(values, np.float64)
+            if array.shape != truth.shape:
+                raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
+            found[name] = rms_distance(array[rows], truth[rows])
+        return found
+
+
+def why_not_determined(landmark: int, ranges: int, std: float) -> str:
+    """Return why a number of ranges, which leave it uncertain by ``std`` [m], do not determine a landmark."""
+    why = f"{ranges} range{'s' if ranges != 1 else ''}, at least {FEWEST_RANGES} needed"
+    if ranges >= FEWEST_RANGES:
+        why = f"its {ranges} ranges leave it uncertain by {std:.0f} m"
+    return f"landmark {landmark} is not determined: {why}"
+
+
+def rms_distance(places: Floats, others: Floats) -> float:
+    """Return the root mean square distance between two sets of positions (N, 3) [m]; NaN if they are empty."""
+    if not len(places):
+        return float("nan")
+    return float(np.sqrt(np.mean(np.sum(np.square(places - others), axis=-1))))
+
+
+def from_run(
+    run: Run | Path | str,
+    *,
+    graph: Literal["paper", "gnss"] = "gnss",
+    states: Literal["full", "poses"] = "full",
+    prior: Literal["start", "estimate"] | None = None,
+    vehicle: str | None = None,
+    landmarks_ned: npt.ArrayLike | None = None,
+    landmarks_guess_ned: npt.ArrayLike | None = None,
+    ranges: npt.ArrayLike | None = None,
+    range_std: float = RANGE_STD,
+    range_limit: float = RANGE_LIMIT,
+    seed: int | None = None,
+    state_period: float = 0.1,
+    fix_std: float | None = None,
+    bias_time_constant: float | None = None,
+    process_noise: float | None = None,
+    iterations: int = MOST_ITERATIONS,
+    damping: Literal["metres", "diagonal"] = "metres",
+    keep: tuple[int, ...] = (),
+) -> Slam:
+    """Smooth the trajectory of a recorded flight and estimate landmarks from ranges; see docs/slam.md.
+
+    Args:
+        run: a run folder, or what ``qrsim.open_run`` returned.
+        graph: "gnss" has a factor for each GNSS fix; in "paper" GNSS is only where the iterations begin.
+        states: "full" are the 13 of the vehicle's model, "poses" are position and heading only.
+        prior: the first state is known to be near the true "start" (the default of "paper"), or only as well as the
+            "estimate" of the sensors (the default of "gnss").
+        vehicle: which one; None where the run has only one.
+        landmarks_ned: (L, 3) true places [m]; None: ten drawn at random on the ground around the flight, unless
+            ``ranges`` are given.
+        landmarks_guess_ned: (L, 3) where to begin; None: drawn at random in the same place.
+        ranges: your own, rows (R, 3) of time [s], number of the landmark from 0, range [m]; None: simulated.
+        range_std: white noise of a range [m].
+        range_limit: simulated ranges reach so far [m].
+        seed: of simulated landmarks, guesses and ranges; None: the run's.
+        state_period: time between two states, a multiple of the simulator's step [s].
+        fix_std: standard deviation of a fix per axis [m]; None: measured against the truth of the run.
+        bias_time_constant: in "gnss", model the fixes' error as Ornstein-Uhlenbeck states of this time constant [s].
+        process_noise: in place of the vehicle's own, for what the model does not know, such as gusts [m/s^2, rad/s^2].
+        iterations: at most so many linear solutions.
+        damping: how Levenberg and Marquardt's steps are held back: in the places of vehicle and landmarks ("metres"),
+            or in every unknown in proportion to its curvature ("diagonal"), as general solvers do; the optimum is the
+            same.
+        keep: numbers of iterations after which the point is kept, for ``Slam.kept``.
+
+    Raises:
+        UsageError: an unknown option, ranges that are not finite or do not fit, or no landmark in range.
+        RunError: the run lacks something that is needed, or the problem does not fit into memory.
+    """
+    from qrsim.studies.slam.recorded import flight_of_run
+
+    check_numbers(
+        range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
+        process_noise=process_noise, state_period=state_period,
+    )  # fmt: skip
+    if seed is not None and seed < 0:
+        raise UsageError(f"seed: {seed} is negative")
+    opened = run if isinstance(run, Run) else open_run(run)
+    flight = flight_of_run(opened, vehicle, state_period, process_noise)
+    number = opened.info.seed if seed is None else seed
+    ranging = _ranging(flight, landmarks_ned, landmarks_guess_ned, ranges, range_std, range_limit, number)
+    found = estimate(
+        flight, ranging, graph=graph, states=states, prior=prior, fix_std=fix_std,
+        bias_time_constant=bias_time_constant, iterations=iterations, damping=damping, keep=keep,
+    )  # fmt: skip
+    for problem in found.problems:
+        warn_user(problem)
+    return found
+
+
+def estimate(
+    flight: Flight,
+    ranging: Ranging,
+    *,
+    graph: str = "gnss",
+    states: str = "full",
+    prior: str | None = None,
+    fix_std: float | None = None,
+    bias_time_constant: float | None = None,
+    iterations: int = MOST_ITERATIONS,
+    damping: str = "metres",
+    keep: tuple[int, ...] = (),
+) -> Slam:
+    """Estimate a flight; arguments and errors as ``slam``."""
+    prior = prior or ("start" if graph == "paper" else "estimate")
+    check_options(graph, states, prior, damping, iterations)
+    if bias_time_constant is not None and graph != "gnss":
+        raise UsageError("bias_time_constant: without GNSS fixes there is no error of them; take graph gnss")
+    std = flight.fix_std if fix_std is None else fix_std
+    if not std > 0.0:
+        raise UsageError(
+            f"{flight.name}: its fixes are exact, and a graph weighs them by their errors; record it with a sensor of "
+            "type gnss, or give fix_std"
+        )
+    size = state_size(states, bias_time_constant is not None)
+    check_memory(len(flight.truth), size, ranging.ranges.shape[1], available_bytes())
+    per_landmark = ranging.per_landmark
+    active = (per_landmark >= FEWEST_RANGES).astype(np.float64)
+    if not active.any():
+        raise UsageError(f"landmarks: none has {FEWEST_RANGES} ranges; ranges to each: {per_landmark.tolist()}")
+    problem, x = make_graph(
+        flight, ranging, active, graph=graph, states=states, prior=prior, fix_std=std,
+        bias_time_constant=bias_time_constant,
+    )  # fmt: skip
+    use_compilation_cache()
+    solution, reflected = solve_reflected(
+        problem, x, ranging, lambda point: point.x[:, :3], iterations=iterations, damping=damping, keep=keep
+    )
+    return _result(problem.base, graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
+
+
+def solve_reflected(
+    problem: Problem, x: Floats, ranging: Ranging, places: Callable[[Point], Floats], *, iterations: int,
+    damping: str, keep: tuple[int, ...] = (),
+) -> tuple[Solution, Mirrors]:  # fmt: skip
+    """Solve, and again from the reflections of landmarks where they are to be preferred.
+
+    Args:
+        problem: the graph, of one vehicle or of several.
+        x: (T + 1, D) where to begin.
+        ranging: of all positions that ``places`` returns.
+        places: returns the positions (..., 3) of a point from which landmarks were ranged.
+        iterations, damping, keep: see ``qrsim.slam.from_run``.
+    """
+
+    def reflect(point: Point) -> Mirrors:
+        return mirrors(Point(places(point), point.landmarks, point.cost), ranging)
+
+    solution = solve(problem, x, ranging.guess_ned, iterations, keep, damping)
+    reflected = reflect(solution.point)
+    if solution.converged and reflected.better.any():
+        guess = np.where(reflected.better[:, None], reflected.places_ned, solution.point.landmarks)
+        again = solve(problem, solution.point.x, guess, iterations, damping=damping)
+        if again.converged and again.point.cost <= solution.point.cost + 0.5 * reflected.tolerance:
+            solution = _joined(solution, again)
+            reflected = reflect(solution.point)
+    return solution, reflected
+
+
+def check_options(graph: str, states: str, prior: str, damping: str, iterations: object) -> None:
+    """Refuse unknown options; raises UsageError."""
+    options = {
+        "graph": (graph, GRAPHS),
+        "states": (states, STATES),
+        "prior": (prior, PRIORS),
+        "damping": (damping, DAMPINGS),
+    }
+    for name, (value, known) in options.items():
+        if value not in known:
+            raise UsageError(f"{name}: '{value}' is not known{did_you_mean(str(value), known)}")
+    if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
+        raise UsageError(f"iterations: {iterations!r} is not a positive whole number")
+
+
+def _joined(first: Solution, again: Solution) -> Solution:
+    """Return the second solution with the first one's history."""
+    return Solution(
+        again.point, first.iterations + again.iterations, again.converged, [*first.costs, *again.costs], first.kept
+    )
+
+
+def _result(
+    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: Any, solution: Solution,
+    reflected: Mirrors, problem: Any,
+) -> Slam:  # fmt: skip
+    point = solution.point
+    believed = covariance(problem, point)
+    spread, determined = spread_of(believed.landmarks, ranging, enough)
+    return Slam(
+        graph=graph, states=states, prior=prior, flight=flight, ranging=ranging, time=flight.time,
+        position_ned=point.x[:, :3], state=point.x[:, :base],
+        bias=point.x[:, base:] if point.x.shape[1] > base else None,
+        landmarks_ned=np.where(enough[:, None], point.landmarks, np.nan),
+        landmarks_std=np.where(enough, spread, np.inf), position_covariance=believed.positions,
+        landmarks_covariance=np.where(enough[:, None, None], believed.landmarks, np.nan),
+        determined=determined, mirrors=reflected,
+        iterations=solution.iterations, converged=solution.converged, costs=tuple(solution.costs), kept=solution.kept,
+    )  # fmt: skip
+
+
+def spread_of(covariances: Floats, ranging: Ranging, enough: Any) -> tuple[Floats, Any]:
+    """Return the largest standard deviation of each landmark (L,) [m], and whether it is determined (L,)."""
+    spread = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    # Uncertain by half its distance, a landmark is not even known by its direction.
+    with np.errstate(invalid="ignore"):
+        near = 0.5 * np.nanmedian(np.where(enough[None], ranging.ranges, 0.0), axis=0)
+    return spread, enough & (spread < near)
+
+
+def _ranging(
+    flight: Flight, true_ned: Any, guess_ned: Any, ranges: Any, std: float, limit: float, seed: int
+) -> Ranging:
+    """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
+    known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
+    if ranges is not None:
+        return given_ranges(ranges, flight.time, len(guess), std, guess, known)
+    assert known is not None
+    return measure_ranges(flight.truth[:, :3], known, guess, seed, std, limit)
+
+
+def check_numbers(**numbers: float | None) -> None:
+    """Refuse numbers that are neither None nor positive; raises UsageError."""
+    for name, value in numbers.items():
+        if value is not None and not (np.isfinite(value) and value > 0.0):
+            raise UsageError(f"{name}: {value!r} is not a positive number")
+
+
+def state_size(states: str, bias: bool) -> int:
+    """Return the number of unknowns per state."""
+    return (SIZE if states == "full" else len(POSE)) + 2 * bias
+
+
+def bytes_needed(states: int, size: int, landmarks: int) -> int:
+    """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` numbers, and landmarks.
+
+    Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
+    its ranges. The factors are above those of measured problems (docs/slam.md); compiled programs take FIXED_BYTES.
+    """
+    blocks, rows, ranges = 16 * size * size, 5 * size * (1 + 3 * landmarks), 40 * landmarks
+    return FIXED_BYTES + 8 * states * (blocks + rows + ranges)
+
+
+def available_bytes() -> int:
+    """Return the free memory [bytes], or the total if the system does not report it."""
+    try:
+        with open("/proc/meminfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return 1024 * int(line.split()[1])
+    except OSError:
+        pass
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+SMALLER = "take a longer state_period, states poses, or fewer landmarks"
+
+
+def check_memory(
+    states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
+) -> None:
+    """Refuse a problem that does not fit into memory beside the flights; raises RunError."""
+    needed = bytes_needed(states, size, landmarks) + flights
+    if needed > available:
+        raise RunError(
+            f"slam: {states} states of {size} numbers and {landmarks} landmarks need {needed / 2**30:.1f} GiB, and "
+            f"{available / 2**30:.1f} GiB are free; {smaller}"
+        )

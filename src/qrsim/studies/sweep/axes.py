@@ -1,0 +1,112 @@
+"""Axes of a study: listed values, or a sampled range."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.scenarios.reading import apply_override
+from qrsim.studies.sweep.study import Content, StudySpec
+from qrsim.studies.sweep.varying import Condition, assignment
+
+Array = np.ndarray[Any, Any]
+COUNT = ".vehicles.count"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A parameter that varies.
+
+    Attributes:
+        path: in the scenario; ``fleets.NAME.vehicles.count`` means the first so many of the vehicles it has. Of
+            conditions, what they are called together.
+        name: of the dimension or coordinate.
+        unit: as the study says, "" where it does not.
+        values: what it goes through; None where it is sampled between ``low`` and ``high``.
+        log: whether it is sampled evenly in its logarithm.
+    """
+
+    path: str
+    name: str
+    unit: str
+    values: tuple[Any, ...] | None
+    low: float = 0.0
+    high: float = 0.0
+    log: bool = False
+
+    @property
+    def numeric(self) -> bool:
+        """Whether all its values are numbers; a number of vehicles changes the structure and does not count."""
+        if self.path.endswith(COUNT):
+            return False
+        return self.values is None or all(
+            isinstance(value, int | float) and not isinstance(value, bool) for value in self.values
+        )
+
+    @property
+    def labels(self) -> Array:
+        """Return the values as a coordinate: numbers, or texts if any value is not a number."""
+        assert self.values is not None
+        if all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values):
+            return np.array(self.values, np.float64)
+        texts = [str(value) if isinstance(value, str) else json.dumps(value) for value in self.values]
+        return np.array(texts, dtype=object)
+
+    def ends(self) -> tuple[Any, Any]:
+        """Return the smallest and the largest value of numbers."""
+        return (self.low, self.high) if self.values is None else (min(self.values), max(self.values))
+
+    def scaled(self, unit: Array) -> Array:
+        """Return the values of numbers in [0, 1)."""
+        if self.log:
+            return np.exp(np.log(self.low) + unit * (np.log(self.high) - np.log(self.low)))
+        return self.low + unit * (self.high - self.low)
+
+
+def axes_of(spec: StudySpec) -> tuple[Axis, ...]:
+    """Return the axes of a study in its order."""
+    found = []
+    for path, item in spec.vary.items():
+        name, unit = item.name or path, item.unit or ""
+        if item.listed is not None:
+            found.append(Axis(path, name, unit, tuple(item.listed)))
+            continue
+        low, high = float(item.low or 0.0), float(item.high or 0.0)
+        if item.count is None:
+            found.append(Axis(path, name, unit, None, low, high, item.scale == "log"))
+            continue
+        spaced = np.geomspace if item.scale == "log" else np.linspace
+        found.append(Axis(path, name, unit, tuple(float(value) for value in spaced(low, high, item.count))))
+    return tuple(found)
+
+
+def apply(content: Content, path: str, value: Any) -> None:
+    """Set a value of the content of a scenario, or those of a condition, in place."""
+    for text in overrides(content, path, value):
+        apply_override(content, text)
+
+
+def overrides(content: Content, path: str, value: Any) -> list[str]:
+    """Return the arguments of ``qrsim run --set`` that set a value, or those of a condition.
+
+    Raises:
+        UsageError: a fleet has not so many vehicles.
+    """
+    if isinstance(value, Condition):
+        return [text for own, part in value.settings.items() for text in overrides(content, own, part)]
+    if not path.endswith(COUNT):
+        return [assignment(path, value)]
+    name = path.removeprefix("fleets.").removesuffix(COUNT)
+    fleets = content.get("fleets", {})
+    if name not in fleets:
+        raise UsageError(f"{path}: no fleet is called '{name}'{did_you_mean(name, fleets)}")
+    vehicles = fleets[name].get("vehicles", [])
+    if isinstance(vehicles, dict):
+        return [assignment(path, value)]
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= len(vehicles):
+        raise UsageError(f"{path}: {value!r}; allowed: 1 to {len(vehicles)}, the vehicles that the scenario has")
+    return [assignment(f"fleets.{name}.vehicles", vehicles[:value])]

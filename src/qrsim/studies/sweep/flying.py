@@ -1,0 +1,138 @@
+"""The work of a worker: flying a batch."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import QrsimError
+from qrsim.studies.sweep.job import Job, goals
+from qrsim.studies.sweep.metrics import Metric, of_episodes
+
+Array = np.ndarray[Any, Any]
+# The engine keeps its programs in one place for a process.
+_ALONE = threading.Lock()
+
+
+def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
+    """Fly a batch and return its metrics (W,), or the reason it cannot be flown."""
+    from qrsim.engine.settings import configure
+
+    with _ALONE:
+        # A process that has computed something already keeps the devices it has.
+        with suppress(QrsimError):
+            configure(cpu_devices=threads)
+        try:
+            from qrsim.studies.sweep.study import BASELINE
+
+            if job.policy == BASELINE:
+                from qrsim.studies.sweep.playing import play
+
+                found = play(_group(job.group), job)
+            else:
+                found = _roll_out(job)
+            return of_episodes(job.metrics, found, _own_metrics(job)[1])
+        except QrsimError as error:
+            return str(error)
+
+
+@lru_cache(maxsize=8)
+def _group(dumped: bytes) -> Any:
+    from qrsim.errors import UsageError
+    from qrsim.scenarios.providing import provide_components
+
+    content, pickled = pickle.loads(dumped)
+    # Classes from outside are in no module that a worker has yet.
+    provide_components(content, "scenario")
+    try:
+        return pickle.loads(pickled)
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"a worker has another file of a component from outside, or it was changed: {error}") from None
+
+
+def dumped(group: Any) -> bytes:
+    """Serialise a ``Group`` to bytes for another process."""
+    return pickle.dumps((group.content, pickle.dumps(group)))
+
+
+@lru_cache(maxsize=8)
+def _function(what: str, source: str, digest: str) -> Any:
+    """Return a user's function, the same object for all batches, so that it is compiled once."""
+    from pathlib import Path
+
+    from qrsim.errors import UsageError
+    from qrsim.interface.policies import load_function
+    from qrsim.studies.sweep.own_metrics import own_metrics
+    from qrsim.studies.sweep.study import OWN, digest_of
+
+    if digest_of(what, source) != digest:
+        raise UsageError(f"{what} {source}: a worker has another file of that name, or it was changed; in {Path.cwd()}")
+    return own_metrics(source) if what == OWN else load_function(what, source)
+
+
+def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
+    """Return the user's metrics of a job, and what each of its numbers is of an episode."""
+    from qrsim.studies.sweep.study import OWN
+
+    if job.own_metrics is None:
+        return None, {}
+    found: tuple[Any, Mapping[str, Metric]] = _function(OWN, job.own_metrics, dict(job.code)[OWN])
+    return found
+
+
+def _roll_out(job: Job) -> dict[str, Array]:
+    """Fly the worlds of a batch side by side."""
+    import jax
+
+    from qrsim.engine.settings import use_compilation_cache
+    from qrsim.simulation.blocks import Engine, Schedule
+    from qrsim.simulation.rollout import setup_of
+
+    use_compilation_cache()
+    group = _group(job.group)
+    code = dict(job.code)
+    given = {"policy": job.policy, "estimator": job.estimator}
+    functions: dict[str, Any] = {what: source and _function(what, source, code[what]) for what, source in given.items()}
+    own_metrics, _ = _own_metrics(job)
+    if own_metrics is not None:
+        functions["metrics"] = _beside_built_in(own_metrics)
+    with jax.enable_x64(job.precision == "float64"):
+        if group.places is None:
+            worlds = group.loaded(job.numbers, job.precision)
+            setup, fixed, own = setup_of(worlds, **functions, policy_ticks=job.policy_ticks)
+        else:
+            setup, fixed, own = _stacked(group, job, functions)
+        engine = Engine(setup, group.world, fixed, own, Schedule(group.ticks, 0), None, None, lambda done: None)
+        found, _ = engine.fly(np.arange(len(job.seeds)), job.seeds, np.zeros_like(job.seeds))
+    if "end_error_m" not in job.metrics:
+        return found
+    rows = [setup.world(fixed, [part[i] for part in own]) for i in range(len(job.seeds))] if own else [group.world]
+    return {**found, "goal_ned": np.stack([goals(world) for world in rows])}
+
+
+@lru_cache(maxsize=8)
+def _beside_built_in(own_metrics: Any) -> Any:
+    """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
+    from qrsim.interface.metrics import FLIGHT_METRICS
+    from qrsim.studies.sweep.own_metrics import BothMetrics
+
+    return BothMetrics(FLIGHT_METRICS, own_metrics)
+
+
+def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
+    """Set up as ``setup_of`` does, without a World for each episode."""
+    from dataclasses import replace
+
+    import jax.numpy as jnp
+
+    from qrsim.simulation.rollout import setup_of
+
+    structure, fixed, own, which = group.varied(job.numbers)
+    setup, _, _ = setup_of([group.world], **functions, policy_ticks=job.policy_ticks)
+    return replace(setup, structure=structure, varied=which), [jnp.asarray(leaf) for leaf in fixed], own

@@ -1,0 +1,232 @@
+"""Conditions that differ in numbers only: one compiled program, and the places of those numbers in its World."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.studies.sweep.axes import Axis, apply
+from qrsim.studies.sweep.study import Content
+from qrsim.world.state import World
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of a scenario's number in the World.
+
+    Attributes:
+        path: of the number.
+        in_degrees: whether the scenario has it in degrees, and the World in radians.
+        parts: leaves of the World, by their number, and which of their elements are this number.
+    """
+
+    path: str
+    in_degrees: bool
+    parts: tuple[tuple[int, Array], ...]
+
+    def values(self, given: Array) -> Array:
+        """Convert scenario values to the World's units, in double precision."""
+        return np.array([math.radians(value) for value in given]) if self.in_degrees else np.asarray(given, np.float64)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Conditions of one structure.
+
+    Attributes:
+        content: of the scenario, the choices of this group made, every number at its lowest.
+        world: of that.
+        ticks: of an episode.
+        time_step: of a tick [s].
+        places: of the numbers that vary; None where worlds have to be loaded one by one.
+        paths: of the numbers that vary.
+    """
+
+    content: Content
+    world: World
+    ticks: int
+    time_step: float
+    places: tuple[Place, ...] | None
+    paths: tuple[str, ...]
+
+    @property
+    def vehicles(self) -> int:
+        """Number of vehicles of all fleets."""
+        return sum(fleet.size for fleet in self.world.fleets)
+
+    @cached_property
+    def _leaves(self) -> tuple[list[Array], Any]:
+        leaves, structure = jax.tree.flatten(self.world)
+        return [np.asarray(leaf) for leaf in leaves], structure
+
+    def varied(self, numbers: Mapping[str, Array]) -> tuple[Any, list[Array], list[Array], tuple[bool, ...]]:
+        """Return structure, shared leaves, varied leaves (W, ...), and the flags that tell them apart."""
+        assert self.places is not None
+        leaves, structure = self._leaves
+        own: dict[int, Array] = {}
+        for place in self.places:
+            values = place.values(numbers[place.path])
+            for leaf, elements in place.parts:
+                if leaf not in own:
+                    own[leaf] = np.repeat(leaves[leaf][None], len(values), axis=0)
+                own[leaf][:, elements] = values.astype(own[leaf].dtype)[:, None]
+        which = tuple(i in own for i in range(len(leaves)))
+        fixed = [leaf for leaf, varies in zip(leaves, which, strict=True) if not varies]
+        return structure, fixed, [own[i] for i in sorted(own)], which
+
+    def loaded(self, numbers: Mapping[str, Array], precision: str) -> list[World]:
+        """Return the world of each point, loaded one by one."""
+        found: dict[tuple[Any, ...], World] = {}
+        rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
+        for row in rows:
+            if row not in found:
+                found[row] = self.scenario(dict(zip(self.paths, row, strict=True))).world(precision)
+        return [found[row] for row in rows]
+
+    def scenario(self, values: Mapping[str, Any]) -> Scenario:
+        """Return the scenario of a point."""
+        return scenario_at(self.content, values)
+
+
+def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
+    """Return the scenario of the given content with values set.
+
+    Raises:
+        UsageError, ScenarioError: it cannot be.
+    """
+    changed = copy.deepcopy(content)
+    for path, value in values.items():
+        apply(changed, path, value)
+    return load_scenario(changed, quiet=True)
+
+
+def faults(content: Content, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of a point, one sentence each."""
+    try:
+        scenario_at(content, values)
+    except ScenarioError as error:
+        return error.problems
+    except UsageError as error:
+        text = str(error)
+        return [text.partition(": ")[2] if text.startswith("--set ") else text]
+    return []
+
+
+def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
+    """Return whether one compiled program flies both scenarios."""
+    if one.ticks != other.ticks:
+        return False
+    (mine, structure), (theirs, another) = (jax.tree.flatten(item.world(precision)) for item in (one, other))
+    return repr(structure) == repr(another) and all(
+        np.shape(a) == np.shape(b) and np.asarray(a).dtype == np.asarray(b).dtype
+        for a, b in zip(mine, theirs, strict=True)
+    )
+
+
+def make_group(content: Content, choices: Mapping[str, Any], numbers: Iterable[Axis], precision: str) -> Group:
+    """Build the group of some structural choices; the numbers in ``numbers`` vary in it.
+
+    Raises:
+        ScenarioError: the scenario with these choices is wrong.
+    """
+    axes = tuple(numbers)
+    base = copy.deepcopy(content)
+    for path, value in choices.items():
+        apply(base, path, value)
+    lowest = {axis.path: axis.ends()[0] for axis in axes}
+    content = copy.deepcopy(base)
+    for path, value in lowest.items():
+        apply(content, path, value)
+    scenario = load_scenario(content, quiet=True)
+    world = scenario.world(precision)
+    paths = tuple(axis.path for axis in axes)
+    group = Group(content, world, scenario.ticks, scenario.spec.time_step, None, paths)
+    places = _places(base, axes, lowest, world, precision)
+    if places is None:
+        return group
+    # A number may count only where another has some value: then the worlds at the far ends differ.
+    found = replace(group, places=places)
+    return found if all(_alike(found, base, values, precision) for values in _mixed(axes)) else group
+
+
+def _mixed(axes: tuple[Axis, ...]) -> list[dict[str, Any]]:
+    """Return points far from the lowest: all highest, and every other one."""
+    highest = {axis.path: axis.ends()[1] for axis in axes}
+    other = {axis.path: axis.ends()[i % 2] for i, axis in enumerate(axes)}
+    return [highest, other]
+
+
+def _alike(group: Group, base: Content, values: Mapping[str, Any], precision: str) -> bool:
+    structure, fixed, own, which = group.varied({path: np.array([value], float) for path, value in values.items()})
+    shares, owns = iter(fixed), iter(own)
+    mine = [next(owns)[0] if varies else next(shares) for varies in which]
+    world = scenario_at(base, values).world(precision)
+    theirs, other = jax.tree.flatten(world)
+    return repr(structure) == repr(other) and all(map(_same_bits, mine, theirs))
+
+
+def _same_bits(one: Any, other: Any) -> bool:
+    return bool(np.asarray(one).tobytes() == np.asarray(other).tobytes())
+
+
+def _places(
+    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, Any], world: World, precision: str
+) -> tuple[Place, ...] | None:
+    """Return where the World has each number, None where one of them is not simply there."""
+    found = []
+    taken: dict[int, Array] = {}
+    for axis in axes:
+        place = _place(base, axis, lowest, world, precision)
+        if place is None:
+            return None
+        for leaf, elements in place.parts:
+            if (taken.setdefault(leaf, np.zeros_like(elements)) & elements).any():
+                return None
+            taken[leaf] = taken[leaf] | elements
+        found.append(place)
+    return tuple(found)
+
+
+def _place(base: Content, axis: Axis, lowest: Mapping[str, Any], world: World, precision: str) -> Place | None:
+    low, high = axis.ends()
+    values = [low, _middle(axis), high]
+    worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
+    leaves = [[np.asarray(leaf) for leaf in jax.tree.leaves(item)] for item in worlds]
+    for in_degrees in (False, True):
+        parts = _parts(leaves, [math.radians(value) if in_degrees else value for value in values])
+        if parts:
+            return Place(axis.path, in_degrees, parts)
+    return None
+
+
+def _middle(axis: Axis) -> Any:
+    if axis.values is None:
+        return 0.5 * (axis.low + axis.high)
+    return sorted(axis.values)[len(axis.values) // 2]
+
+
+def _parts(leaves: list[list[Array]], values: list[float]) -> tuple[tuple[int, Array], ...]:
+    """Return the elements of leaves that are these values; none where one changes in another way."""
+    found = []
+    for number, versions in enumerate(zip(*leaves, strict=True)):
+        differs = np.zeros(versions[0].shape, bool)
+        for other in versions[1:]:
+            differs = differs | ~((versions[0] == other) | ((versions[0] != versions[0]) & (other != other)))
+        if not differs.any():
+            continue
+        for leaf, value in zip(versions, values, strict=True):
+            if not (leaf[differs] == np.float64(value).astype(leaf.dtype)).all():
+                return ()
+        found.append((number, differs))
+    return tuple(found)

@@ -1,0 +1,239 @@
+"""From a study to its plan: every value and every structure is checked before anything is flown."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import combinations, product
+from typing import Any
+
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.studies.sweep.axes import COUNT, Axis, apply, axes_of
+from qrsim.studies.sweep.groups import Group, faults, make_group, same_structure, scenario_at
+from qrsim.studies.sweep.plan import Plan, choices
+from qrsim.studies.sweep.study import BASELINE, Content, Study
+
+MOST_LISTED = 5
+# Beyond this number of corners they are taken two parameters at a time.
+MOST_CORNERS = 64
+# Of more values than these not each is tried: first so many parts of them, to find one that is allowed.
+MOST_TRIED, TRIED = 100, 8
+
+
+def plan_of(study: Study) -> Plan:
+    """Check a study and plan it.
+
+    Raises:
+        ScenarioError: paths are unknown or values are not allowed; the message lists them.
+        UsageError: a parameter that changes the structure has a range.
+    """
+    axes = axes_of(study.spec)
+    _refuse_unknown(study, axes)
+    _refuse_outside(study, axes)
+    structural = tuple(axis for axis in axes if _is_structural(study, axis, axes))
+    for axis in structural:
+        if axis.values is None:
+            raise UsageError(
+                f"{study.spec.name}: vary.{axis.path}: it changes what is compiled, so it cannot be sampled; give "
+                "values"
+            )
+    paths = tuple(axis.path for axis in structural)
+    groups = _groups(study, structural, tuple(axis for axis in axes if axis.path not in paths))
+    plan = Plan(study, axes, paths, groups)
+    if plan.listed:
+        _refuse_listed(plan)
+    return plan
+
+
+def _first(axes: Sequence[Axis]) -> dict[str, Any]:
+    """Return the first value of each axis."""
+    return {axis.path: axis.values[0] if axis.values else axis.low for axis in axes}
+
+
+def _refuse_unknown(study: Study, axes: tuple[Axis, ...]) -> None:
+    """Refuse a scenario that is wrong by itself, and paths that it does not have."""
+    name = study.spec.name
+    own = faults(study.content, {})
+    if own:
+        raise ScenarioError(name, own)
+    found = []
+    for axis in axes:
+        # Another parameter may have to be set first, as a wind before its speed.
+        wrong = [faults(study.content, at) for at in _settings(axis, axes)]
+        if all(wrong):
+            missing = [line for line in wrong[0] if "no such" in line or "no fleet" in line or "no sensor" in line]
+            missing += [line for line in wrong[0] if "has no parts" in line or "an index from" in line]
+            found += [f"vary.{axis.path}: {line}" for line in missing]
+    if found:
+        raise ScenarioError(name, list(dict.fromkeys(found)))
+
+
+def _settings(axis: Axis, axes: Sequence[Axis]) -> Iterator[dict[str, Any]]:
+    """Yield points at which a value of an axis is tried: alone, and with the first values of all."""
+    value = _first([axis])
+    yield value
+    yield {**_first(axes), **value}
+
+
+def _refuse_outside(study: Study, axes: tuple[Axis, ...]) -> None:
+    """Refuse values that are not allowed, before anything is flown."""
+    lines, judged = [], []
+    for axis in axes:
+        bad = _bad_values(study.content, axis, _surroundings(axis, axes))
+        judged.append((axis, bad))
+        lines += [f"vary.{axis.path}: {line}" for line in _described(axis, bad)]
+    if lines:
+        raise ScenarioError(f"{study.spec.name}: {_count_bad(study, judged)}", lines)
+
+
+def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[dict[str, Any]]:
+    """Return values of the other axes, with one of which a value of this one is allowed if it ever is."""
+    others = [other for other in axes if other is not axis]
+    lasts = {other.path: other.values[-1] if other.values else other.high for other in others}
+    return [_first(others), lasts, {}]
+
+
+def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]]) -> dict[Any, str]:
+    """Return the values of an axis that are not allowed, and why; of a range its ends."""
+
+    def wrong(value: Any) -> str:
+        found = ""
+        for other in others:
+            found = "; ".join(faults(content, {**other, axis.path: value}))
+            if not found:
+                break
+        return found
+
+    if not axis.numeric:
+        return {_key(value): text for value in axis.values or () if (text := wrong(value))}
+    ordered = [axis.low, axis.high] if axis.values is None else sorted(axis.values)
+    # What is allowed is an interval, so that values between two good ones need no look.
+    low, high = wrong(ordered[0]), wrong(ordered[-1])
+    if not low and not high:
+        return {}
+    if axis.values is None:
+        return {value: text for value, text in zip(ordered, (low, high), strict=True) if text}
+    if len(ordered) > MOST_TRIED:
+        return _by_halving(ordered, wrong)
+    return {value: text for value in ordered if (text := wrong(value))}
+
+
+def _by_halving(ordered: list[Any], wrong: Callable[[Any], str]) -> dict[Any, str]:
+    """Return the bad ones of many ordered values, looking at some of them only."""
+    tried = [round(part * (len(ordered) - 1) / TRIED) for part in range(TRIED + 1)]
+    good = next((i for i in tried if not wrong(ordered[i])), None)
+    if good is None:
+        return dict.fromkeys(ordered, wrong(ordered[0]))
+    bad: dict[Any, str] = {}
+    for side in (ordered[: good + 1], ordered[: good - 1 if good else None : -1]):
+        first, last = -1, len(side) - 1
+        while last - first > 1:
+            middle = (first + last) // 2
+            first, last = (middle, last) if wrong(side[middle]) else (first, middle)
+        if last > 0:
+            bad |= dict.fromkeys(side[:last], wrong(side[0]))
+    return bad
+
+
+def _key(value: Any) -> Any:
+    return value if isinstance(value, str | int | float | bool) else repr(value)
+
+
+def _described(axis: Axis, bad: Mapping[Any, str]) -> list[str]:
+    total = len(axis.values or ())
+    lines = [f"{value!r}: {text}" for value, text in list(bad.items())[:MOST_LISTED]]
+    if len(bad) > MOST_LISTED:
+        lines.append(f"... and {len(bad) - MOST_LISTED} more of its {total} values")
+    return lines
+
+
+def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[Any, str]]]) -> str:
+    """Say how many points have a value that is not allowed."""
+    crossed = [(axis, bad) for axis, bad in judged if axis.values is not None]
+    sampling = study.spec.sampling
+    if len(crossed) < len(judged) or (sampling is not None and sampling.type == "list"):
+        return "values that are not allowed, nothing was flown"
+    points = math.prod(len(axis.values or ()) for axis, _ in crossed)
+    fine = math.prod(len(axis.values or ()) - len(bad) for axis, bad in crossed)
+    return f"{points - fine} of {points} points have values that are not allowed, nothing was flown"
+
+
+def _is_structural(study: Study, axis: Axis, axes: Sequence[Axis]) -> bool:
+    """Return whether the values of an axis change what is compiled, or whether there is one only."""
+    if not axis.numeric or axis.path.endswith(COUNT):
+        return True
+    low, high = axis.ends()
+    if low == high:
+        return True
+    for others in _surroundings(axis, axes):
+        points = [{**others, axis.path: value} for value in (low, high)]
+        if not any(faults(study.content, point) for point in points):
+            one, other = (scenario_at(study.content, point) for point in points)
+            return not same_structure(one, other, study.spec.precision)
+    return False
+
+
+def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...]) -> dict[tuple[int, ...], Group]:
+    listed = study.spec.sampling is not None and study.spec.sampling.type == "list"
+    wrong: list[str] = []
+    groups = {}
+    for i, (key, chosen) in enumerate(choices(structural, listed)):
+        content = study.content
+        for corner in _corners(numbers, every=i == 0) if not listed else ():
+            found = faults(content, {**chosen, **corner})
+            wrong += [f"{_point({**chosen, **corner})}: {line}" for line in found]
+        if not wrong:
+            groups[key] = _group(study, chosen, numbers)
+    if wrong:
+        more = [f"... and {len(wrong) - MOST_LISTED} more"] if len(wrong) > MOST_LISTED else []
+        raise ScenarioError(f"{study.spec.name}: values that do not go together, nothing was flown",
+                            wrong[:MOST_LISTED] + more)  # fmt: skip
+    return groups
+
+
+def _group(study: Study, chosen: Mapping[str, Any], numbers: tuple[Axis, ...]) -> Group:
+    if study.spec.policy != BASELINE:
+        return make_group(study.content, chosen, numbers, study.spec.precision)
+    # Flown one by one from its scenario.
+    content = copy.deepcopy(study.content)
+    for path, value in chosen.items():
+        apply(content, path, value)
+    scenario = scenario_at(content, _first(numbers))
+    paths = tuple(axis.path for axis in numbers)
+    world = scenario.world(study.spec.precision)
+    return Group(content, world, scenario.ticks, scenario.spec.time_step, None, paths)
+
+
+def _point(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{path} = {value!r}" for path, value in values.items())
+
+
+def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[dict[str, Any]]:
+    """Yield points whose numbers are at their ends: all of them, or where there are many, by two parameters."""
+    if not axes:
+        yield {}
+        return
+    ends = {axis.path: axis.ends() for axis in axes}
+    lowest, highest = ({path: pair[i] for path, pair in ends.items()} for i in (0, 1))
+    if not every:
+        yield from (lowest, highest)
+    elif 2 ** len(axes) <= MOST_CORNERS:
+        for chosen in product(*ends.values()):
+            yield dict(zip(ends, chosen, strict=True))
+    else:
+        yield highest
+        for one, other in combinations(axes, 2):
+            for values in product(ends[one.path], ends[other.path]):
+                yield {**lowest, one.path: values[0], other.path: values[1]}
+
+
+def _refuse_listed(plan: Plan) -> None:
+    """Refuse wrong points of a list, each of which is looked at."""
+    wrong = []
+    for point in range(plan.shape[0]):
+        values = plan.values_at((point, 0))
+        wrong += [f"point {point}, {_point(values)}: {line}" for line in faults(plan.study.content, values)]
+    if wrong:
+        more = [f"... and {len(wrong) - MOST_LISTED} more"] if len(wrong) > MOST_LISTED else []
+        raise ScenarioError(f"{plan.study.spec.name}: nothing was flown", wrong[:MOST_LISTED] + more)

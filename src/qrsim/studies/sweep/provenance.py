@@ -1,0 +1,52 @@
+"""Versions that results depend on: compared between client and workers, and between a store and its continuation."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from functools import cache
+from importlib import metadata, resources
+from typing import Any
+
+PACKAGES = ("qrsim", "jax", "jaxlib", "llvmlite", "numpy", "scipy")
+NETWORK = ("dask", "distributed")
+# Of this package, what no number comes from.
+WITHOUT = ("/view", "/logs", "/studies/flight_logs", "/protocol")
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of all libraries that affect numbers, and a digest of this package's source."""
+    found = {name: metadata.version(name) for name in PACKAGES}
+    return {**found, "python": ".".join(platform.python_version_tuple()[:2]), "qrsim source": _source()}
+
+
+def network_versions() -> dict[str, str]:
+    """Return ``versions``, and those of the libraries that carry tasks and results."""
+    return {**versions(), **{name: metadata.version(name) for name in NETWORK}}
+
+
+def _source() -> str:
+    """Return a digest of the Python files that numbers come from, in which two copies of one version may differ."""
+    total = hashlib.sha256()
+
+    def add(folder: Any, path: str) -> None:
+        for item in sorted(folder.iterdir(), key=lambda item: item.name):
+            inner = f"{path}/{item.name}"
+            other = inner in WITHOUT or (path == "/apps" and item.name != "sweep")
+            if item.is_dir() and item.name != "__pycache__" and not other:
+                add(item, inner)
+            elif item.name.endswith(".py"):
+                total.update(f"{inner}\0".encode() + item.read_bytes())
+
+    add(resources.files("qrsim"), "")
+    return total.hexdigest()[:16]
+
+
+def differences(mine: dict[str, str], theirs: dict[str, str]) -> list[str]:
+    """Return the differences, each as "name: mine, theirs"."""
+    return [
+        f"{name}: {mine.get(name, 'none')} here, {theirs.get(name, 'none')} there"
+        for name in {**mine, **theirs}
+        if mine.get(name) != theirs.get(name)
+    ]

@@ -1,0 +1,281 @@
+"""Report of a store, for ``qrsim sweep-report``: analysis, files and text."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shlex
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.atomic import write_atomically
+from qrsim.scenarios.reading import dump_yaml
+from qrsim.studies.sweep import analysis
+from qrsim.studies.sweep.axes import COUNT, apply, overrides
+from qrsim.studies.sweep.results import Parameter, Results
+from qrsim.studies.sweep.varying import assignment
+
+WORST = 10
+SCENARIO = "scenario.yaml"
+
+
+@dataclass(frozen=True)
+class Report:
+    """Analysis of a store.
+
+    Attributes:
+        results: of the store.
+        metric: whose map, sensitivity and worst episodes these are.
+        metrics: all that the study keeps.
+        responses: of each metric, for each parameter.
+        pair: the two parameters of the map, None where there is only one.
+        boundary: of failure, or why there is none.
+        sensitivity: Sobol indices, or why there are none.
+        worst: numbers of the worst episodes.
+    """
+
+    results: Results
+    metric: str
+    metrics: tuple[str, ...]
+    responses: dict[str, list[analysis.Response]]
+    pair: tuple[Parameter, Parameter] | None
+    boundary: analysis.Boundary | str
+    sensitivity: analysis.Sensitivity | str
+    worst: list[int]
+
+
+def find(path: Path, metric: str | None, pair: list[str]) -> Report:
+    """Analyse a store.
+
+    Args:
+        path: of the store.
+        metric: the one to look at; None: the first of the study.
+        pair: names of two parameters for the maps; empty: the first two.
+
+    Raises:
+        UsageError: it is no store, or it has no such metric or parameter.
+        RunError: nothing has been flown yet.
+    """
+    results = Results(path)
+    metrics = tuple(results.spec.metrics)
+    chosen = metric or metrics[0]
+    values = results.metric(chosen)
+    metrics = metrics if chosen in metrics else (chosen, *metrics)
+    responses = {
+        name: [
+            analysis.response(results, parameter, results.metric(name), results.limits(name))
+            for parameter in results.parameters.values()
+        ]
+        for name in metrics
+    }
+    return Report(
+        results, chosen, metrics, responses, _pair(results, pair), analysis.boundary(results),
+        analysis.sensitivity(results, values), analysis.worst(results, chosen, WORST),
+    )  # fmt: skip
+
+
+def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | None:
+    for name in names:
+        if name not in results.parameters:
+            raise UsageError(f"--map {name}: no parameter is called so{did_you_mean(name, results.parameters)}")
+    if names:
+        if len(set(names)) != 2:
+            raise UsageError(f"--map {' '.join(names)}: give two parameters")
+        return results.parameters[names[0]], results.parameters[names[1]]
+    several = [parameter for parameter in results.parameters.values() if len(parameter.levels) > 1]
+    # Numbers first, because a boundary can be drawn between them.
+    pairs = sorted(combinations(several, 2), key=lambda pair: -sum(parameter.numeric for parameter in pair))
+    return pairs[0] if pairs else None
+
+
+def replay(results: Results, episode: int, folder: Path) -> str:
+    """Return the command that flies an episode again and records it."""
+    values = results.values_at(episode)
+    source, changes = results.source, dict(results.spec.set)
+    name, counts = _scenario_name(values)
+    if source is None or counts:
+        source, changes = str(folder / name), {}
+        values = {path: value for path, value in values.items() if path not in counts}
+    words = ["qrsim", "run", source, "--seed", str(int(results.seeds[episode]))]
+    settings = [assignment(path, value) for path, value in changes.items()]
+    settings += [text for path, value in values.items() for text in overrides(results.scenario, path, value)]
+    words += [word for setting in settings for word in ("--set", setting)]
+    spec = results.spec
+    words += ["--policy", spec.policy] if spec.policy else []
+    words += ["--estimator", spec.estimator] if spec.estimator else []
+    words += ["--policy-ticks", str(spec.policy_ticks)] if spec.policy_ticks != 1 else []
+    words += ["--precision", spec.precision] if spec.precision != "float32" else []
+    run = folder / f"episode_{int(results.positions[episode])}"
+    return shlex.join([*words, "--out", str(run)]) + f" && qrsim view {shlex.quote(str(run))}"
+
+
+def _scenario_name(values: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
+    counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
+    return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
+
+
+def _write_scenarios(report: Report, folder: Path) -> list[str]:
+    """Write the scenario, and those of the worst episodes whose vehicles are too many words for a command."""
+    results = report.results
+    contents = {SCENARIO: results.scenario}
+    for episode in report.worst:
+        name, counts = _scenario_name(results.values_at(episode))
+        contents[name] = copy.deepcopy(results.scenario)
+        for path, value in counts.items():
+            apply(contents[name], path, value)
+    for name, content in contents.items():
+        write_atomically(folder / name, dump_yaml(content).encode())
+    return list(contents)
+
+
+def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
+    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario; return the files."""
+    from qrsim.runs.picture import save_picture
+    from qrsim.studies.sweep import figures
+
+    results = report.results
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = {f"response.{form}": lambda: figures.draw_responses(results, report.metrics, report.responses)}
+    pair, boundary, indices = report.pair, report.boundary, report.sensitivity
+    if pair is not None:
+        pictures[f"map.{form}"] = lambda: figures.draw_map(results, pair, report.metric)
+    if not isinstance(boundary, str):
+        pictures[f"boundary.{form}"] = lambda: figures.draw_boundary(results, boundary, pair)
+    if not isinstance(indices, str):
+        pictures[f"sensitivity.{form}"] = lambda: figures.draw_sensitivity(results, indices, report.metric)
+    for name, draw in pictures.items():
+        save_picture(draw, folder / name)
+    scenarios = _write_scenarios(report, folder)
+    write_atomically(folder / "report.json", f"{json.dumps(to_json(report, folder), indent=2)}\n".encode())
+    return [folder / name for name in (*pictures, *scenarios, "report.json")]
+
+
+def to_json(report: Report, folder: Path) -> dict[str, Any]:
+    """Return the tables as plain values; non-finite numbers are None."""
+    results, boundary, indices = report.results, report.boundary, report.sensitivity
+    found: dict[str, Any] = {**results.summary(), "metric": report.metric}
+    found["responses"] = {
+        metric: {item.parameter.name: _response_json(item) for item in items}
+        for metric, items in report.responses.items()
+    }
+    found["failures"] = {
+        parameter.name: _response_json(analysis.failures(results, parameter))
+        for parameter in results.parameters.values()
+    }
+    found["boundary"] = boundary if isinstance(boundary, str) else _boundary_json(boundary)
+    found["sensitivity"] = indices if isinstance(indices, str) else _sensitivity_json(indices)
+    found["worst"] = [_worst_json(report, episode, folder) for episode in report.worst]
+    return found
+
+
+def _response_json(item: analysis.Response) -> dict[str, Any]:
+    numbers = {name: _plain(getattr(item, name)) for name in ("mean", "low", "high")}
+    return {"levels": item.parameter.levels.tolist(), **numbers}
+
+
+def _boundary_json(found: analysis.Boundary) -> dict[str, Any]:
+    crossings = {p.name: found.crossing(i) for i, p in enumerate(found.parameters)}
+    return {
+        "terms": "squares" if found.squares else "linear",
+        "coefficients": _plain(found.coefficients),
+        "half_fail_at": {
+            name: None if at is None else dict(zip(("value", "low", "high"), _plain(np.array(at)), strict=True))
+            for name, at in crossings.items()
+        },
+    }
+
+
+def _sensitivity_json(found: analysis.Sensitivity) -> dict[str, Any]:
+    columns = (found.first, found.first_half, found.total, found.total_half)
+    names = ("first", "first_half", "total", "total_half")
+    return {
+        name: dict(zip(names, _plain(np.array([column[i] for column in columns])), strict=True))
+        for i, name in enumerate(found.names)
+    }
+
+
+def _worst_json(report: Report, episode: int, folder: Path) -> dict[str, Any]:
+    results = report.results
+    return {
+        "seed": int(results.seeds[episode]),
+        "values": results.values_at(episode),
+        report.metric: float(results.metric(report.metric)[episode]),
+        "failed": bool(results.failed[episode]),
+        "command": replay(results, episode, folder),
+    }
+
+
+def _plain(values: Any) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
+
+
+def print_report(report: Report, folder: Path) -> None:
+    """Print the tables."""
+    results = report.results
+    summary = results.summary()
+    some = "" if results.episodes == results.planned else f" of {results.planned} planned"
+    print(f"{summary['study']}: {results.episodes} episodes{some} at {summary['points']} points")
+    print(f"failed ({results.failure}): {summary['failed']} ({100 * summary['failed'] / results.episodes:.1f} %)\n")
+    for parameter in results.parameters.values():
+        _print_response(analysis.failures(results, parameter), f"share with {results.failure}")
+    unit = results.unit(report.metric)
+    for item in report.responses[report.metric]:
+        _print_response(item, f"{report.metric}{'' if unit == '1' else f' [{unit}]'}")
+    print("half of the episodes fail at (logistic fit, the other parameters at their middle):")
+    _print_boundary(report.boundary)
+    print("\nSobol indices (part of the variance, alone and with others):")
+    _print_sensitivity(report.sensitivity)
+    side = "smallest" if results.low_is_bad(report.metric) else "largest"
+    print(f"\nworst episodes ({side} {report.metric}{'' if unit == '1' else f' [{unit}]'})")
+    values = results.metric(report.metric)
+    for episode in report.worst:
+        where = ", ".join(f"{name} {_value(value)}" for name, value in _named(results, episode).items())
+        print(f"  {values[episode]:9.4g}  seed {results.seeds[episode]}, {where}")
+    if report.worst:
+        print(f"\nto look at the first: {replay(results, report.worst[0], folder)}")
+
+
+def _named(results: Results, episode: int) -> dict[str, Any]:
+    values = results.values_at(episode)
+    return {results.spec.vary[path].name or path: value for path, value in values.items()}
+
+
+def _value(value: Any) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 30 else f"{text[:27]}..."
+
+
+def _print_response(item: analysis.Response, what: str) -> None:
+    print(f"{item.parameter.label:<28} {what}, 95 % interval")
+    for level, *numbers in zip(item.parameter.levels, item.mean, item.low, item.high, strict=True):
+        name = f"{level:.4g}" if item.parameter.numeric else str(level)[:26]
+        mean, low, high = ("-" if np.isnan(number) else f"{number:.4g}" for number in numbers)
+        print(f"  {name:<26} {mean:>9}   {low} to {high}")
+    print()
+
+
+def _print_boundary(found: analysis.Boundary | str) -> None:
+    if isinstance(found, str):
+        print(f"  none: {found}")
+        return
+    for i, parameter in enumerate(found.parameters):
+        at = found.crossing(i)
+        if at is None:
+            print(f"  {parameter.label:<26} not within what was flown")
+            continue
+        interval = "" if np.isnan(at[1]) else f"   {at[1]:.4g} to {at[2]:.4g}"
+        print(f"  {parameter.label:<26} {at[0]:>9.4g}{interval}")
+
+
+def _print_sensitivity(found: analysis.Sensitivity | str) -> None:
+    if isinstance(found, str):
+        print(f"  none: {found}")
+        return
+    for name, *numbers in zip(found.names, found.first, found.first_half, found.total, found.total_half, strict=True):
+        print(f"  {name:<26} {numbers[0]:6.3f} ± {numbers[1]:.3f}   {numbers[2]:6.3f} ± {numbers[3]:.3f}")

@@ -1,0 +1,227 @@
+"""A store as read: parameters and metrics of its episodes, for any dimensions."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import RunError, UsageError, did_you_mean, shortened
+from qrsim.scenarios.reading import parse_yaml
+from qrsim.studies.sweep.metrics import METRICS
+from qrsim.studies.sweep.store import FLOWN, KIND
+from qrsim.studies.sweep.study import Content, StudySpec
+
+Array = np.ndarray[Any, Any]
+# More values of a parameter than these are put together in so many classes of equal size.
+MOST_LEVELS, CLASSES = 30, 12
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter over all E episodes.
+
+    Attributes:
+        name: of the dimension or coordinate.
+        unit: "" where it is not known.
+        levels: (L,) its values, numbers or texts; of a sampled one the mean of each class.
+        level: (E,) number of the level of each episode.
+        values: (E,) its value in each episode, of texts the number of the level.
+        numeric: whether it is a number.
+        sampled: whether levels are classes of a sample.
+        log: whether it is spread evenly in its logarithm.
+    """
+
+    name: str
+    unit: str
+    levels: Array
+    level: Array
+    values: Array
+    numeric: bool
+    sampled: bool
+    log: bool
+
+    def even(self, values: Array) -> Array:
+        """Map values to the scale on which they are evenly spaced."""
+        return np.log(values) if self.log else values
+
+    def uneven(self, values: Array) -> Array:
+        """Invert ``even``."""
+        return np.exp(values) if self.log else values
+
+    @property
+    def label(self) -> str:
+        """Name and unit, for an axis."""
+        return f"{self.name} [{self.unit}]" if self.unit and self.unit != "1" else self.name
+
+
+class Results:
+    """The episodes that are in a store.
+
+    Args:
+        path: of the store.
+
+    Raises:
+        UsageError: it is none.
+        RunError: nothing has been flown yet, or it is damaged.
+    """
+
+    def __init__(self, path: Path):
+        import xarray as xr
+
+        if not path.exists():
+            raise UsageError(f"{path}: there is no such store; 'qrsim sweep STUDY' writes one")
+        try:
+            self.dataset = xr.open_zarr(path, consolidated=False, chunks=None)
+        except (OSError, ValueError, KeyError) as error:
+            raise UsageError(f"{path}: it is no store of a sweep: {error}") from None
+        if self.dataset.attrs.get("kind") != KIND:
+            raise UsageError(f"{path}: it is no store of a sweep")
+        self.path = path
+        self.flown = self.dataset[FLOWN].values.ravel()
+        if not self.flown.any():
+            raise RunError(f"{path}: no episode has been flown yet")
+        attributes = self.dataset.attrs
+        try:
+            self.scenario: Content = parse_yaml(attributes["scenario"], str(path), own=True)
+            self.spec = StudySpec.model_validate({**json.loads(attributes["study"]), "scenario": attributes["source"]})
+            self.source: str | None = attributes["source"] or None
+        except (KeyError, TypeError, ValueError) as error:  # a ScenarioError and pydantic's are ValueErrors
+            raise RunError(f"{path}: the store is damaged: {shortened(str(error), 300)}") from None
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes that are in the store."""
+        return int(self.flown.sum())
+
+    @property
+    def planned(self) -> int:
+        """Number of episodes that the study has."""
+        return len(self.flown)
+
+    @cached_property
+    def seeds(self) -> Array:
+        """Seed of each episode (E,)."""
+        return self._spread("seed")[self.flown]
+
+    @cached_property
+    def positions(self) -> Array:
+        """Flat index (E,) of each episode in the Dataset."""
+        return np.flatnonzero(self.flown)
+
+    @cached_property
+    def points(self) -> Array:
+        """Index (E,) of each episode's point."""
+        return self.positions // self.dataset.sizes["seed"]
+
+    def metric(self, name: str) -> Array:
+        """Return a metric (E,).
+
+        Raises:
+            UsageError: the store does not have it.
+        """
+        known = [str(key) for key in self.dataset.data_vars if key != FLOWN]
+        if name not in known:
+            raise UsageError(f"{self.path}: no metric is called '{name}'{did_you_mean(name, known)}")
+        found: Array = self.dataset[name].values.ravel()[self.flown].astype(np.float64)
+        return found
+
+    def unit(self, metric: str) -> str:
+        """Return the unit of a metric."""
+        return str(self.dataset[metric].attrs["units"])
+
+    def limits(self, metric: str) -> tuple[float, float]:
+        """Return between which numbers a metric is, whatever is flown."""
+        return METRICS[metric].limits if metric in METRICS else (-math.inf, math.inf)
+
+    def low_is_bad(self, metric: str) -> bool:
+        """Return whether small values of a metric are the bad ones."""
+        # A store of an earlier version does not say so itself.
+        known = METRICS[metric].low_is_bad if metric in METRICS else False
+        return bool(self.dataset[metric].attrs.get("low_is_bad", known))
+
+    @cached_property
+    def failed(self) -> Array:
+        """Return whether each episode failed (E,); one without the metric did not."""
+        failure = self.spec.failure
+        values = self.metric(failure.metric)
+        if failure.above is not None:
+            return values > failure.above
+        return values < failure.below
+
+    @property
+    def failure(self) -> str:
+        """Definition of a failure, in words."""
+        failure = self.spec.failure
+        limit, word = (failure.above, ">") if failure.above is not None else (failure.below, "<")
+        unit = self.unit(failure.metric)
+        return f"{failure.metric} {word} {limit:g}{'' if unit == '1' else f' {unit}'}"
+
+    def _spread(self, name: str) -> Array:
+        """Return a coordinate at every place of the Dataset."""
+        return np.broadcast_to(
+            self.dataset[name].broadcast_like(self.dataset[FLOWN]).transpose(*self.dataset[FLOWN].dims).values,
+            self.dataset[FLOWN].shape,
+        ).ravel()
+
+    @cached_property
+    def parameters(self) -> dict[str, Parameter]:
+        """Varied parameters, by name, in the order of the study."""
+        names = [item.name or path for path, item in self.spec.vary.items()]
+        return {name: self._parameter(name) for name in names}
+
+    def _parameter(self, name: str) -> Parameter:
+        coordinate = self.dataset[name]
+        unit = str(coordinate.attrs.get("units", ""))
+        numeric = coordinate.dtype.kind in "fiu"
+        own = np.asarray(coordinate.values)
+        if numeric:
+            levels, level = np.unique(own, return_inverse=True)
+        else:
+            # In the order of the study.
+            texts = list(dict.fromkeys(own.tolist()))
+            levels, level = np.array(texts, dtype=object), np.array([texts.index(text) for text in own.tolist()])
+        sampled = numeric and len(levels) > MOST_LEVELS
+        if sampled:
+            rank = np.argsort(np.argsort(own, kind="stable"), kind="stable")
+            level = rank * CLASSES // len(own)
+            levels = np.array([own[level == i].mean() for i in range(CLASSES)])
+        at = self._spread_index(name)
+        values = own[at] if numeric else level[at].astype(float)
+        log = any((item.name or path) == name and item.scale == "log" for path, item in self.spec.vary.items())
+        return Parameter(name, unit, levels, level[at], np.asarray(values, np.float64), numeric, sampled, log)
+
+    def _spread_index(self, name: str) -> Array:
+        """Return which entry of a coordinate each episode has (E,)."""
+        flown = self.dataset[FLOWN]
+        (dimension,) = self.dataset[name].dims
+        axis = flown.dims.index(dimension)
+        return np.unravel_index(self.positions, flown.shape)[axis]
+
+    def values_at(self, episode: int) -> dict[str, Any]:
+        """Return path and value of each parameter of an episode, in the scenario's terms."""
+        found: dict[str, Any] = {}
+        for path, item in self.spec.vary.items():
+            index = int(self._spread_index(item.name or path)[episode])
+            if item.listed is not None:
+                found[path] = item.listed[index]
+            else:
+                found[path] = float(self.dataset[item.name or path].values[index])
+        return found
+
+    def summary(self) -> Mapping[str, Any]:
+        """Return the number of episodes planned and stored, with the study's name."""
+        return {
+            "study": self.spec.name,
+            "episodes": self.episodes,
+            "planned": self.planned,
+            "points": math.prod(self.dataset[FLOWN].shape[:-1]),
+            "failed": int(self.failed.sum()),
+            "failure": self.failure,
+        }

@@ -1,0 +1,101 @@
+"""The parts of the validation, and a runner for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.files import recordings
+from qrsim.studies.validate import drifts, gnss, imu, receivers, rotation, thrust, translation, turbulence, wind_field
+from qrsim.studies.validate.report import Outcome, Part
+
+PARTS: dict[str, Part] = {
+    part.name: part
+    for part in (
+        thrust.PART, rotation.PART, translation.PART, turbulence.PART, wind_field.PART, gnss.PART, receivers.PART,
+        drifts.PART, imu.PART,
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Result:
+    """A part with its outcome, or the reason it was skipped."""
+
+    part: Part
+    outcome: Outcome | None
+    skipped: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything but the pictures."""
+        head = {"title": self.part.title, "answers": self.part.answers, "recordings": list(self.part.recordings)}
+        if self.outcome is None:
+            return head | {"passed": None, "skipped": [self.skipped]}
+        return head | {
+            "passed": self.outcome.passed,
+            "skipped": self.outcome.skipped,
+            "method": self.outcome.method,
+            "reading": self.outcome.reading,
+            "checks": [check.to_json() for check in self.outcome.checks],
+            "findings": [finding.to_json() for finding in self.outcome.findings],
+            "numbers": self.outcome.numbers,
+        }
+
+
+def choose(names: Sequence[str]) -> list[Part]:
+    """Return the named parts, each once and in the report's order; all if no name is given.
+
+    Raises:
+        UsageError: a name that no part has.
+    """
+    for name in names:
+        if name not in PARTS:
+            raise UsageError(f"--only {name}: no such part{did_you_mean(name, PARTS)}")
+    return [part for name, part in PARTS.items() if not names or name in names]
+
+
+def find_recordings(parts: Sequence[Part]) -> dict[str, Path]:
+    """Return the paths of the available recordings, by name.
+
+    Raises:
+        RunError: a recording was altered or cut off, or cannot be read.
+    """
+    names = dict.fromkeys(name for part in parts for name in part.recordings)
+    found = {}
+    for name in names:
+        if recordings.file_status(name).condition != "missing":
+            found[name] = recordings.data_file(name)
+    return found
+
+
+def run_parts(
+    parts: Sequence[Part], found: dict[str, Path], full: bool = True, done: Callable[[Part], None] | None = None
+) -> list[Result]:
+    """Run parts in order; one whose recordings are missing is skipped.
+
+    Raises:
+        RunError: no part could be run.
+    """
+    results = []
+    for part in parts:
+        missing = [name for name in part.recordings if name not in found]
+        if missing:
+            results.append(Result(part, None, _why(missing)))
+        else:
+            results.append(Result(part, part.run(found, full)))
+        if done:
+            done(part)
+    if all(result.outcome is None for result in results):
+        raise RunError("nothing to do: " + "; ".join(f"{result.part.name}: {result.skipped}" for result in results))
+    return results
+
+
+def _why(missing: Sequence[str]) -> str:
+    folder = recordings.data_folder()
+    return (
+        f"{', '.join(missing)} not found in {folder}; 'qrsim data fetch' gets the recordings"
+        f" (or set {recordings.FOLDER_VARIABLE} to the folder that holds them)"
+    )

@@ -1,0 +1,160 @@
+"""The report as a PDF, and its pictures one by one: vectors, as a paper prints them."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+
+from qrsim.studies.validate.page import SOURCE, number
+from qrsim.studies.validate.parts import Result
+from qrsim.studies.validate.report import Check, Finding, Picture, worst
+
+# A4 [inch], margins, and what fits: lines of text and characters of a line, by size [pt].
+PAGE, LEFT, TOP, BOTTOM = (8.27, 11.69), 0.09, 0.94, 0.06
+TEXT, HEAD = 9.0, 15.0
+PER_LINE, PER_BOLD_LINE, LEADING = 104, 88, 1.45
+
+
+class Line(NamedTuple):
+    """A line of text, its size [pt], and whether it is bold."""
+
+    text: str
+    size: float = TEXT
+    bold: bool = False
+
+
+def write_pdf(results: Sequence[Result], about: Mapping[str, Any]) -> bytes:
+    """Return the report: a page of results, and for each part its text, its pictures and its tables.
+
+    Args:
+        results: in the order they are shown.
+        about: what stands beside the parts in the JSON.
+    """
+    buffer = io.BytesIO()
+    # Without a date, so that the same report is the same file.
+    with PdfPages(buffer, metadata={"Title": f"Validation of qrsim {about['qrsim']}", "CreationDate": None}) as pages:
+        for page in _pages([*_front(results, about)]):
+            pages.savefig(page)
+        for result in results:
+            for page in _pages([*_text(result)]):
+                pages.savefig(page)
+            for shown in result.outcome.pictures if result.outcome else ():
+                if shown.figure is not None:
+                    pages.savefig(shown.figure, bbox_inches="tight", pad_inches=0.3)
+            for page in _pages([*_tables(result)]):
+                pages.savefig(page)
+    return buffer.getvalue()
+
+
+def figures(results: Sequence[Result]) -> dict[str, bytes]:
+    """Return each picture as a PDF by its file's name, such as ``gnss_2.pdf``."""
+    found = {}
+    for result in results:
+        for i, shown in enumerate(result.outcome.pictures if result.outcome else (), start=1):
+            if shown.figure is not None:
+                found[f"{result.part.name}_{i}.pdf"] = _vectors(shown)
+    return found
+
+
+def _vectors(shown: Picture) -> bytes:
+    buffer = io.BytesIO()
+    shown.figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})  # type: ignore[union-attr]
+    return buffer.getvalue()
+
+
+def _wrapped(text: str, indent: str = "", **style: Any) -> Iterator[Line]:
+    width = PER_BOLD_LINE if style.get("bold") else PER_LINE
+    for line in textwrap.wrap(text, width, subsequent_indent=indent) or [""]:
+        yield Line(line, **style)
+
+
+def _front(results: Sequence[Result], about: Mapping[str, Any]) -> Iterator[Line]:
+    checks = [check for result in results if result.outcome for check in result.outcome.checks]
+    failed = sum(not check.passed for check in checks)
+    yield Line(f"Validation of qrsim {about['qrsim']}", 20.0, bold=True)
+    yield Line(f"{about['made']}, {about['platform']}, jax {about['jax']}")
+    yield Line("")
+    yield Line(
+        f"{failed} of {len(checks)} checks failed." if failed else f"All {len(checks)} checks passed.", bold=True
+    )
+    yield Line("")
+    yield from _wrapped(f"The simulator follows {SOURCE}.")
+    yield from _wrapped(
+        "A check asks whether the program computes what it should; one that fails is an error. A finding says how well "
+        "a model describes what was recorded, and fails nothing."
+    )
+    for result in results:
+        yield Line("")
+        yield Line(result.part.title, 12.0, bold=True)
+        if result.outcome is None:
+            yield from _wrapped(f"Skipped: {result.skipped}.")
+            continue
+        good = sum(check.passed for check in result.outcome.checks)
+        yield from _wrapped(f"{good} of {len(result.outcome.checks)} checks. {result.outcome.reading}")
+
+
+def _text(result: Result) -> Iterator[Line]:
+    yield Line(result.part.title, HEAD, bold=True)
+    yield Line("")
+    yield from _wrapped(f"Answers {result.part.answers}.")
+    if result.outcome is None:
+        yield from _wrapped(f"Skipped: {result.skipped}.")
+        return
+    yield Line("")
+    yield from _wrapped(result.outcome.method)
+    yield Line("")
+    yield from _wrapped(result.outcome.reading, bold=True)
+    for words in result.outcome.skipped:
+        yield from _wrapped(f"Skipped: {words}.")
+    for i, shown in enumerate(result.outcome.pictures, start=1):
+        yield Line("")
+        yield from _wrapped(f"Picture {i}: {shown.caption}")
+
+
+def _tables(result: Result) -> Iterator[Line]:
+    if result.outcome is None:
+        return
+    yield Line(f"{result.part.title}: numbers", HEAD, bold=True)
+    for found in result.outcome.findings:
+        yield Line("")
+        yield from _finding(found)
+    for check in result.outcome.checks:
+        yield Line("")
+        yield from _check(check)
+    if result.outcome.checks:
+        narrow = worst(result.outcome.checks)
+        used = 100.0 * abs(narrow.value - narrow.expected) / narrow.tolerance
+        yield Line("")
+        yield from _wrapped(f"Nearest to its bound: {narrow.name}, at {used:.0f} % of it.")
+
+
+def _finding(found: Finding) -> Iterator[Line]:
+    yield from _wrapped(f"{found.verdict}: {found.name}: {found.number}", "    ", bold=True)
+    yield from _wrapped(f"    {found.reading}", "    ")
+
+
+def _check(check: Check) -> Iterator[Line]:
+    yield from _wrapped(f"{'pass' if check.passed else 'FAIL'}: {check.name}", "    ", bold=not check.passed)
+    unit = f" {check.unit}" if check.unit else ""
+    told = f"{number(check.value)}{unit}; expected {number(check.expected)} ± {check.tolerance:.2g}: {check.reason}"
+    yield from _wrapped(f"    {told}", "    ")
+
+
+def _pages(lines: Sequence[Line]) -> Iterator[Figure]:
+    """Yield pages that hold the lines."""
+    page, height = None, 0.0
+    for line in lines:
+        needed = line.size * LEADING / 72.0 / PAGE[1]
+        if page is None or height - needed < BOTTOM:
+            if page is not None:
+                yield page
+            page, height = Figure(figsize=PAGE), TOP
+        height -= needed
+        page.text(LEFT, height, line.text, fontsize=line.size, weight="bold" if line.bold else "normal")
+    if page is not None:
+        yield page

@@ -1,0 +1,98 @@
+"""Plans: every episode once, values by their numbers, nothing made before it is asked for."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.studies.sweep.conftest import planned
+
+from qrsim.studies.sweep.sampling import Sample
+from qrsim.studies.sweep.study import SamplingSpec
+
+MASS = "fleets.pelicans.vehicle.mass"
+WIND = "world.wind.speed_20ft"
+RANGES = {WIND: {"low": 0.0, "high": 5.0}, MASS: {"low": 1.5, "high": 1.8}}
+
+
+def sampled(kind: str, points: int, **more: Any) -> dict[str, Any]:
+    return {"vary": RANGES, "sampling": {"type": kind, "points": points, "seed": 3}, **more}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"batch": 1},
+        {"batch": 7},
+        {"batch": 11},
+        {"batch": None},
+        sampled("latin_hypercube", 13, batch=17),
+        {"vary": {"fleets.pelicans.controller.feed": {"values": ["truth", "measurements"]}, **RANGES},
+         "sampling": {"type": "sobol", "points": 8}, "batch": 12},
+        {"vary": {WIND: {"values": [0.0, 1.0, 2.0]}, MASS: {"values": [1.5, 1.6, 1.7]}}, "sampling": {"type": "list"}},
+    ],
+)  # fmt: skip
+def test_every_episode_is_in_one_batch_with_the_values_of_its_place(tmp_path: Path, changes: dict[str, Any]) -> None:
+    plan = planned(tmp_path, **changes)
+    seen = np.zeros(plan.shape, int)
+    places = np.arange(plan.episodes).reshape(plan.shape)
+    for index in range(plan.batches):
+        batch = plan.batch(index)
+        seen[batch.region] += 1
+        for i, place in enumerate(places[batch.region].ravel().tolist()):
+            position = tuple(int(at) for at in np.unravel_index(place, plan.shape))
+            values = plan.values_at(position)
+            assert {path: column[i] for path, column in batch.numbers.items()} == {
+                path: value for path, value in values.items() if path in batch.numbers
+            }
+            chosen = [axis.values[at] for axis, at in zip(
+                [axis for axis in plan.axes if axis.path in plan.structural], batch.group, strict=True)]  # type: ignore[index] # fmt: skip
+            assert chosen == [values[path] for path in plan.structural]
+            assert batch.seeds[i] == position[-1]
+    assert (seen == 1).all()
+
+
+@pytest.mark.parametrize("kind", ["latin_hypercube", "sobol", "saltelli"])
+def test_a_sample_is_the_same_however_it_is_cut(kind: Any) -> None:
+    sample = Sample(SamplingSpec(type=kind, points=16, seed=4), 3)
+    whole = sample.rows(0, sample.size)
+    assert whole.shape == (16 * 5 if kind == "saltelli" else 16, 3)
+    parts = [sample.rows(start, min(start + 7, sample.size)) for start in range(0, sample.size, 7)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    assert not np.array_equal(Sample(SamplingSpec(type=kind, points=16, seed=5), 3).rows(0, 16), whole[:16])
+
+
+def test_a_saltelli_sample_has_the_order_that_salib_expects() -> None:
+    points = Sample(SamplingSpec(type="saltelli", points=8, seed=1), 3).rows(0, 40).reshape(8, 5, 3)
+    first, last = points[:, 0], points[:, -1]
+    for column in range(3):
+        mixed = points[:, column + 1]
+        np.testing.assert_array_equal(mixed[:, column], last[:, column])
+        others = [other for other in range(3) if other != column]
+        np.testing.assert_array_equal(mixed[:, others], first[:, others])
+
+
+def test_a_logarithmic_range_is_even_in_its_logarithm(tmp_path: Path) -> None:
+    vary = {MASS: {"low": 1.0, "high": 4.0, "scale": "log"}}
+    plan = planned(tmp_path, vary=vary, sampling={"type": "latin_hypercube", "points": 64})
+    values = plan.rows(0, 64)[MASS]
+    counts, _ = np.histogram(np.log(values), np.linspace(0.0, np.log(4.0), 9))
+    assert counts.tolist() == [8] * 8
+
+
+@pytest.mark.parametrize("kind", ["sobol", "grid"])
+def test_a_million_points_are_planned_without_being_listed(tmp_path: Path, kind: str) -> None:
+    counted = {path: {**item, "count": 1000} for path, item in RANGES.items()}
+    changes = sampled("sobol", 2**20) if kind == "sobol" else {"vary": counted}
+    plan = planned(tmp_path, **changes, seeds=1, batch=4096)
+    tracemalloc.start()
+    assert plan.points >= 10**6
+    for index in (0, plan.batches // 2, plan.batches - 1):
+        plan.batch(index)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # A number of every point would take 8 MB.
+    assert peak < 4e6
