@@ -384,6 +384,7 @@ class TestLoadFunction:
             ("breaks_here:hover", "breaks_here: importing it failed: ZeroDivisionError: division by zero"),
             ("breaks_here.py:hover", "breaks_here.py: importing it failed: ZeroDivisionError"),
             ("needs_more:hover", "needs_more: it imports 'not_installed_anywhere', which is not there"),
+            ("qrsim.sweep.metrics:of", "no module is called 'qrsim.sweep.metrics'; .* 'qrsim.studies.sweep.metrics'"),
             ("needs_more.py:hover", "needs_more.py: importing it failed: ModuleNotFoundError"),
         ],
     )

@@ -1,4 +1,11 @@
-"""Commands on top of the library, independent of each other. Times are given in seconds or with a unit."""
+"""Commands of ``qrsim``: one module each.
+
+A command parses its options, calls the library, prints the result and sets the exit code. Commands do not import each
+other, and each imports the library when it runs, so that ``qrsim --help`` stays quick. Times are given in seconds or
+with a unit.
+It may import ``studies`` and the layers below it.
+Read ``run/command.py`` first.
+"""
 
 from __future__ import annotations
 

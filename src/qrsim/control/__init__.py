@@ -1,7 +1,9 @@
-"""Control loops of the reference implementation, and the guidance that feeds them (docs/control.md).
+"""Control loops: from an estimate and a set-point to a vehicle's command (docs/control.md).
 
-``setpoints`` says what can be asked for, ``loops`` holds the parts that controllers share, ``controllers`` has one
-record for each kind of set-point and one for all kinds, ``guidance`` what flies a fleet that nobody commands.
+``setpoints.py`` has the set-points, ``controllers.py`` a controller for each kind of them, ``loops.py`` the parts that
+controllers share, ``guidance.py`` the guidance of fleets without commands. Filters estimate a vehicle's state.
+It may import ``models``, ``engine`` and the layers below them.
+Read ``setpoints.py`` first.
 """
 
 from qrsim.control.cascade import CascadeController

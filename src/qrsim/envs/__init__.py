@@ -2,6 +2,8 @@
 
 ``gymnasium.make("qrsim/keep_spot-v0")``, ``gymnasium.make_vec("qrsim/keep_spot-v0", num_envs=1024)``,
 ``qrsim.envs.parallel_env("cats_and_mouse/1C")``, ``qrsim.envs.Functional.of("keep_spot")``.
+It may import ``runs`` and the layers below it.
+Read ``functional.py`` first.
 """
 
 from __future__ import annotations

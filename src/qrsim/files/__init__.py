@@ -1,1 +1,7 @@
-"""Files: what a user names is opened safely, YAML is read with limits, what is written appears whole or not at all."""
+"""Files of users: opened safely, read with limits, and written completely or not at all.
+
+Regular files only, up to a size; YAML without repeated keys or deep nesting; code of users by name. Interruptions by
+Ctrl-C and SIGTERM are here too, because writers have to finish.
+It may import ``extras`` and the layers below it.
+Read ``user_files.py`` first.
+"""

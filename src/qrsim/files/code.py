@@ -148,13 +148,19 @@ def _import_module(what: str, name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        if error.name == name.split(".")[0] or error.name == name:
-            near = [path.stem for path in Path.cwd().glob("*.py")]
+        if f"{name}.".startswith(f"{error.name}."):
+            near = _own_modules() if name.startswith("qrsim.") else [path.stem for path in Path.cwd().glob("*.py")]
             raise UsageError(f"{what}: no module is called '{name}'{did_you_mean(name, near)}") from None
         raise UsageError(f"{what} {name}: it imports '{error.name}', which is not there") from None
     except (Exception, SystemExit) as error:
         spec = importlib.util.find_spec(name) if "." not in name else None
         raise UsageError(f"{what} {name}: {_failed(error, [spec.origin or ''] if spec else [])}") from error
+
+
+def _own_modules() -> list[str]:
+    """List the modules of this package, in dotted form."""
+    package = Path(_PACKAGE)
+    return [".".join(path.relative_to(package.parent).with_suffix("").parts) for path in package.rglob("*.py")]
 
 
 def _failed(error: BaseException, files: list[str]) -> str:

@@ -1,9 +1,10 @@
-"""Run folders: what a simulation recorded, on disk as Parquet, safe against a crash at any moment.
+"""Run folders: the record of a simulation on disk as Parquet, and figures, comparisons and exports of it.
 
-A run folder holds ``run.json`` (what was run, how far it got), ``scenario.yaml`` (the resolved scenario)
-and one folder per stream (``truth``, ``measurements``, ..., ``events``) of Parquet parts
-``part-00000.parquet``, ``part-00001.parquet``, .... Each part is written whole under another name and then
-renamed, so whatever ends the process, all parts that bear their name are complete.
+A run folder holds ``run.json`` (settings, progress), ``scenario.yaml`` (resolved) and one folder per stream (``truth``,
+``measurements``, ..., ``events``) of Parquet parts ``part-00000.parquet``, .... Each part is written under another
+name and then renamed, so every part under its final name is complete, however the process ended.
+It may import ``scenarios`` and the layers below it.
+Read ``reader.py`` first.
 """
 
 from qrsim.runs.episodes import EpisodesWriter

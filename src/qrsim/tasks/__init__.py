@@ -1,6 +1,8 @@
-"""Tasks: actions -> set-points, reward, end of episode, observation. One file per family.
+"""Tasks: from actions to set-points, with reward, end of episode and observation. One file per family.
 
-A task is a record with pure methods, like every component; ``contracts.py`` says which.
+A task is a record with pure methods, like every component; ``contracts.py`` lists them. ``play.py`` flies its episodes.
+It may import ``simulation`` and the layers below it.
+Read ``play.py`` first.
 """
 
 from qrsim.tasks.play import Episode, Play, Step

@@ -1,1 +1,6 @@
-"""One world of fleets: its parameters, its state, and the order of a tick."""
+"""One world of fleets: its parameters (World), its state (State), and the order of a tick.
+
+Everything in it is a pure function of both, for one world; ``simulation`` has them compiled.
+It may import ``control`` and the layers below it.
+Read ``tick.py`` first.
+"""

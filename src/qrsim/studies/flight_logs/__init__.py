@@ -1,4 +1,9 @@
-"""Readers of flight logs: autopilots, test rigs, plain tables; see docs/identify.md."""
+"""Readers of flight logs of autopilots, test rigs and plain tables (docs/identify.md).
+
+``read_log`` returns a ``FlightLog`` whichever program wrote the file: named signals in SI units.
+It may import the layers below ``studies``, and no study.
+Read ``reading.py`` first.
+"""
 
 from qrsim.studies.flight_logs.reading import read_log
 from qrsim.studies.flight_logs.signals import SIGNALS, FlightLog

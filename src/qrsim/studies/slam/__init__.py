@@ -1,4 +1,9 @@
-"""Range-only SLAM on recorded flights, and how consistent it is."""
+"""Range-only SLAM on recorded flights, and the consistency of its covariances (docs/slam.md).
+
+One vehicle or several, with GNSS errors taken as white or as coloured.
+It may import ``flight_logs``, and the layers below ``studies``.
+Read ``estimate.py`` first.
+"""
 
 from __future__ import annotations
 

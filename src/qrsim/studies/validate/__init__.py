@@ -1,1 +1,6 @@
-"""Validation of the models against recordings and closed forms."""
+"""Validation of the models against recordings and closed forms (docs/validate.md).
+
+A check compares with a closed form or a published number; a finding rates a model against a recording.
+It may import ``flight_logs``, and the layers below ``studies``.
+Read ``parts.py`` first.
+"""
