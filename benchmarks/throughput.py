@@ -80,9 +80,7 @@ def stage_world(count: int, stage: str) -> Any:
         fleet["sensors"]["gnss"] = {"type": "ideal_gnss"}
     if stage == ROTORS:
         # The cascade, since the published loops are of the identified quadrotor; both are fed with the truth.
-        # Wakes cost the square of the vehicles of a world.
-        wakes = "felt" if count <= 64 else "ignored"
-        fleet["vehicle"] = {"type": "multirotor", "model": "x500", "downwash": wakes}
+        fleet["vehicle"] = {"type": "multirotor", "model": "x500"}
         fleet["controller"], fleet["guidance"] = {"type": "cascade", "feed": "truth"}, {"type": "route"}
     return load_scenario(content, quiet=True).world()
 

@@ -95,19 +95,6 @@ def test_from_where_on_it_is_told(override: str, words: str) -> None:
     assert bool(warned(f"{VEHICLE}.{override}")) == bool(words)
 
 
-def test_wakes_of_very_many_are_told_to_be_slow() -> None:
-    rows = [
-        f"fleets.pelicans.vehicles={{count: {count}, spacing: 4.0, position_ned: [0, 0, -20]}}"
-        for count in (1001, 1000)
-    ]
-    area = "world.area={type: box, x_min: -9000, x_max: 9000, y_min: -9000, y_max: 9000}"
-    felt = f"{VEHICLE}.downwash=felt"
-    (words,) = warned(rows[0], area, felt)
-    assert words.endswith("because every pair is compared; write 'ignored' if nobody flies below another")
-    assert "wakes of 1001 vehicles" in words
-    assert warned(rows[1], area, felt) == warned(rows[0], area, f"{VEHICLE}.downwash=ignored") == []
-
-
 def test_loops_of_their_own_are_judged_too() -> None:
     assert "kq1: the pitch loop is unstable" in warned(f"{VEHICLE}={{type: quadrotor, kq1: -5}}")[0]
     assert (

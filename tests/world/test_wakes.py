@@ -8,12 +8,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import qrsim
-from qrsim.core.vectors import rotation
-from qrsim.world.wakes import wakes_on
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Vec3, rotation
+from qrsim.engine.settings import quick_jit
+from qrsim.world import wakes as module
+from qrsim.world.wakes import wakes_of, wakes_on
 
 # The density of ISO 2533 at 10 m is 0.999040, and at 3010 m 0.741376, of that at sea level.
 AT_10_M, AT_3010_M = 1.000480, 1.161397
@@ -53,9 +57,7 @@ def felt(
 ) -> Any:
     """Return the velocity (3,) in NED and the rotation (3,) in body axes that wakes add at the lower vehicle."""
     simulation = pair(vehicle, place, controller, down, site)
-    fleet, state = simulation.world.fleets[1], simulation.state.fleets[1]
-    pose = fleet.vehicle.pose(state.vehicle)
-    wakes = wakes_on(simulation.world, simulation.state.fleets, fleet, pose, rotation(pose.attitude))
+    wakes = felt_by(simulation.world, simulation.state.fleets)[1]
     return None if wakes is None else [np.asarray(part.stack())[0] for part in wakes]
 
 
@@ -88,30 +90,67 @@ def test_a_wake_is_faster_in_thin_air() -> None:
     np.testing.assert_allclose(velocity, [0.0, 0.0, AT_3010_M * 4.85276], rtol=2e-5)
 
 
+def felt_by(world: Any, states: Any) -> list[Any]:
+    """Return what ``wakes_on`` returns for each fleet."""
+    wakes, found = wakes_of(world, states), []
+    for each, state in zip(world.fleets, states, strict=True):
+        pose = each.vehicle.pose(state.vehicle)
+        found.append(wakes_on(world, wakes, each, pose, rotation(pose.attitude)))
+    return found
+
+
 @pytest.mark.long
-def test_many_are_compared_only_where_somebody_may_be_reached() -> None:
-    """Of 48, more than the few of whom all pairs are compared, one is below another; then nobody is."""
+def test_who_is_near_a_wake_is_found_without_a_look_at_all_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two fleets at random places, in all airs, of which some have stopped, by both ways."""
+    rng = np.random.default_rng(2)
 
-    def felt_by(last: list[float]) -> Any:
-        places = [[20.0 * (i // 8), 20.0 * (i % 8), -10.0] for i in range(47)]
-        fleet = {
-            "vehicle": {"type": "pelican"},
-            "controller": {"type": "cascade", "feed": "truth"},
-            "vehicles": [{"position_ned": place} for place in [*places, last]],
-        }
-        world = {"wind": "calm", "turbulence": "still", "collision_distance": 0.0}
-        simulation = qrsim.load({"name": "many", "duration": 1.0, "world": world, "fleets": {"all": fleet}})
-        simulation.reset()
-        fleet, state = simulation.world.fleets[0], simulation.state.fleets[0]
-        pose = fleet.vehicle.pose(state.vehicle)
-        wakes = wakes_on(simulation.world, simulation.state.fleets, fleet, pose, rotation(pose.attitude))
-        return np.asarray(wakes[0].z)
+    def fleet(vehicle: str, count: int, first: float) -> dict[str, Any]:
+        places = [{"position_ned": [first + 3.0 * i, 0.0, -30.0]} for i in range(count)]
+        return {"vehicle": {"type": vehicle}, "controller": {"type": "cascade", "feed": "truth"}, "vehicles": places}
 
-    below = felt_by([20.0, 40.0, -8.0])
-    # Of a Pelican, 1.68 kg: sqrt(2 T/(rho A)) = 11.522 m/s; 0.21 m beside it is 0.47191 of that.
-    assert below[47] == pytest.approx(AT_10_M * 5.4373, abs=1e-3)
-    assert not below[:47].any()
-    assert not felt_by([100.0, 140.0, -10.0]).any()
+    fleets = {"few": fleet("pelican", 30, 0.0), "more": fleet("multirotor", 25, 200.0)}
+    world = {"wind": "calm", "turbulence": "still", "collision_distance": 0.0}
+    simulation = qrsim.load({"name": "many", "duration": 1.0, "world": world, "fleets": fleets})
+    simulation.reset()
+
+    def moved(state: Any, width: float, blown: float) -> Any:
+        n, like = state.violation.code.shape[0], state.mean_wind_ned.x.dtype
+
+        def vectors(values: Any) -> Any:
+            return Vec3.of(jnp.asarray(values, like))
+
+        place = rng.uniform([-width, -width, -30.0], [width, width, -10.0], (n, 3))
+        code = np.where(rng.random(n) < 0.1, 1, 0).astype(np.int32)
+        return replace(
+            state,
+            vehicle=replace(state.vehicle, position_ned=vectors(place)),
+            violation=replace(state.violation, code=jnp.asarray(code)),
+            mean_wind_ned=vectors(rng.normal(0.0, blown, (n, 3))),
+        )
+
+    def felt_as(few: int) -> Any:
+        def felt(states: Any) -> Any:
+            monkeypatch.setattr(module, "FEW", few)
+            found = [[part.stack() for part in each] for each in felt_by(simulation.world, states)]
+            return found, [each and each.total for each in wakes_of(simulation.world, states).reaching]
+
+        return quick_jit(felt)
+
+    by_pairs, one_by_one = felt_as(1000), felt_as(1)
+    reached, compared = [], []
+    for width, blown in ((10.0, 1.0), (10.0, 8.0), (15.0, 20.0), (300.0, 8.0)):
+        states = tuple(moved(state, width, blown) for state in simulation.state.fleets)
+        pairs, _ = by_pairs(states)
+        found, looked_at = one_by_one(states)
+        for one, other, state in zip(found, pairs, states, strict=True):
+            flies = np.asarray(state.violation.code) == 0
+            for part, expected, close in zip(one, other, (1e-5, 1e-4), strict=True):
+                np.testing.assert_allclose(part[flies], expected[flies], rtol=1e-4, atol=close)
+        reached.append(sum(int(np.asarray(each[0]).any(axis=1).sum()) for each in pairs))
+        compared.append(sum(int(each) for each in looked_at))
+    # Of 55; hundreds of metres apart, few are looked at.
+    assert min(reached[:3]) > 8
+    assert reached[3] <= compared[3] < 20
 
 
 @pytest.mark.parametrize(("below", "down"), [(250.0, 0.1079), (290.0, 0.0)])

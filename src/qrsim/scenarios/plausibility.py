@@ -46,8 +46,6 @@ ROUGH_STD_M = 5.0
 FASTEST_WIND = 75.0
 # A filter that is told of an error so many times too small believes what it should not.
 SIGMAS = 3.0
-# Wakes compare each vehicle with each other one: of more than so many they take most of a tick.
-MANY = 1000
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
@@ -57,7 +55,6 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     yield from updraft_warnings(scenario)
     yield from _sky(scenario)
     yield from _wind(scenario)
-    yield from _wakes(scenario)
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
         # The constants are those of the identified model; of a vehicle from outside they mean what they mean there.
@@ -110,19 +107,6 @@ def _fast(file: str, wind: Any) -> Iterator[str]:
         yield (
             f"world.wind.file: {file}: the air moves at {speed.max():.4g} m/s at {time:g} s of the run; plausible: up "
             f"to {FASTEST_WIND:g} m/s; the columns are in m/s"
-        )
-
-
-def _wakes(scenario: ScenarioSpec) -> Iterator[str]:
-    """Warn of so many vehicles that their wakes make ticks slow."""
-    count = sum(len(fleet.vehicles) for fleet in scenario.fleets.values())
-    feeling = [
-        name for name, fleet in scenario.fleets.items() if vars(fleet.vehicle).get("downwash", "ignored") != "ignored"
-    ]
-    if count > MANY and feeling:
-        yield (
-            f"fleets.{feeling[0]}.vehicle.downwash: wakes of {count} vehicles that come near each other make ticks "
-            "slow, because every pair is compared; write 'ignored' if nobody flies below another"
         )
 
 

@@ -65,7 +65,7 @@ from qrsim.world.state import (
     period_ticks,
     when_due,
 )
-from qrsim.world.wakes import wakes_on
+from qrsim.world.wakes import Wakes, wakes_of, wakes_on
 
 
 def reset(world: World, key: Key | WorldKeys) -> State:
@@ -128,8 +128,9 @@ def step(
     state = replace(state, radio=exchange(world, state, said, tick, due - 1))
     sky = _step_sky(world, state, due, after)
     noise = [draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
+    wakes = wakes_of(world, state.fleets)
     flown = tuple(
-        _fly(world, state, fleet, fleet_state, tick, drawn, action, estimate)
+        _fly(world, state, wakes, fleet, fleet_state, tick, drawn, action, estimate)
         for fleet, fleet_state, drawn, action, estimate in zip(
             world.fleets, state.fleets, noise, actions, estimates or (None,) * len(actions), strict=True
         )
@@ -159,6 +160,7 @@ def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
 def _fly(
     world: World,
     whole: State,
+    wakes: Wakes,
     fleet: Fleet,
     state: FleetState,
     tick: Array,
@@ -180,9 +182,9 @@ def _fly(
     gust = gust_at(world, whole.field, turbulence, *at)
     gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
-    wakes = wakes_on(world, whole.fleets, fleet, pose, direction)
-    if wakes is not None:
-        air = air + wakes[0]
+    blown = wakes_on(world, wakes, fleet, pose, direction)
+    if blown is not None:
+        air = air + blown[0]
 
     flown = command_fleet(world, whole, fleet, state, tick, action, believed)
     load = model.load(state.vehicle)
@@ -195,7 +197,7 @@ def _fly(
     around = None
     if model.reads:
         failed = failed_rotors(fleet.rotor_faults, tick)
-        around = around_of(world, pose, gust_rates, None if wakes is None else wakes[1], failed)
+        around = around_of(world, pose, gust_rates, None if blown is None else blown[1], failed)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         vehicle, low, force = move(

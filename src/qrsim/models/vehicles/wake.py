@@ -24,9 +24,7 @@ MERGED = 2.5
 AIR_DENSITY = 1.225
 # Profile 1/(1 + a (r/half width)^2)^2, whose momentum is rho pi w0^2 (half width)^2/(3 a).
 _PROFILE = math.sqrt(2.0) - 1.0
-# Half widths beside the axis at which a wake ends; there it has 0.8 % of its speed.
-EDGE = 5.0
-# Speed on its axis [m/s] at which a wake ends.
+# Speed [m/s] at which a wake ends, along its axis and beside it.
 SLOWEST = 0.1
 
 
@@ -82,6 +80,23 @@ def jet_strength(thrust: Array) -> Array:
 def half_width(wake: Wake, along: Array) -> Array:
     """Return the half width [m] of a wake: that of a jet, at least that whose speed is twice the induced velocity."""
     return jnp.maximum(SPREAD * along, jnp.sqrt(wake.disc_area * (1.5 * _PROFILE / math.pi)))
+
+
+def edge(wake: Wake, thrust: Array, along: Array) -> Array:
+    """Return how far beside its axis [m] a wake ends; minus infinity where all of it is slower than that."""
+    width = half_width(wake, along)
+    faster = jnp.sqrt(jet_strength(thrust) / (SLOWEST * width)) - 1.0
+    return jnp.where(faster > 0.0, width * jnp.sqrt(jnp.maximum(faster, 0.0) * (1.0 / _PROFILE)), -jnp.inf)
+
+
+def widest(thrust: Array) -> Array:
+    """Return the bound [m] of ``edge`` of a jet, which is reached where its axis has (4/3)^2 of the slowest speed."""
+    return jet_strength(thrust) * (9.0 / 16.0 / SLOWEST * math.sqrt(1.0 / (3.0 * _PROFILE)))
+
+
+def length(thrust: Array) -> Array:
+    """Return how far along its axis [m] a wake ends."""
+    return jet_strength(thrust) * (1.0 / (SLOWEST * SPREAD))
 
 
 def first_jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:

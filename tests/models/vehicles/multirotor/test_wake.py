@@ -12,7 +12,7 @@ import pytest
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.multirotor.aerodynamics import near_ground
-from qrsim.models.vehicles.wake import Wake, first_jet_speed, jet_axis, jet_share, jet_speed
+from qrsim.models.vehicles.wake import Wake, edge, first_jet_speed, jet_axis, jet_share, jet_speed, length, widest
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -50,6 +50,19 @@ def test_it_begins_at_twice_the_induced_velocity_and_spreads_as_a_jet() -> None:
     assert at(5.0, 0.48)[0] == pytest.approx(5.326 / 2.0, abs=0.005)
     assert at(10.0)[0] == pytest.approx(5.326 / 2.0, abs=0.005)
     assert at(-0.1)[0] == 0.0
+
+
+def test_it_ends_where_it_is_slower_than_a_tenth_of_a_metre_per_second() -> None:
+    """By hand: (1 + 0.414 (r/0.48)^2)^2 = 53.26 at 1.872 m beside, 5 m below; 2.557 m^2/s over 0.1 m/s and 0.096."""
+    wake, thrust = wake_of(*X500[:3]), jnp.asarray(20.25 * ONE)
+    z = np.linspace(0.0, 300.0, 30_001)
+    edges = np.asarray(edge(wake, thrust, jnp.asarray(z)))
+    assert edges[500] == pytest.approx(1.872, abs=0.002)
+    assert speed(jet_speed, X500, 20.25, 5.0, 1.872)[0] == pytest.approx(0.1, abs=2e-4)
+    assert edges.max() == pytest.approx(12.90, abs=0.01)
+    assert widest(thrust)[0] == pytest.approx(edges.max(), rel=1e-6)
+    assert z[edges > 0.0].max() == pytest.approx(266.3, abs=0.1)
+    assert length(thrust)[0] == pytest.approx(266.3, abs=0.1)
 
 
 @pytest.mark.parametrize(
