@@ -347,7 +347,7 @@ def test_a_turbulence_with_nothing_to_inherit_says_where_it_would_have_come_from
     problems = problems_of(changed(("world.wind", {"type": "calm"})))
     assert problems == [
         f"world.turbulence.{name}: missing; it would be taken from world.wind.{name}, "
-        "but world.wind is 'calm', which has none"
+        "but world.wind is 'calm', which has none; give it, or world.turbulence: still"
         for name in ("speed_20ft", "wind_from_rad")
     ]
 
