@@ -142,6 +142,7 @@ class Identify:
         from qrsim.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
         from qrsim.identify.fit import Prior, Question
         from qrsim.identify.starting import starting_values
+        from qrsim.scenarios.vehicle_checks import grams_hint
 
         start = starting_values(self.start, self.separate)
         priors: dict[str, Prior] = {}
@@ -156,6 +157,8 @@ class Identify:
             start["mass"] = _number(f"--mass {self.mass}", value)
             if start["mass"] <= 0.0:
                 raise UsageError(f"--mass {self.mass}: expected a mass above 0 kg")
+            if hint := grams_hint(start["mass"]):
+                raise UsageError(f"--mass {self.mass}: no quadrotor is so heavy{hint}")
         for name, prior in priors.items():
             start[name] = prior.mean
         names = tuple(name.strip() for name in self.fit.split(",")) if self.fit else ()
