@@ -76,7 +76,7 @@ class Results:
         import xarray as xr
 
         if not path.exists():
-            raise UsageError(f"{path}: there is no such store{did_you_mean_file(path)}; 'qrsim sweep STUDY' writes one")
+            raise UsageError(f"{path}: there is no such store; 'qrsim sweep STUDY' writes one{did_you_mean_file(path)}")
         try:
             self.dataset = xr.open_zarr(path, consolidated=False, chunks=None)
         except (OSError, ValueError, KeyError) as error:
