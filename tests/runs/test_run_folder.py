@@ -227,6 +227,16 @@ def test_vehicles_need_names_of_their_own(tmp_path: Path, info: RunInfo, vehicle
         RunWriter.create(tmp_path / "run", info=replace(info, vehicles=vehicles), scenario_yaml="", columns=COLUMNS)
 
 
+def test_a_vector_without_its_axis_names_its_columns(tmp_path: Path, info: RunInfo) -> None:
+    wind = {"wind": tuple(Column(f"gust_ned.{axis}", "m/s", "", "float32") for axis in "xyz")}
+    with RunWriter.create(tmp_path / "run", info=info, scenario_yaml="", columns=wind) as writer:
+        values = np.zeros((1, len(info.vehicles)), np.float32)
+        writer.append("wind", np.array([0]), np.array([0.0]), {f"gust_ned.{axis}": values for axis in "xyz"})
+    expected = r"'wind' has no column 'gust_ned'; its columns are gust_ned\.x, gust_ned\.y, gust_ned\.z"
+    with pytest.raises(UsageError, match=expected):
+        open_run(tmp_path / "run")["wind"]["gust_ned"]
+
+
 def test_reading_errors_name_the_nearest(start: Start, tmp_path: Path) -> None:
     with start() as writer:
         append_chunk(writer, 0)

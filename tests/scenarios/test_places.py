@@ -216,7 +216,7 @@ def test_what_of_a_plan_is_not_flown_is_told_once_for_each_kind(write_plan: Call
         load_scenario(scenario(*fleet))
     assert [str(warning.message) for warning in caught] == [
         f"{file}: item 2, DO_CHANGE_SPEED: not carried out (and 1 more of its kind)",
-        f"{file}: item 3, NAV_WAYPOINT: hold for 5 s",
+        f"{file}: item 3, NAV_WAYPOINT: not flown: hold for 5 s",
         f"{file}: geoFence.breachReturn: not used",
         f"{file}: item 6, NAV_LAND: not landed, but flown over",
         f"{file}: geoFence: not used, because world.area is 'box'; give {{type: fence, file: ...}}",

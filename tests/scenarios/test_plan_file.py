@@ -171,12 +171,13 @@ def test_what_an_item_asks_for_beside_its_place_is_noted(write: Write) -> None:
         item(17, 0, 0, 25, None, 47.1, 8.0, 20.0),
     )
     assert ignored(read_plan(write(content))) == [
-        "item 1, NAV_TAKEOFF: pitch 15 deg, yaw 90 deg",
-        "item 2, NAV_WAYPOINT: hold for 5 s, acceptance radius 2 m, pass at 1.5 m",
-        "item 3, NAV_LOITER_TURNS: 3 turns, parameter 2 = 1, loiter radius -50 m",
-        "item 4, NAV_LOITER_TIME: loiter for 30 s, loiter radius 50 m, stop after it (autoContinue is false)",
-        "item 5, NAV_LAND: abort altitude 10 m, precision landing mode 2",
-        "item 6, NAV_LOITER_UNLIM: loiter radius 25 m",
+        "item 1, NAV_TAKEOFF: not flown: pitch 15 deg, yaw 90 deg",
+        "item 2, NAV_WAYPOINT: not flown: hold for 5 s, acceptance radius 2 m, pass at 1.5 m",
+        "item 3, NAV_LOITER_TURNS: not flown: 3 turns, parameter 2 = 1, loiter radius -50 m",
+        "item 4, NAV_LOITER_TIME: not flown: loiter for 30 s, loiter radius 50 m, stop after it "
+        "(autoContinue is false)",
+        "item 5, NAV_LAND: not flown: abort altitude 10 m, precision landing mode 2",
+        "item 6, NAV_LOITER_UNLIM: not flown: loiter radius 25 m",
     ]
 
 
@@ -208,8 +209,8 @@ def test_what_a_mission_is_asked_for_is_its_waypoints_own(write: Write) -> None:
         (12, 0.0, None, None, None, 0.0, 0.0),
     ]
     assert missed(read) == [
-        "item 7, NAV_LOITER_TURNS: parameter 2 = 1",
-        "item 9, NAV_LOITER_TIME: loiter radius 50 m",
+        "item 7, NAV_LOITER_TURNS: not flown: parameter 2 = 1",
+        "item 9, NAV_LOITER_TIME: not flown: loiter radius 50 m",
         "item 10, DO_CHANGE_SPEED: speeds of climb and descent are not carried out",
         "item 11, CONDITION_YAW: a heading relative to the present one is not carried out",
     ]

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from tests.scenarios.test_places import SITE, item, polygon, problems_of, scenario
 
+from qrsim.errors import ScenarioError
 from qrsim.scenarios.scenario import load_scenario
 
 Write = Callable[..., str]
@@ -101,3 +102,30 @@ def test_a_site_that_no_plan_can_give_is_named(write: Write) -> None:
     content["site"] = {"plan": {"file": file.replace("survey", "survy")}}
     (found,) = problems_of(content)
     assert found.endswith("survy.plan: cannot be read: No such file or directory; did you mean 'survey.plan'?")
+
+
+@pytest.mark.parametrize(
+    ("height", "top", "words"),
+    [
+        (400.0, 120.0, "is 400 m above home, above the top of world.area, 120 m; are the heights in feet? Plans have"),
+        (130.0, 120.0, "metres: 130 ft are 39.6 m"),
+        (400.0, 1000.0, "is 400 m above home, high for a vehicle that is no fixed wing; are the heights in feet?"),
+        (110.0, 120.0, ""),
+        (150.0, 1000.0, ""),
+    ],
+)
+def test_heights_that_look_like_feet_are_told(tmp_path: Path, height: float, top: float, words: str) -> None:
+    """A hundred and twenty metres are 400 ft, the limit of most countries; a foot is 0.3048 m."""
+    items = [item(16, 47.0, 8.0, 20.0), item(16, 47.0003, 8.0, height)]
+    mission = {"version": 2, "plannedHomePosition": [47.0, 8.0, 450.0], "items": items}
+    path = tmp_path / "feet.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}), "utf-8")
+    box = {"type": "box", "x_min": -100, "x_max": 100, "y_min": -100, "y_max": 100, "z_min": -top}
+    content = scenario({"plan": {"file": str(path)}}, area=box)
+    if height > top:
+        with pytest.warns(UserWarning, match="in feet") as caught, pytest.raises(ScenarioError):
+            load_scenario(content)
+        told = [str(each.message) for each in caught]
+    else:
+        told = warnings_of(content)
+    assert [words in each and "item 2 " in each for each in told] == ([True] if words else [])

@@ -343,11 +343,17 @@ def test_a_bad_input_is_named_with_its_path_and_what_was_allowed(path: str, valu
         assert len(problems) == 1, problems
 
 
+@pytest.mark.parametrize(("value", "told"), [("7 m/s", True), ("-3.5deg", True), ("5", False), ("north", False)])
+def test_a_number_with_its_unit_is_told_to_come_alone(value: str, told: bool) -> None:
+    [problem] = problems_of(changed(("world.wind.speed_20ft", value)))
+    assert problem.endswith("; write the number alone, without a unit") == told
+
+
 def test_a_turbulence_with_nothing_to_inherit_says_where_it_would_have_come_from() -> None:
     problems = problems_of(changed(("world.wind", {"type": "calm"})))
     assert problems == [
         f"world.turbulence.{name}: missing; it would be taken from world.wind.{name}, "
-        "but world.wind is 'calm', which has none"
+        "but world.wind is 'calm', which has none; give it, or world.turbulence: still"
         for name in ("speed_20ft", "wind_from_rad")
     ]
 

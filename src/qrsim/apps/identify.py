@@ -139,6 +139,7 @@ class Identify:
             raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
 
     def _question(self) -> Question:
+        from qrsim.scenarios.vehicle_checks import grams_hint
         from qrsim.studies.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
         from qrsim.studies.identify.fit import Prior, Question
         from qrsim.studies.identify.starting import starting_values
@@ -156,6 +157,8 @@ class Identify:
             start["mass"] = _number(f"--mass {self.mass}", value)
             if start["mass"] <= 0.0:
                 raise UsageError(f"--mass {self.mass}: expected a mass above 0 kg")
+            if hint := grams_hint(start["mass"]):
+                raise UsageError(f"--mass {self.mass}: no quadrotor is so heavy{hint}")
         for name, prior in priors.items():
             start[name] = prior.mean
         names = tuple(name.strip() for name in self.fit.split(",")) if self.fit else ()

@@ -24,7 +24,11 @@ LARGEST_TIME_S = 2e9
 
 
 def read_series(
-    path: Path, columns: Mapping[str, str], max_gap: float, optional: Mapping[str, str] = MappingProxyType({})
+    path: Path,
+    columns: Mapping[str, str],
+    max_gap: float,
+    optional: Mapping[str, str] = MappingProxyType({}),
+    instead: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[np.ndarray[Any, Any], dict[str, np.ndarray[Any, Any]]]:
     """Return times (K,) [s] and columns (K,) by name of a CSV file, K at least 2.
 
@@ -35,6 +39,7 @@ def read_series(
         columns: required names other than ``time``, with their units.
         max_gap: longest interval allowed between two rows [s].
         optional: names that it may have, with their units.
+        instead: required names, with their units, of a file that has one of them and none of ``columns``.
 
     Raises:
         UsageError: no such file, not CSV, a missing column, another unit, a field that is no finite number, times that
@@ -46,7 +51,9 @@ def read_series(
     try:
         with open_text(path, LARGEST_TABLE) as file:
             reader = CsvRows(file)
-            header = _without_units(path, reader.header, {TIME: "s", **columns, **optional})
+            header = _without_units(path, reader.header, {TIME: "s", **columns, **optional, **instead})
+            if instead.keys() & set(header) and not columns.keys() & set(header):
+                columns = instead
             names = [TIME, *columns, *(name for name in optional if name in header)]
             places = _places(path, header, names)
             for fields in reader:
@@ -119,7 +126,8 @@ def _numbers(path: Path, line: int, header: list[str], places: dict[str, int], f
         except ValueError:
             number = math.nan
         if not math.isfinite(number) or "_" in text:
-            _fail(path, line, f"column '{name}': {text[:40]!r} is not a finite number")
+            hint = "; give seconds since the start" if name == TIME else ""
+            _fail(path, line, f"column '{name}': {text[:40]!r} is not a finite number{hint}")
         numbers.append(number)
     return numbers
 

@@ -54,8 +54,14 @@ class StreamParts:
         for column in self.columns:
             if column.name == name:
                 return column
+        raise self.unknown(name)
+
+    def unknown(self, name: str) -> UsageError:
+        """Return the error for an unknown column: of a vector with its axes, of others with the nearest name."""
         known = [column.name for column in self.columns]
-        raise UsageError(f"stream '{self.stream}' has no column '{name}'{did_you_mean(str(name), known)}")
+        axes = [each for each in known if each.rpartition(".")[0] == name]
+        hint = f"; its columns are {', '.join(axes)}" if axes else did_you_mean(str(name), known)
+        return UsageError(f"stream '{self.stream}' has no column '{name}'{hint}")
 
     def table(self, names: Sequence[str] | None = None) -> pa.Table:
         """Return the rows of all parts with the named columns, in that order (None: with all).

@@ -333,8 +333,7 @@ class Stream(Tabled):
             return self.columns()
         for name in names:
             if name not in self:
-                known = did_you_mean(str(name), self.columns())
-                raise UsageError(f"stream '{self._parts.stream}' has no column '{name}'{known}")
+                raise self._parts.unknown(name)
         return names
 
     def __iter__(self) -> Iterator[str]:

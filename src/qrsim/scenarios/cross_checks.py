@@ -113,7 +113,7 @@ def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
         if path and getattr(turbulence, field.name) is None and inherited(scenario, path) is None:
             yield (
                 f"world.turbulence.{field.name}: missing; it would be taken from {path}, "
-                f"but world.wind is '{scenario.world.wind.type}', which has none"
+                f"but world.wind is '{scenario.world.wind.type}', which has none; give it, or world.turbulence: still"
             )
 
 

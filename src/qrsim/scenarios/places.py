@@ -17,7 +17,7 @@ from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
 from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
-from qrsim.scenarios.plan_site import far_from_home, home_of
+from qrsim.scenarios.plan_site import far_from_home, home_of, in_feet
 from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,
@@ -76,6 +76,9 @@ class _Places:
         self.flown: dict[str, Plan] = {}
         self.fences: dict[str, Plan] = {}
         self.by_route: set[str] = set()
+        self.by_wing: set[str] = set()
+        z_min = vars(scenario.world.area).get("z_min")
+        self.ceiling = None if z_min is None else -z_min
         self.on_ground = False
 
     def _attempt(self, path: str, convert: Callable[[], list[list[float]]]) -> list[list[float]]:
@@ -104,6 +107,8 @@ class _Places:
         planned = [vehicle.plan.file for vehicle in fleet.vehicles if vehicle.plan]
         guidance = fleet.guidance
         mission = guidance.type == MISSION
+        if fleet.vehicle.type == "fixed_wing":
+            self.by_wing.update(planned)
         if planned and guidance.type == "route" and "repeat" not in guidance.model_fields_set:
             guidance = guidance.model_copy(update={"repeat": False})
         plans = [plan for plan in map(self._read, planned if mission else ()) if plan is not None]
@@ -225,6 +230,9 @@ class _Places:
                 first, *others = [note for note in notes if note.name == name]
                 more = f" (and {len(others)} more of its kind)" if others else ""
                 warn_user(f"{file}: {first.route_text if by_route else first.text}{more}")
+        for file, plan in self.flown.items():
+            if words := in_feet(file, plan, self.ceiling, file in self.by_wing):
+                warn_user(words)
         if words := far_from_home({**self.fences, **self.flown}, self.site):
             warn_user(words)
 

@@ -283,7 +283,7 @@ class _Route:
             asked.append("stop after it (autoContinue is false)")
             missed.append(asked[-1])
         if asked:
-            self.ignored.append(Ignored(self.number, name, ", ".join(missed), ", ".join(asked)))
+            self.ignored.append(Ignored(self.number, name, _not_flown(missed), _not_flown(asked)))
         return flown
 
     def _carry_out(self, command: int, params: list[Any], path: str) -> str:
@@ -323,6 +323,10 @@ class _Route:
             last = self.waypoints[-1]
             self.waypoints[-1] = replace(last, hold=last.hold + seconds)
         return ""
+
+
+def _not_flown(asked: list[str]) -> str:
+    return f"not flown: {', '.join(asked)}" if asked else ""
 
 
 def _name_of(command: Any) -> str:

@@ -1,4 +1,4 @@
-"""The site of a scenario and the homes of its plans: the one from the other, or how far they are apart."""
+"""The site of a scenario and the homes of its plans: one from the other, their distance, and heights of plans."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ NUMBERS = ("latitude_deg", "longitude_deg", "height")
 # Further apart [m], a plan and a site are hardly meant to be the same field. Heights above the sea, which plans have,
 # and above the ellipsoid differ by more than this in places, so that it is a warning and no error.
 FAR, HIGH = 1000.0, 20.0
+# Multirotors fly up to 120 m (400 ft) in most countries; a plan that is written in feet goes to hundreds.
+USUAL_HEIGHT, FOOT = 150.0, 0.3048
 
 
 def home_of(site: SiteSpec) -> list[float]:
@@ -56,6 +58,31 @@ def far_from_home(plans: Mapping[str, Plan], site: Site) -> str | None:
         apart_by.append(f"{_length(abs(rise))} {'above' if rise > 0.0 else 'below'} site.height, {site.height:g} m")
     others = f" (and {len(far) - 1} more of its kind)" if len(far) > 1 else ""
     return f"{file}: its home is {' and '.join(apart_by)}{others}; site: {{plan: FILE}} takes the site from it"
+
+
+def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str | None:
+    """Return a hint that the heights of a plan may be in feet, None if they are plausible in metres.
+
+    Args:
+        file: of the plan.
+        plan: its content.
+        ceiling: height of the top of the area [m], None if there is none.
+        winged: whether a fixed wing flies it, for which hundreds of metres are usual.
+    """
+    if not plan.waypoints:
+        return None
+    highest = max(plan.waypoints, key=lambda each: each.height_above_home)
+    height = highest.height_above_home
+    if ceiling is not None and height > ceiling:
+        above = f"above the top of world.area, {_length(ceiling)}"
+    elif height > USUAL_HEIGHT and not winged:
+        above = "high for a vehicle that is no fixed wing"
+    else:
+        return None
+    return (
+        f"{file}: item {highest.item} is {_length(height)} above home, {above}; are the heights in feet? Plans have "
+        f"metres: {height:g} ft are {_length(height * FOOT)}"
+    )
 
 
 def _length(metres: float) -> str:

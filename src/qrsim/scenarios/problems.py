@@ -22,6 +22,8 @@ _LENGTHS = ("too_short", "too_long")
 _PARTS = ("model_type", "model_attributes_type", "dict_type")
 # What other languages, and YAML before 1.2, have for true and false.
 _OTHER_WORDS = dict.fromkeys(("yes", "y", "on", "1"), "true") | dict.fromkeys(("no", "n", "off", "0"), "false")
+# A number with something behind it, as "7 m/s" and "6S".
+_WITH_UNIT = re.compile(r"\s*[+-]?\d+(\.\d*)?\s*[^\d\s.,:_-]", re.ASCII)
 _TIME = "write for example 2026-06-21T10:00:00Z"
 # What is said after the value of a fault that needs nothing else to explain it.
 _PLAIN = {
@@ -165,6 +167,8 @@ class _Fault:
             return f"{where}: has no value{self._meaning()}"
         meant = _OTHER_WORDS.get(str(value).lower()) if kind == "bool_type" else None
         hint = f"; did you mean {meant}?" if meant else ""
+        if kind in ("float_type", "int_type") and isinstance(value, str) and _WITH_UNIT.match(value):
+            hint = "; write the number alone, without a unit"
         return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
     def _fault(self, kind: str, context: dict[str, Any]) -> str:

@@ -112,6 +112,8 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise UsageError(f"scenario file {path}: cannot be read: {error.strerror}") from None
     content = _as_mapping(parse_yaml(text, name), name)
+    if {"scenario", "vary"} <= content.keys():
+        raise UsageError(f"{path} is a study and no scenario: 'qrsim sweep {path}' flies it")
     anchor_files(content, folder)
     anchor_code(content, folder)
     return content

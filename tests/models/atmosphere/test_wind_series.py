@@ -84,6 +84,21 @@ def test_columns_in_any_order_beside_others(tmp_path: Path) -> None:
     np.testing.assert_allclose(look_up(series, np.array([1.25]), "float64"), [[2.0, 3.0, 0.5]])
 
 
+def test_an_anemometer_has_speed_and_bearing(tmp_path: Path) -> None:
+    """Wind from the west moves to the east, wind from 30 degrees by -cos 30 and -sin 30; between rows it is linear."""
+    path = tmp_path / "anemometer.csv"
+    path.write_text("time [s],speed [m/s],wind_from [deg]\n0,4,270\n2,8,30\n", encoding="utf-8")
+    found = look_up(WindFile(str(path)).at(2.0), np.array([0.0, 2.0, 1.0]), "float64")
+    expected = [[0.0, 4.0, 0.0], [-6.9282032, -4.0, 0.0], [-3.4641016, 0.0, 0.0]]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_without_a_column_of_its_own_the_air_does_not_rise(tmp_path: Path) -> None:
+    path = tmp_path / "level.csv"
+    path.write_text("time,north,east\n0,1,2\n2,1,2\n", encoding="utf-8")
+    np.testing.assert_allclose(look_up(WindFile(str(path)).at(2.0), np.array([1.0]), "float64"), [[1.0, 2.0, 0.0]])
+
+
 GOOD = "time,north,east,down\n0,1,2,3\n1,1,2,3\n"
 BAD = {
     "gap": (GOOD + "12.5,0,0,0\n", ["line 4", "'time'", "gap of 11.5 s", "allowed: 10 s (max_gap)"]),
@@ -102,6 +117,9 @@ BAD = {
         ["line 1", "column 'north' is in km/h; expected m/s"],
     ),
     "missing column": ("time,nort,east,down\n0,1,2,3\n", ["line 1", "no column 'north'", "did you mean 'nort'?"]),
+    "no bearing": ("time,speed,direction\n0,1,2\n1,2,3\n", ["line 1", "no column 'wind_from'"]),
+    "speed below 0": ("time,speed,wind_from\n0,1,2\n1,-2,3\n", ["column 'speed': -2 m/s; allowed: from 0"]),
+    "clock": ("time,north,east\n10:00:01,1,2\n", ["line 2", "'10:00:01'", "give seconds since the start"]),
     "no header": ("0,1,2,3\n1,1,2,3\n", ["line 1", "no column 'time'"]),
     "column twice": ("time,north,east,down,north\n", ["line 1", "'north' is there 2 times"]),
     "empty": ("", ["line 1", "the file is empty"]),

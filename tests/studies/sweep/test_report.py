@@ -195,6 +195,7 @@ def test_the_command_writes_pictures_and_tables(tmp_path: Path, capsys: Any) -> 
     ("words", "said"),
     [
         (["none.zarr"], "none.zarr: there is no such store"),
+        (["stor.zarr"], "did you mean 'store.zarr'?"),
         (["store.zarr", "--metric", "wind_max"], "did you mean 'wind_max_m_s'"),
         (["store.zarr", "--map", "wnd", "--map", "mass"], "did you mean 'wind'"),
         (["store.zarr", "--map", "mass"], "give two parameters"),

@@ -73,6 +73,18 @@ def test_a_study_is_looked_for_by_name_and_by_file(tmp_path: Path) -> None:
         load_study(str(tmp_path / "none.yaml"))
 
 
+def test_a_scenario_in_place_of_a_study_and_the_other_way_round(study: Callable[..., Path], tmp_path: Path) -> None:
+    path = tmp_path / "field.yaml"
+    path.write_text("name: field\nextends: hover\n", encoding="utf-8")
+    with pytest.raises(QrsimError, match="is a scenario and no study; a study has scenario: FILE, vary, seeds and met"):
+        load_study(str(path))
+    with pytest.raises(QrsimError, match=r"is a study and no scenario: 'qrsim sweep .*' flies it"):
+        load_scenario(study())
+    path.write_text("name: none\nseeds: 3\n", encoding="utf-8")
+    with pytest.raises(QrsimError, match="scenario: missing"):
+        load_study(str(path))
+
+
 @pytest.mark.parametrize("name", built_in_studies())
 def test_every_study_that_comes_with_qrsim_can_be_planned(name: str) -> None:
     plan = plan_of(load_study(name, values=2))

@@ -87,7 +87,12 @@ def print_consistency(rows: list[Row]) -> None:
         return
     print("\nsquared errors of the estimate over those that it states (ANEES; 1 if it is right)")
     for row in rows:
-        interval = "" if row.low != row.low else f"95 % interval {row.low:.2f} to {row.high:.2f}, {row.verdict}"
+        interval = (
+            "" if row.low != row.low else f"95 % interval {max(row.low, 0.0):.2f} to {row.high:.2f}, {row.verdict}"
+        )
         print(f"  {row.name:<32} {row.mean:8.2f}      {interval}".rstrip())
-    if any(row.mean > MUCH for row in rows):
+    much = [row.name for row in rows if row.mean > MUCH and not row.low <= 1.0]
+    if "position" in much:
         print(EXPLAINED)
+    elif much:
+        print("  Above 1 the estimate errs by more than it states (docs/estimators.md).")

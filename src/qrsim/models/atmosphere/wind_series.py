@@ -14,11 +14,10 @@ from qrsim.core.fastmath import exp, log
 from qrsim.core.series import interval_at, split_seconds
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError
 from qrsim.files.time_series import check_covers, read_series
 from qrsim.models.atmosphere.contracts import Wind
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
-
-COLUMNS = ("north", "east", "down")
 
 
 @record
@@ -61,7 +60,7 @@ class WindSeries(Wind):
 
 @record
 class WindFile:
-    """A wind read from a CSV file with the columns time [s], north, east and down [m/s].
+    """A wind read from a CSV file with the columns time [s], north, east and down [m/s], or speed and wind_from [deg].
 
     The file must cover the scenario's duration. A simulation that is stepped on beyond the last row keeps that row's
     wind.
@@ -91,15 +90,30 @@ class WindFile:
 def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return times (K,) [s] and the air's velocities (K, 3) [m/s, NED] of a CSV file, K at least 2.
 
+    Its columns are ``north``, ``east`` and, if the air rises or sinks, ``down`` [m/s]; or those of an anemometer,
+    ``speed`` [m/s] and ``wind_from`` [deg], the bearing the wind comes from, clockwise from north.
+
     Args:
         path: the file.
         max_gap: longest interval allowed between two rows [s].
 
     Raises:
-        UsageError: as ``read_series``.
+        UsageError: as ``read_series``, or a speed is below 0.
     """
-    times, columns = read_series(path, dict.fromkeys(COLUMNS, "m/s"), max_gap)
-    return times, np.column_stack([columns[name] for name in COLUMNS])
+    times, columns = read_series(
+        path,
+        {"north": "m/s", "east": "m/s"},
+        max_gap,
+        optional={"down": "m/s"},
+        instead={"speed": "m/s", "wind_from": "deg"},
+    )
+    if "speed" in columns:
+        speed, bearing = columns["speed"], np.radians(columns["wind_from"])
+        if np.any(speed < 0.0):
+            raise UsageError(f"{path}: column 'speed': {speed.min():g} m/s; allowed: from 0")
+        columns |= {"north": -speed * np.cos(bearing), "east": -speed * np.sin(bearing)}
+    down = columns.get("down", np.zeros_like(times))
+    return times, np.column_stack([columns["north"], columns["east"], down])
 
 
 @record

@@ -74,7 +74,9 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
 def _index(run: Run, vehicle: str | None) -> int:
     if vehicle is None:
         if len(run.vehicles) > 1:
-            raise UsageError(f"{run.folder}: several vehicles; choose one with vehicle: {', '.join(run.vehicles)}")
+            raise UsageError(
+                f"{run.folder}: several vehicles; choose one by --vehicle (vehicle=): {', '.join(run.vehicles)}"
+            )
         return 0
     if vehicle not in run.vehicles:
         raise UsageError(f"{run.folder}: no vehicle '{vehicle}'{did_you_mean(vehicle, run.vehicles)}")
@@ -129,11 +131,14 @@ def _believed(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed
     _whole(run, "measurements")
     stream = run["measurements"]
     parts = {}
+    types = {"attitude": "attitude_estimator", "rates_body": "gyroscope or imu"}
     needed = {"position_ned.x": "xyz", "velocity_ned.x": "xyz", "attitude.roll": "", "rates_body.x": "xyz"}
     sensors = {first: _sensor(stream, first) for first in needed}
     for first, sensor in sensors.items():
         if sensor is None:
-            raise RunError(f"{run.folder}: no sensor measures {first.rpartition('.')[0]}, which the estimate needs")
+            what = first.rpartition(".")[0]
+            kind = types.get(what, "gnss or gnss_receiver")
+            raise RunError(f"{run.folder}: no sensor measures {what}; give its fleet a sensor of type {kind}")
         root = first.rpartition(".")[0]
         names = tuple(f"{sensor}.{root}.{axis}" for axis in (needed[first] or ("roll", "pitch", "yaw")))
         parts[root] = _columns(run, "measurements", names, index, count)

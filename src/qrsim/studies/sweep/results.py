@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import RunError, UsageError, did_you_mean, shortened
+from qrsim.errors import RunError, UsageError, did_you_mean, did_you_mean_file, shortened
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.studies.sweep.metrics import METRICS
 from qrsim.studies.sweep.store import FLOWN, KIND
@@ -76,7 +76,7 @@ class Results:
         import xarray as xr
 
         if not path.exists():
-            raise UsageError(f"{path}: there is no such store; 'qrsim sweep STUDY' writes one")
+            raise UsageError(f"{path}: there is no such store; 'qrsim sweep STUDY' writes one{did_you_mean_file(path)}")
         try:
             self.dataset = xr.open_zarr(path, consolidated=False, chunks=None)
         except (OSError, ValueError, KeyError) as error:

@@ -203,6 +203,8 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
     content = parse_yaml(text, source)
     if not isinstance(content, dict):
         raise ScenarioError(source, ["expected keys and values such as name: my_study"])
+    if "scenario" not in content and {"fleets", "extends"} & content.keys():
+        raise ScenarioError(source, ["is a scenario and no study; a study has scenario: FILE, vary, seeds and metrics"])
     content = _changed(content, changes or {}, values)
     try:
         spec = StudySpec.model_validate(content)
@@ -237,7 +239,7 @@ def _as_mapping(overrides: Iterable[str]) -> Content:
 
 def _mine(line: str) -> str:
     """Return a fault of a study as it reads without the word of scenarios for the whole."""
-    return line.removeprefix("scenario: ")
+    return line if line.startswith("scenario: missing") else line.removeprefix("scenario: ")
 
 
 def _read(source: str) -> tuple[str, Path]:

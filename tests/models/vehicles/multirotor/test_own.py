@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -133,6 +135,47 @@ def test_published_sets_carry_their_weight_as_published(name: str, ratio: float,
     told = derived(SETS[name]())
     assert told["thrust_to_weight"] == pytest.approx(ratio, rel=1e-4)
     assert told["hover_throttle"] == pytest.approx(throttle, rel=2e-4)
+
+
+def test_a_motor_table_may_be_a_csv_file(tmp_path: Path) -> None:
+    """The table of the data sheet by the names and units that sheets have; more columns are not looked at."""
+    path = tmp_path / "motor.csv"
+    rows = zip(*TABLE.values(), strict=True)
+    lines = ["throttle [%];thrust [g];rpm;power [W];current [A]", *(";".join(map(str, (*row, "4,2"))) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert list(TABLE) == ["throttle_percent", "thrust_g", "rpm", "power_W"]
+    assert own_multirotor(**HEXA, motor_table={"file": str(path)}) == own_multirotor(**HEXA, motor_table=TABLE)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "throttle,thrust_N,rpm,power_W\n0.5,5,4000,60\n1,x,6000,200\n",
+            "line 3: thrust_N: 'x' is not a finite number",
+        ),
+        ("throttle,thrust_N,rpm,power_W\n0.5,5,4000\n", "line 2: 3 fields, the header has 4"),
+        ("throttle,thrust [kg],rpm,power_W\n0.5,5,4000,60\n1,9,6000,200\n", "has no column thrust_N or thrust_g"),
+        ("rpm,rpm\n1,2\n", "line 1: the column 'rpm' is there 2 times"),
+        ("a,b\n1,2\n", "line 1: no column is called throttle"),
+        ("", "not CSV: the file is empty"),
+    ],
+)
+def test_a_bad_motor_file_is_named(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "motor.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match=f"motor_table: .*{re.escape(words)}"):
+        own_multirotor(**HEXA, motor_table={"file": str(path)})
+
+
+def test_a_motor_file_that_is_not_there_and_one_without_file() -> None:
+    with pytest.raises(UsageError, match=r"motor_table: nowhere\.csv: cannot be read: No such file"):
+        own_multirotor(**HEXA, motor_table={"file": "nowhere.csv"})
+    with pytest.raises(UsageError, match=r"found 'motor\.csv'; a CSV file is \{file: motor\.csv\}"):
+        own_multirotor(**HEXA, motor_table="motor.csv")  # type: ignore[arg-type]
+    grams = {"thrust_N" if name == "thrust_g" else name: values for name, values in TABLE.items()}
+    with pytest.raises(UsageError, match=r"times the weight; allowed: at most 20 \(thrust_N is in newtons"):
+        own_multirotor(**HEXA, motor_table=grams)
 
 
 def test_the_rigid_pelican_at_the_weight_of_the_identified_one_hovers_at_77_percent() -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.files.csv_rows import CsvRows, name_and_unit
+from qrsim.files.user_files import LARGEST_TEXT, open_text
 
 Floats = np.ndarray[Any, Any]
 STANDARD_GRAVITY = 9.80665
@@ -49,13 +53,19 @@ class MotorTable:
 
     @staticmethod
     def of(columns: Any) -> MotorTable:
-        """Build a table from columns by name, see COLUMNS.
+        """Build a table from columns by name, see COLUMNS, or from ``{"file": PATH}``, a CSV file that has them.
 
         Raises:
-            UsageError: a column is missing, unknown or no numbers, or thrust does not rise with throttle.
+            UsageError: the file cannot be read, a column is missing, unknown or no numbers, or thrust does not rise
+                with throttle.
         """
         if not isinstance(columns, Mapping):
-            raise UsageError(f"expected columns by name ({', '.join(COLUMNS)}), found {columns!r:.80}")
+            a_file = f"; a CSV file is {{file: {columns}}}" if isinstance(columns, str) else ""
+            raise UsageError(f"expected columns by name ({', '.join(COLUMNS)}), found {columns!r:.80}{a_file}")
+        if "file" in columns:
+            if len(columns) > 1 or not isinstance(columns["file"], str):
+                raise UsageError("file: expected the path of a CSV file, and no columns beside it")
+            columns = _columns_of(Path(columns["file"]))
         found: dict[str, Floats] = {}
         for name, values in columns.items():
             if name not in COLUMNS:
@@ -150,6 +160,60 @@ class MotorTable:
                 f"thrust over rpm squared of row {row + 1} is {apart[row]:.3g} times that of the others; plausible: "
                 f"{1.0 / MOST_APART:g} to {MOST_APART:g}"
             )
+
+
+def _columns_of(path: Path) -> dict[str, list[float]]:
+    """Read the columns of COLUMNS from a CSV file; other columns are ignored.
+
+    A name may have its unit in brackets: ``thrust [g]`` is ``thrust_g``.
+
+    Raises:
+        UsageError: the file cannot be read, or a field is no number; names the line and the column.
+    """
+    try:
+        with open_text(path, LARGEST_TEXT) as file:
+            reader = CsvRows(file)
+            names = [_name_of(column) for column in reader.header]
+            twice = next((name for name in COLUMNS if names.count(name) > 1), None)
+            if twice:
+                raise UsageError(f"{path}: line 1: the column '{twice}' is there {names.count(twice)} times")
+            if not set(names) & set(COLUMNS):
+                raise UsageError(f"{path}: line 1: no column is called {', '.join(COLUMNS)}")
+            found: dict[str, list[float]] = {name: [] for name in names if name in COLUMNS}
+            for fields in reader:
+                if len(fields) != len(names):
+                    raise UsageError(
+                        f"{path}: line {reader.line_num}: {len(fields)} fields, the header has {len(names)}"
+                    )
+                for name, field in zip(names, fields, strict=True):
+                    if name in found:
+                        found[name].append(_number(f"{path}: line {reader.line_num}: {name}", field))
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from None
+    except csv.Error as error:
+        raise UsageError(f"{path}: not CSV: {error}") from None
+    return found
+
+
+def _name_of(column: str) -> str:
+    """Return the name of a column as COLUMNS has it: ``throttle [%]`` is ``throttle_percent``."""
+    name, unit = name_and_unit(column)
+    if unit in (None, "1", "1/min"):
+        return name
+    of_unit = f"{name}_{'percent' if unit == '%' else unit}"
+    return of_unit if of_unit in COLUMNS else column
+
+
+def _number(where: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in text:
+        raise UsageError(f"{where}: {text.strip()[:40]!r} is not a finite number")
+    return value
 
 
 def _numbers(name: str, values: Any) -> Floats:

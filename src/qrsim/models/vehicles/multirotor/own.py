@@ -209,8 +209,8 @@ def own_multirotor(
 
     Args:
         mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry: see ``own_parameters``.
-        motor_table: columns of one motor with its propeller by name (``motor_table.py``), in place of hover throttle
-            and thrust to weight; it also gives the electrical power.
+        motor_table: columns of one motor with its propeller by name (``motor_table.py``), or ``{"file": PATH}`` of a
+            CSV file with them, in place of hover throttle and thrust to weight; it also gives the electrical power.
         warn: called with a sentence for each thing in the table that is not plausible.
         parameters: fields of ``Multirotor`` that are known better than by a rule.
 
@@ -224,6 +224,11 @@ def own_multirotor(
         try:
             columns = MotorTable.of(motor_table)
             table = columns.numbers(mass * GRAVITY, kind.count)
+            if (ratio := table["thrust_to_weight"]) > RANGES["thrust_to_weight"][2]:
+                raise UsageError(
+                    f"{kind.count} motors lift {ratio:.4g} times the weight; allowed: at most "
+                    f"{RANGES['thrust_to_weight'][2]:g} (thrust_N is in newtons, thrust_g in grams)"
+                )
         except UsageError as error:
             raise UsageError(f"{TABLE}: {error}") from None
         hover_throttle, thrust_to_weight = table["hover_throttle"], table["thrust_to_weight"]
