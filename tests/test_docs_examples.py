@@ -13,6 +13,7 @@ import pytest
 
 import qrsim
 from qrsim import cli
+from qrsim.engine.programs import forget
 from qrsim.scenarios.reading import built_in_names
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -64,6 +65,10 @@ def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize(("name", "text"), examples("bash"))
 def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    if "qrsim cache" in text:
+        # The cache that all tests share would take minutes to pack.
+        monkeypatch.setenv("QRSIM_CACHE_DIR", str(tmp_path / "cache"))
+        forget()
     for line in text.splitlines():
         words = shlex.split(line, comments=True)
         if not words or words[0] == "make":

@@ -47,7 +47,7 @@ FIXED_POINT = ".advance"
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-# Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
+# Its slopes take 10 s and more to compute in each of its forms, whose flights tests/models/vehicles/multirotor checks.
 ONE_FORM = [("VEHICLES", "multirotor")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
@@ -60,18 +60,19 @@ DEAR = ("VEHICLES", "FILTERS", "CONTROLLERS")
 def option_cases(
     options_are_long: bool = False,
     dear: Sequence[str] = (),
-    one_form: Sequence[tuple[str, str]] = (),
     nightly: Sequence[str] = (),
+    options_nightly: Sequence[tuple[str, str]] = (),
 ) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
     for group, name in COMPONENTS:
-        for settings in options(group, name)[: 1 if (group, name) in one_form else None]:
+        for settings in options(group, name):
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
             long = options_are_long and (bool(settings) or group in dear)
             marks = (pytest.mark.long,) if long else ()
             # Of groups whose programs take minutes, one component in four is seen by its defaults before the night.
-            if group in nightly and (settings or name not in list(GROUPS[group])[::4]):
+            not_first = group in nightly and name not in list(GROUPS[group])[::4]
+            if (group, name) in options_nightly if settings else not_first:
                 marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
@@ -88,12 +89,12 @@ UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distan
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
 # Groups whose components take a second and more to compile each.
 DEAR_PROGRAMS = ("SENSORS", "FILTERS", "VEHICLES")
-every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 # Tracing a slope takes ten times as long as tracing the values, and a batch three times.
 by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR))
 by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
+by_slopes = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR, options_nightly=ONE_FORM))
 every_program = pytest.mark.parametrize(
-    ("group", "name", "settings"), option_cases(one_form=ONE_FORM, nightly=DEAR_PROGRAMS)
+    ("group", "name", "settings"), option_cases(nightly=DEAR_PROGRAMS, options_nightly=COMPONENTS)
 )
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
@@ -196,7 +197,7 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: 
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@by_defaults_first
+@by_slopes
 def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
     def total(component: Any, given: Any, keys: Any) -> Any:
         found = jax.tree.leaves(evaluate(group, component, given, keys)["results"])
