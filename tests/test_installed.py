@@ -1,7 +1,7 @@
 """The wheel, installed as a user would: into an empty environment, with the newest dependencies that it allows.
 
-That environment takes a minute, so it is nightly. The long tier runs the files of the wheel on the packages of the tests;
-tests/test_extras.py shows that those without an extra are enough.
+That environment takes a minute, so it is nightly. The long tier runs the files of the wheel on the packages that it
+has; tests/test_extras.py shows that those without an extra are enough.
 """
 
 from __future__ import annotations
