@@ -47,8 +47,8 @@ FIXED_POINT = ".advance"
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-# Its slopes take 10 s and more to compute in each of its forms, whose flights tests/models/vehicles/multirotor checks.
-ONE_FORM = [("VEHICLES", "multirotor")]
+# Their slopes take seconds to trace in each of their many forms, which their own tests fly or read.
+ONE_FORM = [("VEHICLES", "multirotor"), ("VEHICLES", "fixed_wing"), ("SENSORS", "gnss")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
 
