@@ -16,7 +16,7 @@ def found() -> dict[str, Any]:
     return study.run(full=False)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_field_has_the_closed_forms_of_isotropic_turbulence(found: dict[str, Any]) -> None:
     """Each of 17 means over worlds at 99.9 % over all; spectra, rotation and the rest within stated bands."""
     assert found["statistics"] == 17
@@ -51,7 +51,7 @@ def test_the_field_has_the_closed_forms_of_isotropic_turbulence(found: dict[str,
     assert found["independence"]["largest"] < 5.0 / math.sqrt(300.0)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_vehicle_that_hovers_meets_no_tones(found: dict[str, Any]) -> None:
     """Autocorrelations of two hours at lags from a minute to an hour, of four worlds.
 
