@@ -276,7 +276,6 @@ def test_peers_that_are_not_there_are_named_with_what_installs_them(tmp_path, mo
             assert "--install" in row["note"] or "pip install" in row["note"]
 
 
-@pytest.mark.nightly
 def test_environments_of_peers_that_are_not_there_are_named_with_what_installs_them(tmp_path, monkeypatch):
     monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
     own, *others = rows("env_peers")

@@ -47,7 +47,7 @@ FIXED_POINT = ".advance"
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-# Their slopes take seconds to trace in each of their many forms, which their own tests fly or read.
+# Their slopes and batches take seconds to trace in each of their many forms, which their own tests fly or read.
 ONE_FORM = [("VEHICLES", "multirotor"), ("VEHICLES", "fixed_wing"), ("SENSORS", "gnss")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
@@ -60,8 +60,8 @@ DEAR = ("VEHICLES", "FILTERS", "CONTROLLERS")
 def option_cases(
     options_are_long: bool = False,
     dear: Sequence[str] = (),
-    nightly: Sequence[str] = (),
     options_nightly: Sequence[tuple[str, str]] = (),
+    one_in_four: bool = False,
 ) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
@@ -70,9 +70,9 @@ def option_cases(
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
             long = options_are_long and (bool(settings) or group in dear)
             marks = (pytest.mark.long,) if long else ()
-            # Of groups whose programs take minutes, one component in four is seen by its defaults before the night.
-            not_first = group in nightly and name not in list(GROUPS[group])[::4]
-            if (group, name) in options_nightly if settings else not_first:
+            # All programs take minutes to compile: of each group, one component in four is compiled before the night.
+            not_first = one_in_four and name not in list(GROUPS[group])[::4]
+            if not_first or (settings and (group, name) in options_nightly):
                 marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
@@ -87,14 +87,11 @@ UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow
 UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle", "velocity"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
-# Groups whose components take a second and more to compile each.
-DEAR_PROGRAMS = ("SENSORS", "FILTERS", "VEHICLES")
 # Tracing a slope takes ten times as long as tracing the values, and a batch three times.
-by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR))
+by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR, ONE_FORM))
 by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
-by_slopes = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR, options_nightly=ONE_FORM))
 every_program = pytest.mark.parametrize(
-    ("group", "name", "settings"), option_cases(nightly=DEAR_PROGRAMS, options_nightly=COMPONENTS)
+    ("group", "name", "settings"), option_cases(options_nightly=COMPONENTS, one_in_four=True)
 )
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
@@ -197,7 +194,7 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: 
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@by_slopes
+@by_defaults_first
 def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
     def total(component: Any, given: Any, keys: Any) -> Any:
         found = jax.tree.leaves(evaluate(group, component, given, keys)["results"])
