@@ -48,7 +48,7 @@ every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-
 
 
 # Their slopes and batches take seconds to trace in each of their many forms, which their own tests fly or read.
-ONE_FORM = [("VEHICLES", "multirotor"), ("VEHICLES", "fixed_wing"), ("SENSORS", "gnss")]
+ONE_FORM = [("VEHICLES", "multirotor"), ("VEHICLES", "fixed_wing"), ("SENSORS", "gnss"), ("FILTERS", "ekf")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
 
