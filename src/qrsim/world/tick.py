@@ -271,6 +271,7 @@ def own_checks(
         before_ned: positions (n,) [m] from which it came in a straight line; None: it was put where it is.
     """
     pose = fleet.vehicle.pose(state.vehicle)
+    over = over_the_floor(world, fleet, pose.position_ned)
     # One after the other: side by side in one array they would be written to memory first.
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
@@ -278,7 +279,7 @@ def own_checks(
         *fleet.vehicle.own_checks(state.vehicle),
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *ground_checks(world, fleet, state),
-        *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
+        *(world.area.check(over) if before_ned is None else world.area.swept(before_ned, over)),
         _hits_obstacle(world, fleet, pose.position_ned if before_ned is None else before_ned, pose.position_ned),
         *_empty_battery(fleet, state),
         *fleet.battery.own_checks(state.battery),
