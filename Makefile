@@ -12,7 +12,7 @@ CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard example
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly lint bench evidence pictures proto clean help
+.PHONY: install tools run test test-long test-nightly lint bench evidence pictures proto dist clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -88,6 +88,12 @@ pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png
 
 proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto
+
+dist: $(STAMP)  ## build the wheel and the source distribution in dist/, and check them
+	rm -rf dist
+	$(PIP) '.[release]'
+	$(BIN)/python -m build --installer pip
+	$(BIN)/python -m twine check --strict dist/*
 
 clean:  ## remove caches and build output (.venv stays)
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

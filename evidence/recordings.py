@@ -36,12 +36,10 @@ def data_folder() -> Path:
 
 def _errors(folder: Path, precision: str) -> tuple[dict[str, Any], dict[str, Match], outdoor.Outdoor]:
     """Return the mean squared errors of a precision, the recordings beside the simulation, and its outdoor flight."""
+    turned = rotation.rotation_match(folder / rotation.RECORDING, precision)
     pushed = thrust.thrust_errors(folder / thrust.RECORDING, precision)
     flight = outdoor.fly_recorded(folder / outdoor.RECORDING, precision)
-    matches = {
-        "rotation": rotation.rotation_match(folder / rotation.RECORDING, precision),
-        "outdoor_velocity": outdoor.velocity_match(flight),
-    }
+    matches = {"rotation": turned, "outdoor_velocity": outdoor.velocity_match(flight)}
     errors = {name: match.mean_square() for name, match in matches.items()} | {"thrust": pushed}
     return errors, matches, flight
 

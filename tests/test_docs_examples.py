@@ -53,12 +53,17 @@ def test_the_pages_have_examples() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "text"), examples("python"))
-def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_example(
+    name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     # As somebody's file would be: a module that its classes are found in, and nothing inherited from this one.
     module = types.ModuleType("example")
     monkeypatch.setitem(sys.modules, "example", module)
     exec(compile(text, name, "exec", dont_inherit=True), module.__dict__)
+    if name.startswith("README"):
+        shown = (ROOT / "README.md").read_text("utf-8").partition("```text\n")[2].partition("```")[0]
+        assert capsys.readouterr().out == shown
 
 
 @pytest.mark.long
