@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,14 @@ COLOURS = 48
 Values = np.ndarray[Any, Any]
 
 
-def draw_spacings(grids: dict[str, Any], path: Path = SPACINGS) -> None:
-    """Draw correlation and relative motion of neighbours against the spacing of their grid."""
-    from evidence.formation_gusts import closed
+def draw_spacings(grids: dict[str, Any], closed: Callable[[float], dict[str, float]], path: Path = SPACINGS) -> None:
+    """Draw correlation and relative motion of neighbours against the spacing of their grid.
+
+    Args:
+        grids: by spacing, the results of each kind of gusts.
+        closed: the correlations in closed form at a spacing [m].
+        path: of the picture.
+    """
     from qrsim.runs.picture import new_figure
 
     spacings = np.array([float(name.replace("_", ".")) for name in grids])

@@ -271,7 +271,7 @@ def run(full: bool) -> dict[str, Any]:
     if full:
         from evidence import _formation_pictures as pictures
 
-        pictures.draw_spacings(grids)
+        pictures.draw_spacings(grids, closed)
         pictures.draw_gust()
     return {
         "seeds": seeds, "seconds": seconds, "left_out": LEFT_OUT_S, "grid": grids, "line": lines, "sweep": swept,
