@@ -12,7 +12,7 @@ CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard example
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly lint bench evidence pictures proto clean help
+.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures proto clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -71,6 +71,9 @@ test-long: $(TOOLS)  ## the long tests: real clients, browsers, small forms of t
 test-nightly: $(TOOLS)  ## tests of minutes each: random programs, fuzzing, other versions of Python and dependencies, mutation
 	@echo "== pytest (nightly)"
 	@$(BIN)/python -m pytest -n 2 --dist loadfile -m nightly $(ARGS)
+
+mutation: $(TOOLS)  ## change models/ and control/, and print what no test notices: make mutation ARGS='--each 3 models/sensors/barometer.py'
+	@$(BIN)/python -m tests.mutation $(ARGS)
 
 lint: $(TOOLS)  ## formatting, lint, types, layers of imports
 	@$(LINT)
