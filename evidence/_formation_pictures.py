@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evidence import _field as of
+from tests.models.atmosphere import field_reference as of
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 SPACINGS, GUST = IMAGES / "turbulence_spacing.png", IMAGES / "turbulence_gust.gif"

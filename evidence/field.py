@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import scipy
+from tests.models.atmosphere import field_reference as of
 
-from evidence import _field as of
 from qrsim.studies.validate.statistics import against, judge, mean_and_error
 from qrsim.studies.validate.wind_field import LIFETIME
 from qrsim.studies.validate.wind_field import kept as remembered

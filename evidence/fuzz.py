@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.wrong_input.handing_in import KINDS, Workshop, silence
+from tests.wrong_input.mutating import SPENT_S
 
-from evidence._handing_in import KINDS, Workshop, silence
-from evidence._mutating import SPENT_S
 from qrsim.errors import QrsimError
 
 DOC = "10 000 mutations of scenarios, plans, fences, studies, states, runs, logs, bags, maps and ephemerides"

@@ -14,8 +14,8 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from tests.models.gnss import flown_receivers as receivers
 
-from evidence import _receivers as receivers
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.constellations import NominalConstellations

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from evidence import _mavlink_clients as clients
+from tests.links.mavlink import driven_clients as clients
+
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
