@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.studies.discover.flown_logs import random_steps
 
-from evidence.identify import random_steps
 from qrsim.links.autopilot.firmware import binary, configured
 from qrsim.links.autopilot.fleet import prepared
 from qrsim.links.autopilot.flight import Flight

@@ -42,7 +42,7 @@ def modules(paths: Sequence[str]) -> list[str]:
     return found
 
 
-def tests_of(module: str) -> list[str]:
+def selection(module: str) -> list[str]:
     """Return the test files named after a module, those that import it, and the folder of its tests."""
     place = Path(module)
     folder, name = Path("tests", place.parent), ".".join(["qrsim", *place.with_suffix("").parts])
@@ -61,7 +61,7 @@ def tried(module: str, each: int | None, seed: int) -> list[Tried]:
     config = load_config(str(ROOT / "cosmic-ray.toml"))
     config["module-path"] = [f"src/qrsim/{module}"]
     command = config["test-command"].removeprefix("python").removesuffix(" ".join(f"tests/{name}" for name in FOLDERS))
-    config["test-command"] = f"{sys.executable}{command}{' '.join(tests_of(module))}"
+    config["test-command"] = f"{sys.executable}{command}{' '.join(selection(module))}"
     with tempfile.TemporaryDirectory(prefix="qrsim-mutation-") as name:
         copy = Path(name, "tree")
         shutil.copytree(ROOT, copy, ignore=NOT_COPIED)

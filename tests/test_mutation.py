@@ -7,7 +7,7 @@ import re
 import tomllib
 
 import pytest
-from tests.mutation import FOLDERS, ROOT, main, modules, tests_of, tried
+from tests.mutation import FOLDERS, ROOT, main, modules, selection, tried
 
 # A module of each of three folders, and so many of its mutants; one mutant in four may change nothing.
 SEED, MODULES, EACH, LEAST = 20261126, 3, 4, 0.75
@@ -15,7 +15,7 @@ SEED, MODULES, EACH, LEAST = 20261126, 3, 4, 0.75
 
 def test_a_module_is_tested_by_its_own_tests_then_by_its_users_and_then_by_its_folder() -> None:
     folder = "tests/models/sensors"
-    found = tests_of("models/sensors/barometer.py")
+    found = selection("models/sensors/barometer.py")
     assert found[0] == f"{folder}/test_barometer.py"
     assert f"{folder}/test_faults.py" in found[1:-1]
     assert found[-1] == folder
@@ -25,7 +25,7 @@ def test_paths_are_files_and_folders() -> None:
     assert modules(["models/sensors/barometer.py"]) == ["models/sensors/barometer.py"]
     found = modules(FOLDERS)
     assert {"control/ekf.py", "models/atmosphere/gust.py"} <= set(found)
-    assert not [module for module in found if not (ROOT / tests_of(module)[-1]).is_dir()]
+    assert not [module for module in found if not (ROOT / selection(module)[-1]).is_dir()]
 
 
 def test_a_path_without_modules_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
