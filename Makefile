@@ -6,7 +6,7 @@ BIN := .venv/bin
 # What running needs, and beside it what checking needs.
 STAMP := .venv/.installed
 TOOLS := .venv/.tools
-CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard examples/*.py)
+CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard docs/writers) $(wildcard examples/*.py)
 
 # Without bytecode, every process of the tests and each of its children would compile all sources.
 unexport PYTHONDONTWRITEBYTECODE
@@ -85,9 +85,9 @@ bench: $(TOOLS)  ## run every benchmarks/*.py
 evidence: $(TOOLS)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
 
-pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; evidence/pictures.py lists all pictures
-	@$(BIN)/python -m evidence.pictures
-	@$(BIN)/python -m evidence.task_pictures
+pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; docs/writers/pictures.py lists all pictures
+	@$(BIN)/python -m docs.writers.pictures
+	@$(BIN)/python -m docs.writers.task_pictures
 
 proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto
