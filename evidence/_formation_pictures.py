@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from tests.models.atmosphere import field_reference as of
 
-IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+from evidence import IMAGES
+
 SPACINGS, GUST = IMAGES / "turbulence_spacing.png", IMAGES / "turbulence_gust.gif"
 # Of the animation: wind [m/s], height and distance of the vehicles [m], their number, times [s] and time of a frame.
 WIND, HEIGHT, APART, VEHICLES = 8.0, 15.0, 10.0, 5

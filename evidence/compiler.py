@@ -48,9 +48,11 @@ def _all_of(total: int) -> dict[int, str]:
     found = {int(k): v for k, v in json.loads(place.read_text(encoding="utf-8")).items()} if place.exists() else {}
     parts = [(first, min(first + PART, total)) for first in range(0, total, PART)]
     parts = [part for part in parts if not found.keys() >= set(range(*part))]
+    from rich.progress import track
+
     # Anew now and then, because compiled programs stay in memory.
     with get_context("spawn").Pool(2, maxtasksperchild=10) as pool:
-        for done in _shown(pool.imap_unordered(_part, parts), len(parts)):
+        for done in track(pool.imap_unordered(_part, parts), "random programs", total=len(parts)):
             found |= done
             place.write_text(json.dumps(found), encoding="utf-8")
     return found
@@ -66,13 +68,6 @@ def _state() -> str:
     for path in sorted([*root.glob("engine/llvm/*.py"), *root.glob("core/*.py"), *reference.glob("*.py")]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
-
-
-def _shown(parts: Any, count: int) -> Any:
-    """Give parts and show how many are done, where somebody looks."""
-    from rich.progress import track
-
-    return track(parts, "random programs", total=count)
 
 
 def _part(numbers: tuple[int, int]) -> dict[int, str]:

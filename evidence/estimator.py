@@ -8,13 +8,13 @@ large but correlated in time, as those of GNSS are, it believes itself far bette
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
 from tests.control.kalman_rig import DT, Floats, Flown, errors, filtered, flown, matched, with_all
 
+from evidence import IMAGES
 from evidence._outdoors import outdoors
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_state import SIZE
@@ -28,7 +28,7 @@ LATE, CORRELATION_S = 15, 30.0
 CONFIDENCE = 0.95
 # Errors of a filter with all sensors.
 MOST = 24
-PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "estimator_nees.png"
+PICTURE = IMAGES / "estimator_nees.png"
 
 
 def coloured(array: Floats, random: np.random.Generator, truth: Floats, stds: Floats) -> Floats:

@@ -29,11 +29,12 @@ import numpy as np
 from tests.wrong_input.handing_in import KINDS, Workshop, silence
 from tests.wrong_input.mutating import SPENT_S
 
+from evidence import ROOT
+from evidence._processes import peak_bytes, resident_bytes
 from qrsim.errors import QrsimError
 
 DOC = "10 000 mutations of scenarios, plans, fences, studies, states, runs, logs, bags, maps and ephemerides"
 SEED = 20261121
-ROOT = Path(__file__).resolve().parents[1]
 FULL, SMALL = 10_000, 300
 PROCESSES = 2
 LIMIT_S, LIMIT_BYTES = 2.0, 10**9
@@ -58,15 +59,6 @@ def _alarm(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-
-
-def resident_bytes(peak: bool) -> int:
-    """Return the resident set of this process now, or its largest since it was last reset (Linux)."""
-    name = "VmHWM:" if peak else "VmRSS:"
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith(name):
-            return 1024 * int(line.split()[1])
-    raise RuntimeError(f"/proc/self/status has no {name}")
 
 
 def _reset_peak() -> None:
@@ -107,7 +99,7 @@ def case(shop: Workshop, number: int, held: int = 0) -> dict[str, Any]:
     # Of the processor, so that a busy machine is no hang.
     found["s"] = round(time.process_time() - began - (SPENT_S[0] - before), 3)
     if found["outcome"] in ("taken", "refused"):
-        found["bytes"] = resident_bytes(peak=True)
+        found["bytes"] = peak_bytes()
         # Compiling takes its time.
         if found["s"] > (PATIENCE_S if kind == "flight" else LIMIT_S):
             found["outcome"] = "hang"
@@ -215,7 +207,7 @@ def summed_up(entries: list[dict[str, Any]]) -> dict[str, Any]:
 
 def some(count: int, first: int = 0) -> list[dict[str, Any]]:
     """Do so many cases in this process, whatever others hold in it."""
-    held = resident_bytes(peak=False)
+    held = resident_bytes()
     # To look through what others hold for garbage takes seconds, which are not the cases' own.
     gc.freeze()
     try:

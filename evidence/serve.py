@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import random
-import resource
 import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 from tests.wrong_input.requests import TASK, kind, mutated, valid
 
-from evidence.performance import printed
+from evidence._processes import printed, resident_bytes
 from qrsim.links.reference.client import Client
 from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
@@ -62,11 +60,6 @@ def attack(port: int, chance: random.Random, requests: list[bytes], counted: dic
                 return  # a refused INIT and a DISCONNECT end the connection
 
 
-def memory(pid: int) -> int:
-    """Return the resident memory of a process [bytes]."""
-    return int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1]) * resource.getpagesize()
-
-
 def malformed(wanted: int) -> dict[str, Any]:
     """Send so many requests; return what came back, what it took, and whether another client noticed."""
     chance, requests = random.Random(SEED), valid()
@@ -83,14 +76,14 @@ def malformed(wanted: int) -> dict[str, Any]:
             while counted["frames"] < wanted:
                 attack(port, chance, requests, counted)
                 if not before and counted["frames"] >= wanted // 4:
-                    before = memory(server.pid)
+                    before = resident_bytes(server.pid)
                 asked = time.perf_counter()
                 steps += 1
                 state = other.step_waypoint(0.02, [[6.0, -8.0, -9.0, 0.0]])
                 slowest = max(slowest, time.perf_counter() - asked)
                 assert abs(state.time - 0.02 * steps) < 1e-6
             seconds = time.perf_counter() - begun
-            after = memory(server.pid)
+            after = resident_bytes(server.pid)
         alive = server.poll() is None
         server.terminate()
         _, complaints = server.communicate(timeout=60.0)

@@ -7,11 +7,7 @@ same where every coordinate, metric and attribute is, to the bit.
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -19,11 +15,11 @@ from typing import Any
 import numpy as np
 from tests.studies.sweep.killing import SMALL, dask, finish, kill_process, kill_worker, opened, same, scheduler, sweep
 
+from evidence._processes import program
 from qrsim.scenarios.reading import dump_yaml
 
 DOC = "time of 10 000 episodes beside the raw core, kills, workers and clusters, memory of a study of a million points"
 SEED = 0
-ROOT = Path(__file__).parents[1]
 STUDY = "station_keeping_plain"
 # Words for ``qrsim sweep``: a part of the study, for what is flown many times.
 PART = [STUDY, "--seeds", "12", "--values", "8"]
@@ -76,7 +72,7 @@ MEMORY = """
 import json, sys, tempfile
 from pathlib import Path
 
-from evidence.rollout import peak_bytes
+from evidence._processes import peak_bytes
 from qrsim.studies.sweep.prepare import plan_of
 from qrsim.studies.sweep.store import Store
 from qrsim.studies.sweep.study import load_study
@@ -105,20 +101,6 @@ metrics: [tracking_error_rms_m]
     print(json.dumps({"points": plan.points, "planned": total, "batches": plan.batches, "before_bytes": before,
                       "more_bytes": peak_bytes() - before}))
 """
-
-
-def program(text: str, *words: str) -> dict[str, Any]:
-    """Return what a program prints."""
-    # A file, because the processes that it starts import it.
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "program.py"
-        path.write_text(text, encoding="utf-8")
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(
-            [sys.executable, str(path), *words], check=True, stdout=subprocess.PIPE, text=True, env=environment
-        )
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
 
 
 def throughput(study: str, rounds: int) -> dict[str, Any]:

@@ -9,8 +9,8 @@ import tomllib
 import pytest
 from tests.mutation import FOLDERS, ROOT, main, modules, selection, tried
 
-# A module of each of three folders, and so many of its mutants; one mutant in four may change nothing.
-SEED, MODULES, EACH, LEAST = 20261126, 3, 4, 0.75
+# Modules drawn, and mutants of each; a mutant in four may survive, as bounds and others do that change no result.
+SEED, MODULES, EACH, LEAST = 20261126, 3, 3, 0.75
 
 
 def test_a_module_is_tested_by_its_own_tests_then_by_its_users_and_then_by_its_folder() -> None:
