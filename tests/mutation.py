@@ -46,8 +46,8 @@ def selection(module: str) -> list[str]:
     """Return the test files named after a module, those that import it, and the folder of its tests."""
     place = Path(module)
     folder, name = Path("tests", place.parent), ".".join(["qrsim", *place.with_suffix("").parts])
-    files = sorted((ROOT / folder).glob("test_*.py"))
-    named = [file for file in files if file.stem.startswith(f"test_{place.stem}")]
+    files = sorted(file for kind in (*FOLDERS, "laws") for file in (ROOT / "tests" / kind).rglob("test_*.py"))
+    named = [file for file in files if file.stem.startswith(f"test_{place.stem}") and file.parent == ROOT / folder]
     users = [file for file in files if file not in named and f"from {name} import" in file.read_text("utf-8")]
     return [*(file.relative_to(ROOT).as_posix() for file in named + users), folder.as_posix()]
 
