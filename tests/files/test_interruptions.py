@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ctypes
 import gc
@@ -21,7 +22,7 @@ import pytest
 from tests.interrupting import INTERRUPTIBLE
 
 from qrsim import cli
-from qrsim.files.interruptions import WORDS, Interruption, calling, exit_code, heard, word
+from qrsim.files.interruptions import WORDS, Interruption, calling, exit_code, heard, run_until_signal, word
 
 # ruff: noqa: PT012 (it is raised somewhere in a block)
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals")
@@ -264,3 +265,64 @@ def ended(folder: Path, tries: int, seed: int, longest_s: float) -> None:
 )
 def test_at_many_moments_of_a_start(tries: int, tmp_path: Path) -> None:
     ended(tmp_path, tries, seed=2, longest_s=4.0)
+
+
+class TestCoroutines:
+    """A signal cancels what runs, at any moment of the event loop: no wake-up is lost."""
+
+    @BOTH
+    def test_it_ends_what_sleeps(self, number: int) -> None:
+        ended = []
+
+        async def sleeps() -> None:
+            threading.Timer(0.05, press, (number,)).start()
+            try:
+                await asyncio.sleep(60.0)
+            finally:
+                ended.append(True)
+
+        with heard(), pytest.raises(Interruption) as said:
+            run_until_signal(sleeps())
+        assert (said.value.number, ended) == (number, [True])
+
+    def test_it_ends_what_is_about_to_wake(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """An exception here would leave a task that nobody wakes any more, and whose end the loop would wait for."""
+        plain, calls = asyncio.Handle._run, [0]
+
+        def pressed(handle: asyncio.Handle) -> None:
+            calls[0] += 1
+            if calls[0] == 5:
+                press(signal.SIGTERM)
+            plain(handle)
+
+        async def wakes() -> None:
+            while True:
+                await asyncio.sleep(0.0)
+
+        monkeypatch.setattr(asyncio.Handle, "_run", pressed)
+        with heard(), pytest.raises(Interruption):
+            run_until_signal(wakes())
+
+    def test_it_ends_what_does_not_hear(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("qrsim.files.interruptions.PATIENCE_S", 0.1)
+
+        async def busy() -> None:
+            threading.Timer(0.05, press, (signal.SIGTERM,)).start()
+            begun = time.monotonic()
+            while time.monotonic() - begun < 30.0:
+                wait()
+
+        begun = time.monotonic()
+        with heard(), pytest.raises(Interruption):
+            run_until_signal(busy())
+        assert time.monotonic() - begun < 20.0
+
+    def test_it_returns_where_nobody_presses(self) -> None:
+        came = []
+
+        async def ends() -> None:
+            came.append(await asyncio.sleep(0.0, "done"))
+
+        with heard():
+            run_until_signal(ends())
+        assert came == ["done"]

@@ -81,8 +81,7 @@ class Mavlink:
         """Check, compile, serve."""
         self._check()
         ground = self._address()
-        import asyncio
-
+        from qrsim.files.interruptions import run_until_signal
         from qrsim.links.mavlink.fleet import prepared
         from qrsim.links.mavlink.ports import EVERYWHERE, HERE, opened
         from qrsim.links.mavlink.server import Server, Wire
@@ -103,7 +102,7 @@ class Mavlink:
         server = Server(world, ports, Wire(self.realtime, HERE, ground, self.stream_time == "sim", self.lockstep), say)
         self._describe(world, ports, ground, say)
         try:
-            asyncio.run(server.serve())
+            run_until_signal(server.serve())
         finally:
             ports.close()
             report = server.report()

@@ -97,8 +97,7 @@ class Serve:
         """Check, compile, serve."""
         options = self._options()
         scenario = self._scenario()
-        import asyncio
-
+        from qrsim.files.interruptions import run_until_signal
         from qrsim.links.printing import Log
         from qrsim.links.reference.server import Server
         from qrsim.links.reference.tasks import Tasks
@@ -120,7 +119,7 @@ class Serve:
             await Server(options, tasks, log.say).serve(ready)
 
         try:
-            asyncio.run(serve())
+            run_until_signal(serve())
         finally:
             if options.view is not None:
                 options.view.close()

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any
@@ -112,6 +112,50 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    if came:
+        raise Interruption(came[0])
+
+
+def run_until_signal(main: Coroutine[Any, Any, None]) -> None:
+    """Run a coroutine as ``asyncio.run`` does. Ctrl-C and SIGTERM cancel it, and raise an Interruption at its end.
+
+    An exception in the middle of the event loop could lose the wake-up of a task, which would then wait forever. So a
+    signal raises one, as in ``heard``, only if the coroutine has not ended some seconds later.
+    """
+    import asyncio
+
+    came: list[int] = []
+    late: list[threading.Timer] = []
+
+    async def watched() -> None:
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
+        assert task is not None
+
+        def handle(number: int, frame: FrameType | None) -> None:
+            if came:
+                _raise(number, frame)
+                return
+            came.append(number)
+            loop.call_soon_threadsafe(task.cancel)
+            late.append(threading.Timer(PATIENCE_S, _send, (number, _state["listener"])))
+            late[0].daemon = True
+            late[0].start()
+
+        before = _installed(handle) if threading.current_thread() is threading.main_thread() else {}
+        try:
+            await main
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    try:
+        asyncio.run(watched())
+    except asyncio.CancelledError:
+        if not came:
+            raise
+    finally:
+        for timer in late:
+            timer.cancel()
     if came:
         raise Interruption(came[0])
 

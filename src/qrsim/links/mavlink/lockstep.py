@@ -65,5 +65,6 @@ class Lockstep:
 
     async def _heard(self, seconds: float) -> None:
         self._news.clear()
-        with suppress(TimeoutError, asyncio.TimeoutError):
-            await asyncio.wait_for(self._news.wait(), seconds)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self._news.wait()

@@ -209,7 +209,8 @@ class Connection(asyncio.Protocol):
         end = loop.time() + seconds
         if seconds > COARSE_S:
             with suppress(TimeoutError):
-                await asyncio.wait_for(self.leaving.wait(), seconds - COARSE_S)
+                async with asyncio.timeout(seconds - COARSE_S):
+                    await self.leaving.wait()
         rest = end - loop.time()
         if rest > 0.0 and not self.leaving.is_set():
             await loop.run_in_executor(None, time.sleep, rest)
