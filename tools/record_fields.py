@@ -1,0 +1,45 @@
+"""An extension of griffe that documents the fields of records.
+
+Fields declare their sentence, unit, bounds and default as arguments of ``parameter``, ``setting``, ``quantity`` or
+``derived``. The extension reads these from the syntax tree, so that the API reference shows them and the package need
+not be imported.
+"""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+from griffe import Attribute, Docstring, Extension
+
+MAKERS = ("parameter", "setting", "quantity", "derived")
+BOUNDS = {"minimum": "at least", "above": "above", "maximum": "at most"}
+
+
+class RecordFields(Extension):
+    """Gives each field of a record a docstring made of its declaration."""
+
+    def on_attribute_instance(self, *, node: Any, attr: Attribute, **_: Any) -> None:
+        """Set the docstring of one field, and drop the declaration as its value."""
+        call = node.value if isinstance(node, ast.AnnAssign) else None
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in MAKERS:
+            attr.docstring = attr.docstring or Docstring(sentence(call), parent=attr)
+            attr.value = None
+
+
+def sentence(call: ast.Call) -> str:
+    """Return the documentation of a field from its declaration: meaning, unit, bounds, default."""
+    given = {keyword.arg: keyword.value for keyword in call.keywords}
+    if call.args:
+        given["default"] = call.args[0]
+
+    def text(name: str) -> str:
+        value = given.get(name)
+        return str(value.value) if isinstance(value, ast.Constant) and isinstance(value.value, str) else ""
+
+    meaning = text("doc")
+    head = meaning[:1].upper() + meaning[1:] + (f" [{text('unit')}]" if text("unit") else "")
+    bounds = [f"{word} {ast.unparse(given[name])}" for name, word in BOUNDS.items() if name in given]
+    if "default" in given and call.func.id != "derived":  # type: ignore[attr-defined]
+        bounds.append(f"default {ast.unparse(given['default'])}")
+    return "; ".join([head, *bounds])
