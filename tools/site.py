@@ -13,7 +13,7 @@ import time
 from importlib import metadata
 from pathlib import Path
 
-from tools.site_source import BrokenLink, collect, pages
+from tools.site_source import BrokenLinkError, collect, pages
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "build" / "site-source"
@@ -62,7 +62,7 @@ def _follow() -> None:
         time.sleep(1.0)
         try:
             collect(ROOT, SOURCE, address())
-        except BrokenLink as error:
+        except BrokenLinkError as error:
             print(error, file=sys.stderr)
 
 
@@ -73,7 +73,7 @@ def main(arguments: list[str]) -> int:
             return build(arguments[1] if arguments[1:] else "zensical")
         if arguments == ["serve"]:
             return serve()
-    except BrokenLink as error:
+    except BrokenLinkError as error:
         print(error, file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -27,7 +27,7 @@ _LINK = re.compile(r"(?<=\]\()(?P<path>[^)\s#]+)(?P<anchor>#[^)\s]*)?(?=\))")
 _FENCE = re.compile(r"^\s*(```+|~~~+)")
 
 
-class BrokenLink(ValueError):
+class BrokenLinkError(ValueError):
     """A link of a page leads to a file that the repository lacks."""
 
 
@@ -39,7 +39,8 @@ def pages(root: Path) -> dict[Path, str]:
     """
     docs = root / "docs"
     files = (path for path in sorted(docs.rglob("*")) if path.is_file() and LEFT_OUT not in path.parts)
-    return {root / name: target for name, target in EXTRA.items()} | {path: str(path.relative_to(docs)) for path in files}
+    extra = {root / name: target for name, target in EXTRA.items()}
+    return extra | {path: path.relative_to(docs).as_posix() for path in files}
 
 
 def collect(root: Path, out: Path, address: str) -> int:
@@ -51,7 +52,7 @@ def collect(root: Path, out: Path, address: str) -> int:
         address: address of the repository's files at the tag, without a slash at the end.
 
     Raises:
-        BrokenLink: a link leads to no file.
+        BrokenLinkError: a link leads to no file.
     """
     places = pages(root)
     turned = 0
@@ -85,7 +86,7 @@ def turn(text: str, source: Path, places: dict[Path, str], root: Path, address: 
         if target in places:
             return os.path.relpath(places[target], Path(places[source]).parent) + anchor
         if not target.exists() or not target.is_relative_to(root):
-            raise BrokenLink(f"{source.relative_to(root)}: link to '{path}', which does not exist")
+            raise BrokenLinkError(f"{source.relative_to(root)}: link to '{path}', which does not exist")
         count += 1
         return f"{address}/{target.relative_to(root)}{anchor}"
 
