@@ -6,13 +6,14 @@ BIN := .venv/bin
 # What running needs, and beside it what checking needs.
 STAMP := .venv/.installed
 TOOLS := .venv/.tools
-CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard examples/*.py)
+DOCS := .venv/.docs
+CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard tools) $(wildcard examples/*.py)
 
 # Without bytecode, every process of the tests and each of its children would compile all sources.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly lint bench evidence pictures proto clean help
+.PHONY: install tools run test test-long test-nightly lint bench evidence pictures docs docs-serve docs-pages proto clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -85,6 +86,19 @@ evidence: $(TOOLS)  ## run every study of evidence/, or those named: make eviden
 pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; evidence/pictures.py lists all pictures
 	@$(BIN)/python -m evidence.pictures
 	@$(BIN)/python -m evidence.task_pictures
+
+$(DOCS): $(STAMP)
+	$(PIP) '.[docs]'
+	@touch $@
+
+docs: $(DOCS)  ## build the documentation site into build/site; a broken link or a warning about a docstring fails
+	@$(BIN)/python -m tools.site build
+
+docs-serve: $(DOCS)  ## serve the site at http://localhost:8000 and follow changes of the pages
+	@$(BIN)/python -m tools.site serve
+
+docs-pages: $(TOOLS)  ## write the pages of docs/reference/ that are generated from the code
+	@$(BIN)/python -m tools.reference
 
 proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto

@@ -6,6 +6,7 @@ docstring each end it with exit code 1.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -42,7 +43,10 @@ def build(program: str) -> int:
         return 1
     print(f"{collect(ROOT, SOURCE, address())} links to files of the repository", flush=True)
     command = [sys.executable, "-m", program, "build", "--strict", "--clean"]
-    done = subprocess.run(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
+    environment = {**os.environ, "NO_COLOR": "1"}
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+    )
     print(done.stdout, end="")
     warned = [line for line in done.stdout.splitlines() if any(word in line for word in WARNINGS)]
     if warned:
