@@ -9,14 +9,14 @@ from tools.reference.tables import code, number, page, sentence, table
 
 # Page, title, and the places whose components it holds; the first that a place begins with.
 PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "components/sensors": ("Sensors", ("fleets.NAME.sensors",)),
+    "components/sensors": ("Components: sensors", ("fleets.NAME.sensors",)),
     "components/vehicles": (
-        "Vehicles, batteries and starts",
+        "Components: vehicles, batteries, starts",
         ("fleets.NAME.vehicle", "fleets.NAME.battery", "fleets.NAME.placement"),
     ),
-    "components/control": ("Controllers, guidance and estimators", ("fleets.NAME",)),
-    "components/world": ("World: air, ground, sky and obstacles", ("world",)),
-    "components/tasks": ("Tasks", ("task",)),
+    "components/control": ("Components: controllers, guidance, estimators", ("fleets.NAME",)),
+    "components/world": ("Components: air, ground, sky, obstacles", ("world",)),
+    "components/tasks": ("Components: tasks", ("task",)),
 }
 SHARED = """Angles in `_rad` may be given as `_deg` instead. A parameter marked "list" takes one number
 for all vehicles of the fleet, or a list with one for each."""
