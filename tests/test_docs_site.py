@@ -12,6 +12,8 @@ from tools import reference, site
 from tools.reference import environment_variables
 from tools.site_source import BrokenLinkError, collect, pages
 
+import qrsim
+
 ROOT = Path(__file__).resolve().parent.parent
 # Those that build every schema or compile a world: one process makes them, without what other tests have registered.
 SLOW = ("components", "scenario_schema", "log_columns")
@@ -63,6 +65,12 @@ def test_fields_of_records_show_their_declaration() -> None:
     assert fields["drift_std"].docstring.value == "Stationary std of the drift [m]; at least 0.0; default 0.26"
     assert fields["drift_time_constant"].docstring.value == ("Time constant of the drift [s]; above 0.0; default 300.0")
     assert fields["drift_std"].value is None
+
+
+def test_every_public_name_has_an_entry() -> None:
+    page = (ROOT / "docs" / "reference" / "api" / "qrsim.md").read_text("utf-8")
+    entries = re.findall(r"^::: qrsim\.(\w+)$", page, re.MULTILINE)
+    assert sorted(entries) == sorted(set(qrsim.__all__) - {"__version__"})
 
 
 class TestCollecting:

@@ -25,7 +25,7 @@ WARNINGS = ("WARNING", "Warning:", "griffe:", "Traceback")
 def address() -> str:
     """Return the address of the repository's files at the tag of this version."""
     lines = (ROOT / "mkdocs.yml").read_text("utf-8").splitlines()
-    (repository,) = (line.split(": ", 1)[1] for line in lines if line.startswith("repo_url: "))
+    (repository,) = (line.split(": ", 1)[1] for line in lines if line.startswith("  repository: "))
     return f"{repository.rstrip('/')}/blob/v{metadata.version('qrsim')}"
 
 
