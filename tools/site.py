@@ -7,6 +7,7 @@ docstring each end it with exit code 1.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -19,7 +20,7 @@ from tools.site_source import BrokenLinkError, collect, pages
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "build" / "site-source"
 # Of griffe and mkdocstrings, which do not end the build of Zensical by themselves.
-WARNINGS = ("WARNING", "Warning:", "griffe:", "Traceback")
+WARNINGS = ("WARNING", "Warning:", "griffe:")
 
 
 def address() -> str:
@@ -43,12 +44,13 @@ def build(program: str) -> int:
         return 1
     print(f"{collect(ROOT, SOURCE, address())} links to files of the repository", flush=True)
     command = [sys.executable, "-m", program, "build", "--strict", "--clean"]
-    environment = {**os.environ, "NO_COLOR": "1"}
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(
         command, cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
     )
-    print(done.stdout, end="")
-    warned = [line for line in done.stdout.splitlines() if any(word in line for word in WARNINGS)]
+    output = re.sub("\x1b\\[[0-9;]*m", "", done.stdout)  # Zensical colours it for files too
+    print(output, end="")
+    warned = [line for line in output.splitlines() if line.lstrip().startswith(WARNINGS)]
     if warned:
         print(f"{len(warned)} warnings", file=sys.stderr)
     return 1 if warned or done.returncode else 0

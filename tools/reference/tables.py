@@ -38,7 +38,7 @@ def number(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:.6g}".replace("e+0", "e").replace("e-0", "e-")
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(number, value))}]"
     if isinstance(value, dict):
