@@ -1,4 +1,4 @@
-"""The page of a scenario's keys: a tree, with an example of each from the scenarios that come with qrsim."""
+"""The pages of the keys of scenarios and studies: trees, with examples from those that come with qrsim."""
 
 from __future__ import annotations
 
@@ -10,33 +10,38 @@ from typing import Any
 import yaml
 
 import qrsim.scenarios
+import qrsim.studies.sweep
 from tools.reference.components import anchor, page_of
-from tools.reference.schema import Node, alternatives, bounds_of, kinds, resolved, schema, type_of
+from tools.reference.schema import Node, alternatives, bounds_of, kinds, resolved, schema, study_schema, type_of
 from tools.reference.tables import number, page, sentence
 
 LONGEST_EXAMPLE = 60
 
 
 def pages() -> Mapping[str, str]:
-    """Return the page."""
-    introduction = """The keys of a scenario file, as a tree. Each line gives the meaning, the type, the bounds,
-        the default and an example. Keys that take a component link to its types. [Writing a
-        scenario](../scenarios.md) explains how the parts work together, and `qrsim schema` prints the same as a
-        JSON schema for editors."""
-    parts = []
-    for name, node in schema()["properties"].items():
-        target = resolved(node)
-        lines = "\n".join(_lines(name, node, name in schema()["required"], 0))
-        parts.append(f"## {name}\n\n{lines}" if "properties" in target or name == "fleets" else lines)
-    plain = [part for part in parts if not part.startswith("##")]
+    """Return the page of scenarios and that of studies."""
+    scenario = """The keys of a scenario file, as a tree. Each line gives the meaning, the type, the bounds, the default
+        and an example. Keys that take a component link to its types. [Writing a scenario](../scenarios.md) explains
+        how the parts work together, and `qrsim schema` prints the same as a JSON schema for editors."""
+    study = """The keys of a study file, as a tree: a scenario, the parameters that vary, and the metrics to keep. Each
+        line gives the meaning, the type, the bounds, the default and an example. [Studies and sweeps](../sweep.md)
+        explains how to fly one."""
     return {
-        "scenario_schema.md": page(
-            "Keys of a scenario",
-            introduction,
-            "## Top level\n\n" + "\n".join(plain),
-            *(p for p in parts if p.startswith("##")),
-        )
+        "scenario_schema.md": page("Keys of a scenario", scenario, *_tree(schema())),
+        "study_schema.md": page("Keys of a study", study, *_tree(study_schema())),
     }
+
+
+def _tree(root: Node) -> list[str]:
+    """Return the plain keys of a file under one heading, and each key with keys below it under its own."""
+    plain, parts = [], []
+    for name, node in root["properties"].items():
+        lines = list(_lines(name, node, name in root.get("required", []), 0))
+        if _below(name, resolved(node)):
+            parts.append(f"## {name}\n\n" + "\n".join(lines))
+        else:
+            plain += lines
+    return ["## Top level\n\n" + "\n".join(plain), *parts]
 
 
 def _lines(path: str, node: Node, required: bool, depth: int) -> Iterator[str]:
@@ -101,7 +106,7 @@ def _example(path: str, node: Node) -> str:
 @cache
 def _given() -> dict[str, tuple[str, ...]]:
     """Return path -> values in the scenarios that come with qrsim."""
-    folder = Path(qrsim.scenarios.__file__).parent
+    folders = (Path(qrsim.scenarios.__file__).parent, Path(qrsim.studies.sweep.__file__).parent)
     found: dict[str, tuple[str, ...]] = {}
 
     def walk(value: Any, path: str) -> None:
@@ -110,12 +115,14 @@ def _given() -> dict[str, tuple[str, ...]]:
         found[path] += (text,)
         if isinstance(value, dict):
             for key, inner in value.items():
-                walk(inner, f"{path}.{'NAME' if path in ('fleets', 'fleets.NAME.sensors') else key}".lstrip("."))
+                walk(
+                    inner, f"{path}.{'NAME' if path in ('fleets', 'fleets.NAME.sensors', 'vary') else key}".lstrip(".")
+                )
         elif isinstance(value, list):
             for inner in value:
                 if isinstance(inner, dict):
                     walk(inner, f"{path}[]")
 
-    for file in sorted(folder.rglob("*.yaml")):
+    for file in sorted(file for folder in folders for file in folder.rglob("*.yaml")):
         walk(yaml.safe_load(file.read_text("utf-8")), "")
     return found

@@ -21,11 +21,24 @@ def schema() -> Node:
     return json_schema()
 
 
+@cache
+def study_schema() -> Node:
+    """Return the schema of studies."""
+    from qrsim.studies.sweep.study import StudySpec
+
+    return StudySpec.model_json_schema()
+
+
+@cache
+def _definitions() -> Node:
+    return {**study_schema()["$defs"], **schema()["$defs"]}
+
+
 def resolved(node: Node) -> Node:
     """Return what a node refers to, with the words that stand beside the reference."""
     if "$ref" not in node:
         return node
-    target: Node = schema()["$defs"][node["$ref"].rsplit("/", 1)[-1]]
+    target: Node = _definitions()[node["$ref"].rsplit("/", 1)[-1]]
     beside = {key: value for key, value in node.items() if key != "$ref"}
     return {**target, **beside}
 
