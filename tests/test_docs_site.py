@@ -67,6 +67,16 @@ def test_fields_of_records_show_their_declaration() -> None:
     assert fields["drift_std"].value is None
 
 
+def test_pages_that_docstrings_name_are_links() -> None:
+    griffe = pytest.importorskip("griffe", reason="make docs installs it")
+    extensions = griffe.load_extensions(str(ROOT / "tools" / "record_fields.py"))
+    code = 'def wave():\n    """Waves (docs/models/air.md), [gusts](docs/gusts.md)."""\n'
+    with griffe.temporary_pypackage("waves", {"__init__.py": code}) as package:
+        module = griffe.load("waves", search_paths=[package.tmpdir], extensions=extensions)
+    text = module["wave"].docstring.value
+    assert text == "Waves ([docs/models/air.md](../../models/air.md)), [gusts](docs/gusts.md)."
+
+
 def test_every_public_name_has_an_entry() -> None:
     page = (ROOT / "docs" / "reference" / "api" / "qrsim.md").read_text("utf-8")
     entries = re.findall(r"^::: qrsim\.(\w+)$", page, re.MULTILINE)
@@ -102,6 +112,7 @@ class TestCollecting:
             "[home](index.md)\n```text\n[no](link.md)\n```\n[data](https://host/blob/v1/docs/evidence/a.json)\n"
         )
         assert (out / "reference" / "client_cpp.md").read_text("utf-8") == "[root](../index.md)\n"
+        assert (out / "project" / "changelog.md").read_text("utf-8") == "---\nsearch:\n  exclude: true\n---\n\nnone\n"
         assert (out / "images" / "a.png").exists()
         assert not (out / "evidence").exists()
 

@@ -1,4 +1,4 @@
-"""An extension of griffe that documents the fields of records.
+"""An extension of griffe that documents the fields of records, and links the pages that docstrings name.
 
 Fields declare their sentence, unit, bounds and default as arguments of ``parameter``, ``setting``, ``quantity`` or
 ``derived``. The extension reads these from the syntax tree, so that the API reference shows them and the package need
@@ -8,16 +8,26 @@ not be imported.
 from __future__ import annotations
 
 import ast
+import re
 from typing import Any
 
-from griffe import Attribute, Docstring, Extension
+from griffe import Attribute, Docstring, Extension, Object
 
 MAKERS = ("parameter", "setting", "quantity", "derived")
 BOUNDS = {"minimum": "at least", "above": "above", "maximum": "at most"}
 
 
+# Entries are on pages of docs/reference/api/.
+_PAGE = re.compile(r"(?<![\w/\[`])(?<!\]\()docs/([\w/]+\.md)")
+
+
 class RecordFields(Extension):
     """Gives each field of a record a docstring made of its declaration."""
+
+    def on_object(self, *, obj: Object, **_: Any) -> None:
+        """Make links of the pages that a docstring names."""
+        if obj.docstring is not None:
+            obj.docstring.value = _PAGE.sub(r"[docs/\1](../../\1)", obj.docstring.value)
 
     def on_attribute_instance(self, *, node: Any, attr: Attribute, **_: Any) -> None:
         """Set the docstring of one field, and drop the declaration as its value."""

@@ -23,6 +23,8 @@ EXTRA = {
     "clients/ros2/README.md": "reference/client_ros2.md",
 }
 LEFT_OUT = "evidence"
+# Its one section has every word.
+UNSEARCHED = ("CHANGELOG.md",)
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)\s#]+)(?P<anchor>#[^)\s]*)?(?=\))")
 _FENCE = re.compile(r"^\s*(```+|~~~+)")
 
@@ -65,6 +67,8 @@ def collect(root: Path, out: Path, address: str) -> int:
             continue
         text, count = turn(source.read_text("utf-8"), source, places, root, address)
         turned += count
+        if source.name in UNSEARCHED:
+            text = f"---\nsearch:\n  exclude: true\n---\n\n{text}"
         if not target.exists() or target.read_text("utf-8") != text:
             target.write_text(text, "utf-8")
     kept = {out / name for name in places.values()}
