@@ -12,17 +12,17 @@ from tools.reference.tables import code, number, page, table
 
 def pages() -> Mapping[str, str]:
     """Return the page."""
-    introduction = """Each task of qrsim is an environment of Gymnasium where it commands one vehicle, and of
-        PettingZoo where it commands several. All of them are pure functions of JAX as well:
+    introduction = """Each task of qrsim is an environment of Gymnasium where it commands one vehicle, made by
+        `gymnasium.make(ID)`. Where it commands several, it is one of PettingZoo:
+        `qrsim.envs.parallel_env(SCENARIO)`. All are pure functions of JAX as well:
         `qrsim.envs.Functional.of(SCENARIO)`. An episode is terminated when a vehicle stops, and truncated after its
         last step. [Tasks and environments](../tasks.md) defines the rewards and scores the baselines."""
     each = {name: Functional.of(name) for name in (*SINGLE, *SEVERAL)}
     rows = [_row(name, functional) for name, functional in each.items()]
-    listed = table(("scenario", "made by", "agents", "observation", "action", "steps", "period [s]", "penalty"), rows)
+    listed = table(("scenario", "ID", "agents", "observation", "action", "steps", "period [s]"), rows)
     other = (
         f'`gymnasium.make("{ANY_TASK}", scenario=SCENARIO)` takes any scenario with a task. An action is numbers'
-        " in [-1, 1], which the task scales to the ranges below. The penalty is the reward of the step in which a "
-        "vehicle stops, unless the task computes its own."
+        " in [-1, 1], which the task scales to the ranges below."
     )
     groups: dict[str, list[str]] = {}
     for name, functional in each.items():
@@ -33,11 +33,11 @@ def pages() -> Mapping[str, str]:
 
 def _row(name: str, functional: Functional) -> tuple[str, ...]:
     task = functional.play.task
-    made = f'gymnasium.make("{gymnasium_id(name)}")' if name in SINGLE else f'parallel_env("{name}")'
+    made = gymnasium_id(name) if name in SINGLE else ""
     acts = functional.play.sides[0].axes
     return (
         code(name), code(made), str(len(functional.agents)), _count(functional.observation_axes), str(len(acts)),
-        str(functional.play.steps), number(float(task.period)), number(float(task.penalty)),
+        str(functional.play.steps), number(float(task.period)),
     )  # fmt: skip
 
 
