@@ -104,7 +104,7 @@ proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qr
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto
 
 clean:  ## remove caches and build output (.venv stays)
-	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf build dist .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:  ## list the targets

@@ -77,6 +77,20 @@ def test_pages_that_docstrings_name_are_links() -> None:
     assert text == "Waves ([docs/models/air.md](../../models/air.md)), [gusts](docs/gusts.md)."
 
 
+def test_attributes_that_share_an_entry_get_one_each() -> None:
+    griffe = pytest.importorskip("griffe", reason="make docs installs it")
+    extensions = griffe.load_extensions(str(ROOT / "tools" / "record_fields.py"))
+    code = (
+        'class Box:\n    """A box.\n\n    Attributes:\n        low, high: its ends,\n            in metres.\n    """\n'
+    )
+    with griffe.temporary_pypackage("boxes", {"__init__.py": code}) as package:
+        module = griffe.load("boxes", search_paths=[package.tmpdir], extensions=extensions)
+    _, attributes = module["Box"].docstring.parse("google")
+    assert [(each.name, each.description) for each in attributes.value] == [
+        ("low", "its ends,\nin metres."), ("high", "its ends,\nin metres."),
+    ]  # fmt: skip
+
+
 def test_every_public_name_has_an_entry() -> None:
     page = (ROOT / "docs" / "reference" / "api" / "qrsim.md").read_text("utf-8")
     entries = re.findall(r"^::: qrsim\.(\w+)$", page, re.MULTILINE)

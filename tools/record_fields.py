@@ -1,4 +1,4 @@
-"""An extension of griffe that documents the fields of records, and links the pages that docstrings name.
+"""An extension of griffe that documents the fields of records, and prepares other docstrings for the site.
 
 Fields declare their sentence, unit, bounds and default as arguments of ``parameter``, ``setting``, ``quantity`` or
 ``derived``. The extension reads these from the syntax tree, so that the API reference shows them and the package need
@@ -20,14 +20,18 @@ BOUNDS = {"minimum": "at least", "above": "above", "maximum": "at most"}
 # Entries are on pages of docs/reference/api/.
 _PAGE = re.compile(r"(?<![\w/\[`])(?<!\]\()docs/([\w/]+\.md)")
 
+# An entry of a section, and the lines that go on with it. Functions may not join parameters: griffe warns of them.
+_JOINED = re.compile(r"^( +)(\w+(?:, \w+)+): (.*(?:\n\1 +.*)*)", re.MULTILINE)
+
 
 class RecordFields(Extension):
     """Gives each field of a record a docstring made of its declaration."""
 
     def on_object(self, *, obj: Object, **_: Any) -> None:
-        """Make links of the pages that a docstring names."""
+        """Make links of the pages that a docstring names, and give each of several attributes an entry."""
         if obj.docstring is not None:
-            obj.docstring.value = _PAGE.sub(r"[docs/\1](../../\1)", obj.docstring.value)
+            text = _PAGE.sub(r"[docs/\1](../../\1)", obj.docstring.value)
+            obj.docstring.value = text if obj.is_function else _JOINED.sub(_entries, text)
 
     def on_attribute_instance(self, *, node: Any, attr: Attribute, **_: Any) -> None:
         """Set the docstring of one field, and drop the declaration as its value."""
@@ -35,6 +39,12 @@ class RecordFields(Extension):
         if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in MAKERS:
             attr.docstring = attr.docstring or Docstring(sentence(call), parent=attr)
             attr.value = None
+
+
+def _entries(found: re.Match[str]) -> str:
+    """Return an entry for each name of one that joins several."""
+    indent, names, text = found.groups()
+    return "\n".join(f"{indent}{name}: {text}" for name in names.split(", "))
 
 
 def sentence(call: ast.Call) -> str:
