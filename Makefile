@@ -13,7 +13,7 @@ CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard tools) 
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly lint bench evidence pictures docs docs-serve docs-pages proto clean help
+.PHONY: install tools run test test-long test-nightly lint bench evidence pictures docs docs-serve docs-pages proto dist clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -102,6 +102,12 @@ docs-pages: $(TOOLS)  ## write the pages of docs/reference/ that are generated f
 
 proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto
+
+dist: $(STAMP)  ## build the wheel and the source distribution in dist/, and check them
+	rm -rf dist
+	$(PIP) '.[release]'
+	$(BIN)/python -m build --installer pip
+	$(BIN)/python -m twine check --strict dist/*
 
 clean:  ## remove caches and build output (.venv stays)
 	rm -rf build dist .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -90,16 +90,16 @@ def no_collisions(off: bool) -> Iterator[None]:
     """Let nobody look for collisions, if ``off``, which no scenario can ask for: for the cost of looking."""
     from qrsim.engine.programs import forget
     from qrsim.models.scene.area import Violation
-    from qrsim.world import tick as ticks_of
+    from qrsim.world import checking
 
-    before = ticks_of.collisions
+    before = checking.collisions
     if off:
-        ticks_of.collisions = lambda position_ned, *_: Violation.first([], position_ned.x)
+        checking.collisions = lambda position_ned, *_: Violation.first([], position_ned.x)
     forget()
     try:
         yield
     finally:
-        ticks_of.collisions = before
+        checking.collisions = before
 
 
 def measure(worlds: int, count: int, stage: str, seconds: float, repeats: int) -> dict[str, Any]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
 
 import qrsim
+from qrsim.control.contracts import Estimator
+from qrsim.control.kalman_state import Inner
 from qrsim.core.fastmath import wrap_angle
 from qrsim.interface.consistency import truth_of
 
@@ -22,11 +24,13 @@ WHITE = (
 )
 CASES: dict[str, list[str]] = {
     "default": [],
+    "hover": ["fleets.pelicans.vehicles=[{position_ned: [0, 0, -20]}]"],
     "mpu6000": [f"{IMU}.preset=mpu6000"],
     "white": [f"{ESTIMATOR}={WHITE}"],
 }
 # Rows of a record that belong together.
-BLOCKS = {"position": (0, 1, 2), "velocity": (3, 4, 5), "tilt": (6, 7), "yaw": (8,)}
+BLOCKS = {"position": (0, 1, 2), "velocity": (3, 4, 5), "tilt": (6, 7), "yaw": (8,), "gyroscope": (9, 10, 11),
+          "accelerometer": (12, 13, 14)}  # fmt: skip
 _ANGLES = ("roll", "pitch", "yaw")
 # 95 % of errors are within this multiple of their std.
 _WITHIN = 1.96
@@ -52,9 +56,10 @@ def outdoors(full: bool) -> dict[str, Any]:
 
 
 def _flown(overrides: list[str], seeds: int, seconds: int) -> tuple[Any, Any]:
-    """Return errors and stated stds (9, N) at every second of flights, of position, velocity and Euler angles."""
+    """Return errors and stated stds (15, N) at every second of flights, of the motion and of both biases."""
     scenario = qrsim.load_scenario("outdoor_patrol", [f"duration={seconds}", *overrides], quiet=True)
     fleet = scenario.world().fleets[0]
+    estimator = cast(Estimator, fleet.own_estimator)
 
     def look(state: Any) -> Any:
         fleet_state = state.fleets[0]
@@ -64,8 +69,13 @@ def _flown(overrides: list[str], seeds: int, seconds: int) -> tuple[Any, Any]:
         turn = [wrap_angle(getattr(belief.estimate.attitude, a) - getattr(truth.attitude, a)) for a in _ANGLES]
         stated = [*belief.std.position_ned.axes, *belief.std.velocity_ned.axes]
         stated += [getattr(belief.std.attitude, angle) for angle in _ANGLES]
-        return jnp.stack([*place.axes, *speed.axes, *turn, *stated])
+        own, own_std = cast(tuple[Inner, Inner], estimator.inner(belief.memory))
+        biases = []
+        for name in ("gyroscope_bias", "accelerometer_bias"):
+            biases += (getattr(own, name) - getattr(truth, name)).axes
+            stated += getattr(own_std, name).axes
+        return jnp.stack([*place.axes, *speed.axes, *turn, *biases, *stated])
 
     recorded = np.asarray(qrsim.rollout(scenario, seeds=range(seeds), record=look).recorded, float)
-    flat = np.moveaxis(recorded, 2, 0).reshape(18, -1)
-    return flat[:9], flat[9:]
+    flat = np.moveaxis(recorded, 2, 0).reshape(30, -1)
+    return flat[:15], flat[15:]

@@ -23,6 +23,7 @@ from qrsim.control.kalman_state import SIZE, KalmanState
 from qrsim.control.setpoints import Estimate
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.engine.settings import quick_jit
 
 DOC = "errors of the Kalman filter compared with what it states: white, late and coloured fixes, and outdoors"
 SEED = 20261122
@@ -189,9 +190,6 @@ def filtered(
         given[name] = np.concatenate([array, given[name][np.maximum(np.arange(1, ticks + 1) - late, 0)]])
     packed = {name: jnp.asarray(array, jnp.float32) for name, array in given.items()}
 
-    def readings(k: Any) -> dict[str, Any]:
-        return _readings({name: array[k] for name, array in packed.items()})
-
     wrong = np.zeros((count, 3))
     wrong[:, :2] = float(kalman.tilt_std) * random.standard_normal((count, 2))
     if "yaw" not in given:
@@ -199,15 +197,21 @@ def filtered(
     Turn = scipy.spatial.transform.Rotation
     begun = (Turn.from_rotvec(wrong) * Turn.from_matrix(truth.turned[0])).as_euler("ZYX")[:, ::-1]
     angles = Euler(*(jnp.asarray(begun[:, axis], jnp.float32) for axis in range(3)))
-    state, _ = kalman.init(readings(0), Estimate(vec(truth.position[0]), vec(truth.velocity[0]), angles))
+    state, _ = kalman.init(_readings(packed, 0), Estimate(vec(truth.position[0]), vec(truth.velocity[0]), angles))
+    return _stepped(kalman, state, packed), biases
+
+
+@quick_jit
+def _stepped(kalman: ErrorStateKalmanFilter, state: KalmanState, packed: dict[str, Any]) -> KalmanState:
+    """Return the states (T, n) after each of the readings but the first."""
 
     def tick(state: KalmanState, k: Any) -> tuple[KalmanState, KalmanState]:
         every = {"gnss": 10, "barometer": 2, "compass": 5, "magnetometer": 5, "pitot": 5, "imu": 1}
-        state, _ = kalman.step(state, readings(k), {name: k % ticks == 0 for name, ticks in every.items()}, DT)
+        new = {name: k % ticks == 0 for name, ticks in every.items()}
+        state, _ = kalman.step(state, _readings(packed, k), new, DT)
         return state, state
 
-    _, states = jax.jit(lambda state: jax.lax.scan(tick, state, jnp.arange(1, ticks + 1)))(state)
-    return states, biases
+    return jax.lax.scan(tick, state, jnp.arange(1, len(packed["fix"])))[1]
 
 
 def _others(
@@ -235,8 +239,9 @@ def _others(
     }
 
 
-def _readings(part: dict[str, Any]) -> dict[str, Any]:
-    """Return the readings of a tick, by the arrays (n,) or (n, 3) that there are."""
+def _readings(packed: dict[str, Any], k: Any) -> dict[str, Any]:
+    """Return the readings of tick k, by the arrays (T, n) or (T, n, 3) that there are."""
+    part = {name: array[k] for name, array in packed.items()}
     found: dict[str, Any] = {
         "imu": Inertial(Vec3(*part["rates"].T), Vec3(*part["force"].T)),
         "gnss": Fix(Vec3(*part["fix"].T), Vec3(*part["speed"].T)),

@@ -5,13 +5,17 @@ The computation is ``qrsim validate``'s.
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from qrsim.errors import RunError
 from qrsim.studies.validate import outdoor, rotation, thrust
-from qrsim.studies.validate.recorded import FETCH, command_rows
+from qrsim.studies.validate.recorded import FETCH, Match, command_rows
 
 __all__ = ["DOC", "command_rows", "data_folder", "run"]
 
@@ -30,28 +34,42 @@ def data_folder() -> Path:
     return Path(name)
 
 
-def _errors(folder: Path, precision: str) -> tuple[dict[str, Any], outdoor.Outdoor]:
-    """Return the mean squared errors of a precision, and its outdoor flight."""
+def _errors(folder: Path, precision: str) -> tuple[dict[str, Any], dict[str, Match], outdoor.Outdoor]:
+    """Return the mean squared errors of a precision, the recordings beside the simulation, and its outdoor flight."""
     turned = rotation.rotation_match(folder / rotation.RECORDING, precision)
     pushed = thrust.thrust_errors(folder / thrust.RECORDING, precision)
     flight = outdoor.fly_recorded(folder / outdoor.RECORDING, precision)
-    errors = {
-        "rotation": turned.mean_square(),
-        "thrust": pushed,
-        "outdoor_velocity": outdoor.velocity_match(flight).mean_square(),
+    matches = {"rotation": turned, "outdoor_velocity": outdoor.velocity_match(flight)}
+    errors = {name: match.mean_square() for name, match in matches.items()} | {"thrust": pushed}
+    return errors, matches, flight
+
+
+def _scaled(matches: Mapping[str, Match], pushed: Mapping[str, float]) -> dict[str, Any]:
+    """Return root mean squared errors and the standard deviations of the records, angles in degrees."""
+    degrees = math.degrees(1.0)
+    found: dict[str, Any] = {
+        "thrust": {"rms": math.sqrt(pushed["mean_squared_error"]), "std": math.sqrt(pushed["record_variance"])}
     }
-    return errors, flight
+    for part, match in matches.items():
+        scale = degrees if part == "rotation" else 1.0
+        spread = np.std(match.recorded, axis=0).tolist()
+        found[part] = {
+            name: {"rms": scale * math.sqrt(error), "std": scale * spread[i]}
+            for i, (name, error) in enumerate(match.mean_square().items())
+        }
+    return found
 
 
 def run(full: bool, folder: Path | None = None) -> dict[str, Any]:
-    """Return every mean squared error in float64; the full form adds those of a float32 run.
+    """Return every error in float64; the full form adds those of a float32 run.
 
     Raises:
         RunError: no recordings.
     """
     folder = data_folder() if folder is None else folder
-    results, flight = _errors(folder, "float64")
+    results, matches, flight = _errors(folder, "float64")
+    results["scaled"] = _scaled(matches, results["thrust"])
     results["specific_force"] = outdoor.specific_force_errors(flight)
     if full:
-        results["float32"], _ = _errors(folder, "float32")
+        results["float32"], _, _ = _errors(folder, "float32")
     return results

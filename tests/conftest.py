@@ -6,9 +6,13 @@ import gc
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
+from jax._src import compiler
+
+from qrsim.engine.settings import quick_to_compile
 
 # Tests fly for seconds at most, which is too short to compile better code; the tiers have tests of their own.
 os.environ.setdefault("QRSIM_TIER", "quick")
@@ -62,13 +66,27 @@ def resident_bytes() -> int:
 
 
 # Rooms whose tests compile many programs that run for a moment.
-QUICKLY_COMPILED = ("control", "core", "laws", "models", "studies/slam")
+QUICKLY_COMPILED = ("control", "core", "envs", "laws", "models", "studies/slam", "tasks")
+options_of_xla = compiler.get_compile_options
+
+
+def quick_options(*given: Any, env_options_overrides: dict[str, Any] | None = None, **named: Any) -> Any:
+    """Return XLA's options for a program: in rooms that are quickly compiled with the older code generator."""
+    quick = quick_to_compile() if jax.config.values["jax_disable_most_optimizations"] else {}
+    return options_of_xla(*given, env_options_overrides=quick | (env_options_overrides or {}), **named)
+
+
+# JAX has no setting for it. It takes half the time.
+compiler.get_compile_options = quick_options
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _quick_xla(request: pytest.FixtureRequest) -> Iterator[None]:
     """Have XLA compile without the passes that take longer than what they save in a test."""
     quick = any(request.path.is_relative_to(Path(__file__).parent / room) for room in QUICKLY_COMPILED)
+    if quick:
+        # Asks XLA, by a program, for the options that it knows.
+        quick_to_compile()
     jax.config.update("jax_disable_most_optimizations", quick)
     yield
     jax.config.update("jax_disable_most_optimizations", False)

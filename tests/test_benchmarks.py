@@ -1,4 +1,7 @@
-"""Every benchmark runs, in its smallest form; its numbers are looked at only for their kind."""
+"""Every benchmark runs, in its smallest form; its numbers are looked at only for their kind.
+
+Those of whole programs are run by the long tests; those of one part of the simulator by the nightly ones.
+"""
 
 from __future__ import annotations
 
@@ -99,6 +102,7 @@ def test_startup():
     assert all(row["wall_s"] <= row["wall_max_s"] for row in results)
 
 
+@pytest.mark.nightly
 def test_light():
     floor, plain = rows("light")
     assert floor["over_import_jax"] == 1.0 < plain["over_import_jax"]
@@ -111,7 +115,7 @@ def test_throughput():
     assert many["stage"] == one["stage"] == "everything"
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_turbulence():
     found = {row["turbulence"]: row for row in rows("turbulence")}
     assert list(found) == ["still", "dryden", "dryden_field"]
@@ -120,7 +124,7 @@ def test_turbulence():
     assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 4 * 4]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_radio():
     (row,) = rows("radio")
     assert row["vehicles"] == 100
@@ -148,7 +152,7 @@ def test_ros2():
     assert row["messages_per_second"] > 100
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_sensors():
     pair, imu = rows("sensors")
     assert (pair["sensors"], imu["sensors"]) == ("gyroscope, accelerometer", "imu")
@@ -156,7 +160,7 @@ def test_sensors():
     assert imu["over_pair"] > 0.0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_estimators():
     bare, *others = rows("estimators")
     assert bare["throughput"] == 1.0
@@ -197,18 +201,21 @@ def test_mavlink():
     assert row["frames_per_second"] > 60
 
 
+@pytest.mark.nightly
 def test_looking():
     few, many = rows("looking")
     assert (few["sensors"], many["sensors"]) == ("3", "12")
     assert few["over_first"] == 1.0
 
 
+@pytest.mark.nightly
 def test_stepping():
     results = {row["call"]: row for row in rows("stepping")}
     assert results["step(sim.waypoint(goal))"]["calls"] <= 25
     assert results["step().gnss.position_ned"]["calls"] <= 30
 
 
+@pytest.mark.nightly
 def test_latency():
     [row] = rows("latency")
     assert row["median_us"] <= row["p95_us"] <= row["p99_us"]
@@ -278,6 +285,7 @@ def test_environments_of_peers_that_are_not_there_are_named_with_what_installs_t
     assert all("env_peers.py --install" in row["note"] for row in others)
 
 
+@pytest.mark.nightly
 def test_slam_without_gtsam_names_what_installs_it(tmp_path, monkeypatch):
     monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
     results = rows("slam_solver")
@@ -362,6 +370,7 @@ def test_the_scaled_scenario_is_the_default_one_with_more_vehicles(count, common
         assert getattr(spec.fleets["pelicans"], part) == getattr(default.fleets["pelicans"], part)
 
 
+@pytest.mark.nightly
 def test_view():
     results = rows("view")
     updates = [row for row in results if row["cpu_ms"] is not None]

@@ -34,8 +34,10 @@ def test_all_generated_pages_are_those_of_the_code() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_every_page_has_a_place() -> None:
+def test_every_page_has_a_place_of_its_own() -> None:
     assert site.without_a_place() == []
+    names = list(pages(ROOT).values())
+    assert len(set(names)) == len(names)
 
 
 def test_every_environment_variable_is_listed() -> None:
@@ -103,9 +105,10 @@ class TestCollecting:
     @pytest.fixture
     def root(self, tmp_path: Path) -> Path:
         for name, text in {
-            "README.md": "[air](docs/air.md#wind) [code](src/a.py#L3) [web](https://example.org)\n",
+            "README.md": "[air](docs/air.md#wind) [all](docs/index.md) [code](src/a.py#L3) [web](https://example.org)\n",
             "CONTRIBUTING.md": "[here](README.md)\n",
             "CHANGELOG.md": "none\n",
+            "docs/index.md": "all\n",
             "docs/air.md": "[home](../README.md)\n```text\n[no](link.md)\n```\n[data](evidence/a.json)\n",
             "docs/evidence/a.json": "{}\n",
             "docs/images/a.png": "picture\n",
@@ -120,7 +123,7 @@ class TestCollecting:
         out = root / "build" / "site-source"
         assert collect(root, out, "https://host/blob/v1") == 2
         assert (out / "index.md").read_text("utf-8") == (
-            "[air](air.md#wind) [code](https://host/blob/v1/src/a.py#L3) [web](https://example.org)\n"
+            "[air](air.md#wind) [all](all_pages.md) [code](https://host/blob/v1/src/a.py#L3) [web](https://example.org)\n"
         )
         assert (out / "air.md").read_text("utf-8") == (
             "[home](index.md)\n```text\n[no](link.md)\n```\n[data](https://host/blob/v1/docs/evidence/a.json)\n"

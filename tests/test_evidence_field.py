@@ -1,4 +1,4 @@
-"""The small form of the study of the turbulence field (``make evidence field``)."""
+"""The small form of the study of the turbulence field (``make evidence field``); what is quick of it is not nightly."""
 
 from __future__ import annotations
 
@@ -10,13 +10,21 @@ import pytest
 from evidence import field as study
 
 
+@pytest.mark.long
+def test_gusts_at_two_points_have_the_closed_forms() -> None:
+    """Each of 17 means over 100 worlds at 99.9 % over all, with half the pairs of places of the whole small form."""
+    found = study.judge(study.two_points(100, 10))
+    assert found["statistics"] == 17
+    assert found["smallest_p"] > found["p_limit"]
+
+
 @pytest.fixture(scope="module")
 def found() -> dict[str, Any]:
     """The small form of the study."""
     return study.run(full=False)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_field_has_the_closed_forms_of_isotropic_turbulence(found: dict[str, Any]) -> None:
     """Each of 17 means over worlds at 99.9 % over all; spectra, rotation and the rest within stated bands."""
     assert found["statistics"] == 17
@@ -51,7 +59,7 @@ def test_the_field_has_the_closed_forms_of_isotropic_turbulence(found: dict[str,
     assert found["independence"]["largest"] < 5.0 / math.sqrt(300.0)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_vehicle_that_hovers_meets_no_tones(found: dict[str, Any]) -> None:
     """Autocorrelations of two hours at lags from a minute to an hour, of four worlds.
 

@@ -78,7 +78,7 @@ def test_spacings_are_drawn(tmp_path: Path) -> None:
     assert 10_000 < (tmp_path / "a.png").stat().st_size < 200_000
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_one_air_keeps_formations_together_and_carries_gusts_along() -> None:
     """8 seeds of 40 s: more common motion, a quarter of the relative motion, and gusts that arrive when they must."""
     found = study.run(full=False)

@@ -1,4 +1,4 @@
-"""The study of wrong input in its small form: three hundred mutations, each taken or refused in words."""
+"""The study of wrong input in its small form: mutations, each of which is taken or refused in words."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from evidence import fuzz
 from evidence.__main__ import plain
 
 
-@pytest.mark.long
-def test_small_form():
-    entries = fuzz.some(fuzz.SMALL)
+@pytest.mark.parametrize(
+    "count", [pytest.param(100, marks=pytest.mark.long), pytest.param(fuzz.SMALL, marks=pytest.mark.nightly)]
+)
+def test_small_form(count):
+    entries = fuzz.some(count)
     bad = [entry for entry in entries if entry["outcome"] not in ("taken", "refused")]
     assert not bad, bad
     found = plain(fuzz.summed_up(entries))
-    assert found["cases"] == fuzz.SMALL
+    assert found["cases"] == count
     assert set(found["kinds"]) == set(fuzz.KINDS)
     # Mutations that are all refused, or all taken, would say little.
-    assert min(found["taken"], found["refused"]) > fuzz.SMALL // 10
+    assert min(found["taken"], found["refused"]) > count // 10
 
 
 def test_what_is_no_answer_is_counted(tmp_path, monkeypatch):

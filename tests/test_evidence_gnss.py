@@ -40,7 +40,7 @@ def test_jammers_reach_as_far_as_is_published() -> None:
     assert rows["10"]["not_found_m"] / rows["10"]["lost_m"] == pytest.approx(2.55, rel=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_recorded_receiver_is_one_of_the_simulated(recordings: Path) -> None:
     """Every window to 20 s is in the 1 to 99 % band of 200 runs; the slope from 0.4 to 2 s is 0.8 to 1."""
     path = recordings / study.RECORDING

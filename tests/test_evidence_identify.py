@@ -24,7 +24,7 @@ def test_a_simulated_vehicle_is_identified() -> None:
     assert found["delay_rms_error_ms"] < 2.0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_constants_of_a_vehicle_that_lags_are_called_effective() -> None:
     """A lag of 40 ms that the equations do not have: kpq1 is off by 10 % and more, and it is said."""
     found = study.round_trip(1, 16.0, lag_s=study.LAG_S)["constants"]

@@ -31,7 +31,7 @@ def test_the_common_share_of_errors_that_are_sums() -> None:
     assert study.common_share(flown) == pytest.approx(0.0, abs=0.03)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_cooperation_averages_what_each_vehicle_has_of_its_own_and_not_what_they_share() -> None:
     """White inside its band; a shared error as states of each is more certain the more fly, and no better."""
     found = study.run(full=False)

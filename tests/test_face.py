@@ -101,3 +101,8 @@ def test_a_set_point_below_the_ground_is_told_that_z_is_down() -> None:
         checker.actions(qrsim.VelocityHeightSetpoint.of([[1.0, 0.0]], 12.0))
     with pytest.raises(UsageError, match="z is down"):
         checker.actions({"vehicles": qrsim.VelocityHeightSetpoint.of([[1.0, 0.0]], 0.5)})
+
+
+def test_the_citation_is_of_this_version() -> None:
+    root = Path(qrsim.__file__).resolve().parents[2]
+    assert f"\nversion: {qrsim.__version__}\n" in (root / "CITATION.cff").read_text(encoding="utf-8")

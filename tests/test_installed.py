@@ -1,4 +1,8 @@
-"""The wheel, installed as a user would: into an empty environment, with the newest dependencies that it allows."""
+"""The wheel, installed as a user would: into an empty environment, with the newest dependencies that it allows.
+
+That environment takes a minute, so it is nightly. The long tier runs the files of the wheel on the packages that it
+has; tests/test_extras.py shows that those without an extra are enough.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,11 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[1]
 # The largest installation that is promised, without any extra; pip and setuptools are not counted.
 MOST_DISTRIBUTIONS = 35
@@ -52,6 +56,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(command, check=True, timeout=300)
     (found,) = folder.glob("qrsim-*.whl")
     return found
+
+
+@pytest.fixture(scope="module")
+def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of the wheel."""
+    folder = tmp_path_factory.mktemp("unpacked")
+    with zipfile.ZipFile(wheel) as files:
+        files.extractall(folder)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -115,14 +128,13 @@ def test_it_is_small(python: str, tmp_path: Path):
     assert sum(found.values()) <= MOST_MIB
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "words",
     [
         ["run", "patrol_plain", "--duration", "2"],
-        pytest.param(["run", "plume_mapping/3A", "--duration", "2", "--policy", "baseline"], marks=pytest.mark.nightly),
-        pytest.param(
-            ["run", "search_and_rescue/2D", "--duration", "2", "--policy", "baseline"], marks=pytest.mark.nightly
-        ),
+        ["run", "plume_mapping/3A", "--duration", "2", "--policy", "baseline"],
+        ["run", "search_and_rescue/2D", "--duration", "2", "--policy", "baseline"],
         ["slam", "--seeds", "1", "--duration", "10"],
     ],
     ids=lambda words: words[1],
@@ -130,6 +142,33 @@ def test_it_is_small(python: str, tmp_path: Path):
 def test_it_flies(python: str, tmp_path: Path, words: list[str]):
     qrsim(python, tmp_path, "-m", "qrsim.cli", *words, "--out", "run")
     assert (tmp_path / "run").is_dir()
+
+
+@pytest.mark.long
+def test_the_wheel_has_every_file_and_flies(unpacked: Path, tmp_path: Path):
+    def files(folder: Path) -> set[Path]:
+        every = (path for path in (folder / "qrsim").rglob("*") if path.is_file() and path.suffix != ".pyc")
+        return {path.relative_to(folder) for path in every}
+
+    assert files(unpacked) == files(ROOT / "src")
+    # The caches of programs are alike, because the sources are.
+    variables = {"PYTHONPATH": str(unpacked), "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(tmp_path))}
+    found = qrsim(sys.executable, tmp_path, "-c", "import qrsim; print(qrsim.__file__)", **variables)
+    assert Path(found.strip()) == unpacked / "qrsim" / "__init__.py"
+    qrsim(
+        sys.executable,
+        tmp_path,
+        "-m",
+        "qrsim.cli",
+        "run",
+        "patrol_plain",
+        "--duration",
+        "2",
+        "--out",
+        "run",
+        **variables,
+    )
+    assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.nightly
@@ -150,6 +189,7 @@ def test_it_flies_by_xla(python: str, tmp_path: Path):
     qrsim(python, tmp_path, "-c", ROLLOUT)
 
 
+@pytest.mark.nightly
 def test_it_plots(python: str, tmp_path: Path):
     qrsim(python, tmp_path, "-m", "qrsim.cli", "run", "hover_ideal", "--duration", "1", "--out", "run", "--no-figure")
     qrsim(python, tmp_path, "-m", "qrsim.cli", "plot", "run", "--out", "figure.png")

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-# Pages outside docs/, by their names on the site.
+# Names on the site of pages outside docs/; the README is the first page, so the list of all pages has another.
 EXTRA = {
     "README.md": "index.md",
+    "docs/index.md": "all_pages.md",
     "CONTRIBUTING.md": "project/contributing.md",
     "CHANGELOG.md": "project/changelog.md",
     "clients/python/README.md": "reference/client_python.md",
@@ -42,7 +43,7 @@ def pages(root: Path) -> dict[Path, str]:
     docs = root / "docs"
     files = (path for path in sorted(docs.rglob("*")) if path.is_file() and LEFT_OUT not in path.parts)
     extra = {root / name: target for name, target in EXTRA.items()}
-    return extra | {path: path.relative_to(docs).as_posix() for path in files}
+    return {path: path.relative_to(docs).as_posix() for path in files} | extra
 
 
 def collect(root: Path, out: Path, address: str) -> int:

@@ -16,6 +16,7 @@ from qrsim.control.covariance import independent, variances
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_readings import compass, heights
 from qrsim.control.kalman_state import Inner, KalmanState, Places, lost, of_angles, small
+from qrsim.control.kalman_unseen import leaned
 from qrsim.control.mahony import Turning
 from qrsim.control.setpoints import Estimate
 from qrsim.core.quaternions import Quaternion
@@ -87,7 +88,7 @@ class TestConsistency:
 def state(inner: Inner) -> KalmanState:
     """At rest in the origin, level to the north; what is not read is left out."""
     absent: Any = ()
-    return KalmanState(NONE, NONE, NONE, LEVEL, inner, NONE, NONE, (), one(0.0), absent)
+    return KalmanState(NONE, NONE, NONE, LEVEL, inner, NONE, NONE, (), NONE, one(0.0), absent)
 
 
 class TestKalman:
@@ -116,6 +117,20 @@ class TestKalman:
         found = quick(small, vec(0.18, 0.0, -0.24))
         parts = [float(axis[0]) for axis in (found.w, found.x, found.y, found.z)]
         assert parts == pytest.approx([0.955, 0.6 * 0.2955, 0.0, -0.8 * 0.2955], abs=1e-6)
+
+    def test_a_lean_is_remembered(self) -> None:
+        """(F1) Of the 20 s of the mean a tick of 1 s is a twentieth, and adds twice that share of the square.
+
+        A turn to the right side, from (0, 0, 1) to (0, 1, 0), changes two axes by 1. The nineteen twentieths that are
+        left each time add up to 2/20 (1 + 0.95^2 + 0.95^4 ...) = 0.1/(1 - 0.9025) of the square, which is 1.03 of it.
+        """
+        aside = Rotation(vec(1.0, 0.0, 0.0), vec(0.0, 0.0, 1.0), vec(0.0, -1.0, 0.0))
+        lean, added = vec(0.0, 0.0, 1.0), []
+        for _ in range(2):
+            lean, square = quick(lambda lean: leaned(lean, aside, 1.0), lean)
+            added.append(float(square[0]))
+        assert added == pytest.approx([0.1 * 2.0, 0.1 * 2.0 * 0.9025], rel=1e-5)
+        assert numbers(lean) == pytest.approx([0.0, 0.0975, 0.9025], rel=1e-5)
 
     def test_who_is_lost_knows_little(self) -> None:
         """A hundred stds of a fix, 10 m/s, and 0.2 rad of each angle (11 degrees); biases stay as they were."""

@@ -14,7 +14,7 @@ from qrsim.control.contracts import Preflight
 from qrsim.control.covariance import variances
 from qrsim.control.ekf import ErrorStateKalmanFilter, _shares
 from qrsim.control.kalman_state import KalmanState
-from qrsim.control.kalman_unseen import Unseen, along, with_unseen
+from qrsim.control.kalman_unseen import Unseen, along, unseen, with_unseen
 from qrsim.control.setpoints import Estimate
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
@@ -164,3 +164,15 @@ def test_a_speed_accuracy_is_of_all_axes():
     level, down = _shares({"gnss": reading(hdop=one(0.8), vdop=one(1.2))})
     assert [float(level[0]), float(down[0])] == pytest.approx([0.32 / 2.08, 1.44 / 2.08])
     assert _shares({"gnss": reading(position_ned=NONE)}) == pytest.approx((1 / 3, 1 / 3))
+
+
+def test_a_lean_changes_the_biases():
+    """(F6) Leant from (0, 0, 1) to (0.6, 0, 0.8), the downward direction differs by 0.36 + 0.04 in square, times g^2.
+
+    Of the accelerometer 1 % of that, and of its level axes 1 % of g too; of the gyroscope 0.0002 rad/s for 1 m/s^2.
+    """
+    leant = replace(begun(ErrorStateKalmanFilter(), vec(0.0, 0.0, -G)), lean=vec(0.6, 0.0, 0.8))
+    found = unseen(leant, np.float32(0.01), np.float32(2e-4), np.float32(G))  # type: ignore[arg-type]
+    stds = [float(along(found, {k: 1.0})[0]) ** 0.5 for k in (9, 11, 12, 14)]
+    of_lean = 0.4**0.5 * G
+    assert stds == pytest.approx([2e-4 * of_lean, 2e-4 * of_lean, 0.01 * 1.4**0.5 * G, 0.01 * of_lean], rel=1e-4)

@@ -15,12 +15,17 @@ from qrsim.envs.single import SingleTask
 from qrsim.envs.spaces import observation_space
 
 EPISODES, STEPS = 20, 12
-QUICK = ("keep_spot", "cats_and_mouse/1A")
+# Of a family of tasks one variant is flown by day.
+BY_DAY = ("cats_and_mouse/1A", "search_and_rescue/2B", "plume_mapping/3F")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n in QUICK else (pytest.mark.long,)) for n in (*SINGLE, *SEVERAL)]
+    "name",
+    [
+        pytest.param(n, marks=(pytest.mark.nightly,) if "/" in n and n not in BY_DAY else ())
+        for n in (*SINGLE, *SEVERAL)
+    ],
 )
 def test_random_episodes_stay_inside(name: str) -> None:
     batch = Batch(name, EPISODES)

@@ -6,13 +6,13 @@ from functools import cache
 from typing import Any
 
 import gymnasium
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
+from tests.by_numpy import uncompiled
 
 from qrsim.envs import Functional, parallel_env
 from qrsim.envs.parallel import ParallelTask
@@ -134,8 +134,8 @@ def test_pure_functions_hear_what_the_environment_hears() -> None:
     env.reset(seed=5)
     words = np.arange(6.0, dtype=np.float32).reshape(3, 2)
     seen, *_ = env.step({agent: {"act": STILL, "say": words[i]} for i, agent in enumerate(env.agents)})
-    episode, _ = jax.jit(pure.reset)(jnp.uint32(5))
-    step = jax.jit(pure.step)
+    episode, _ = uncompiled(pure.reset)(jnp.uint32(5))
+    step = uncompiled(pure.step)
     _, after = step(episode, {"act": jnp.zeros((3, 2)), "say": jnp.asarray(words)})
     for i, agent in enumerate(env.possible_agents):
         assert seen[agent]["sender"].tolist() == after.observation["sender"][i].tolist()

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test
 from pettingzoo.utils.conversions import parallel_to_aec
+from tests.by_numpy import uncompiled
 
 from qrsim.envs import ANY_TASK, Functional, parallel_env, vector_parallel_env
 from qrsim.envs.parallel import ParallelTask
@@ -71,12 +72,13 @@ def test_pettingzoo_takes_it_in_both_forms() -> None:
 def test_all_forms_are_the_same() -> None:
     env, pure, many = team(), Functional.of(MEETING, SHORT), vector_parallel_env(MEETING, 2, overrides=SHORT)
     seen, _ = env.reset(seed=5)
-    episode, told = pure.reset(5)
+    episode, told = uncompiled(pure.reset)(5)
     wide, _ = many.reset(seed=4)
     assert np.asarray(told["rover"][0]) == pytest.approx(seen[DRIVES], abs=1e-5)
     assert wide[DRIVES][1] == pytest.approx(seen[DRIVES], abs=1e-5)
     seen, rewards, *_ = env.step(still())
-    episode, step = jax.jit(pure.step)(episode, {"quadrotors": jnp.zeros((2, 2)), "rover": jnp.asarray(AHEAD)[None]})
+    act = {"quadrotors": jnp.zeros((2, 2)), "rover": jnp.asarray(AHEAD)[None]}
+    episode, step = uncompiled(pure.step)(episode, act)
     wide, rewarded, *_ = many.step({agent: np.tile(act, (2, 1)) for agent, act in still().items()})
     assert np.asarray(step.observation["quadrotors"]) == pytest.approx(np.stack([seen[a] for a in FLIES]), abs=1e-4)
     assert np.asarray(step.reward) == pytest.approx(list(rewards.values()), rel=1e-5)

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end whatever goes on, wherever they come; the long test presses them at random moments."""
+"""Ctrl-C and SIGTERM end whatever goes on, wherever they come; the long tests press them at random moments."""
 
 from __future__ import annotations
 
@@ -259,6 +259,8 @@ def ended(folder: Path, tries: int, seed: int, longest_s: float) -> None:
         assert not record.exists() or json.loads(record.read_text())["state"] == "interrupted", where
 
 
-@pytest.mark.long
-def test_at_many_moments_of_a_start(tmp_path: Path) -> None:
-    ended(tmp_path, tries=8, seed=2, longest_s=4.0)
+@pytest.mark.parametrize(
+    "tries", [pytest.param(3, marks=pytest.mark.long), pytest.param(16, marks=pytest.mark.nightly)]
+)
+def test_at_many_moments_of_a_start(tries: int, tmp_path: Path) -> None:
+    ended(tmp_path, tries, seed=2, longest_s=4.0)

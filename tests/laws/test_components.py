@@ -47,8 +47,8 @@ FIXED_POINT = ".advance"
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-# Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
-ONE_FORM = [("VEHICLES", "multirotor")]
+# Their slopes and batches take seconds to trace in each of their many forms, which their own tests fly or read.
+ONE_FORM = [("VEHICLES", "multirotor"), ("VEHICLES", "fixed_wing"), ("SENSORS", "gnss"), ("FILTERS", "ekf")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
 
@@ -60,18 +60,19 @@ DEAR = ("VEHICLES", "FILTERS", "CONTROLLERS")
 def option_cases(
     options_are_long: bool = False,
     dear: Sequence[str] = (),
-    one_form: Sequence[tuple[str, str]] = (),
-    nightly: Sequence[str] = (),
+    options_nightly: Sequence[tuple[str, str]] = (),
+    one_in_four: bool = False,
 ) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
     for group, name in COMPONENTS:
-        for settings in options(group, name)[: 1 if (group, name) in one_form else None]:
+        for settings in options(group, name):
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
             long = options_are_long and (bool(settings) or group in dear)
             marks = (pytest.mark.long,) if long else ()
-            # Of groups whose programs take minutes, one component in four is seen by its defaults before the night.
-            if group in nightly and (settings or name not in list(GROUPS[group])[::4]):
+            # All programs take minutes to compile: of each group, one component in four is compiled before the night.
+            not_first = one_in_four and name not in list(GROUPS[group])[::4]
+            if not_first or (settings and (group, name) in options_nightly):
                 marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
@@ -86,14 +87,11 @@ UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow
 UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle", "velocity"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
-# Groups whose components take a second and more to compile each.
-DEAR_PROGRAMS = ("SENSORS", "FILTERS", "VEHICLES")
-every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 # Tracing a slope takes ten times as long as tracing the values, and a batch three times.
-by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR))
+by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR, ONE_FORM))
 by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
 every_program = pytest.mark.parametrize(
-    ("group", "name", "settings"), option_cases(one_form=ONE_FORM, nightly=DEAR_PROGRAMS)
+    ("group", "name", "settings"), option_cases(options_nightly=COMPONENTS, one_in_four=True)
 )
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 

@@ -136,11 +136,13 @@ def _yaws(sensors: str, seeds: int, more: str = "") -> np.ndarray:
 def test_a_magnetometer_holds_the_yaw_of_a_hover():
     """It stays within 4 std for two minutes; without a magnetometer the std rises, and the heading drifts.
 
-    Tilts in gusts seem to tell the heading, and soft iron makes them wrong: of 16 seeds the error is 2.0 std rms at the
-    end.
+    A gyroscope that was calibrated level is off by another 0.1 degrees a second for each g once it leans into the wind:
+    the filter that does not know of it is off by 2.0 std rms at the end.
     """
     held = _yaws("imu: {type: imu}, compass: {type: magnetometer}", 16)
-    assert np.sqrt(np.mean(np.square(held[:, -1, 0] / held[:, -1, 1]))) < 2.6
+    squares = np.square(held[..., 0] / held[..., 1])
+    assert 0.7 < np.mean(squares) < 1.4
+    assert np.mean(squares[:, -1]) < 2.0
     assert (np.abs(held[..., 0]) < 4.0 * held[..., 1]).all()
     assert (held[:, 30:, 1] < 0.035).all()
     lost = _yaws("imu: {type: imu}", 4, ", calibration_time: 0")
@@ -192,6 +194,8 @@ def test_the_numbers_of_the_filter_are_those_of_its_sensors():
     bias = 0.5**2 + 1.0 / 3.0 + 0.02**2 + soft * 50.0**2
     assert float(kalman.field_bias_std) == pytest.approx(bias**0.5, rel=1e-3)
     assert float(kalman.height_drift_std) == pytest.approx(0.26)
+    # 0.1 degrees a second for each g.
+    assert float(kalman.gyroscope_g_sensitivity) == pytest.approx(1.7797e-4, rel=1e-4)
     mpu = _filter(f"{PATROL}.sensors.imu.preset=mpu6000")
     # 20 degrees a second, and 0.1 for each g.
     assert float(mpu.gyroscope_bias_std) == pytest.approx(0.3491, rel=1e-3)

@@ -15,7 +15,8 @@ from qrsim.core.tree import replace
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.simulation import LARGEST_TICK, Simulation
+from qrsim.simulation.arguments import LARGEST_TICK
+from qrsim.simulation.simulation import Simulation
 from small_worlds import ALPHA, BRAVO, quiet, simulate
 
 HOVER = [0.0, 0.0, 0.59, 0.0, 12.0]

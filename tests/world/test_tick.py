@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import qrsim
 from qrsim.models.scene.area import REASONS
 from qrsim.simulation.simulation import Simulation
 from small_worlds import ALPHA, BRAVO, STILL, Flight, noisy, quiet, simulate
@@ -263,3 +264,16 @@ def test_a_fleet_flies_to_its_own_waypoints() -> None:
     goals = np.asarray([waypoint for _, waypoint, _ in (*ALPHA, *BRAVO)])
     # The published height loop is slow; horizontally all have arrived.
     np.testing.assert_allclose(simulation.truth.position_ned[:, :2], goals[:, :2], atol=0.5)
+
+
+@pytest.mark.long
+def test_a_slit_of_a_fence_is_not_crossed_between_two_ticks():
+    """Steps of up to 0.1 m lead across a slit of less than 0.01 m after 10 m of the 20 to the waypoint."""
+    corners = [[-100, -100], [-100, 100], [100, 100], [100, 0.01], [-50, 0], [100, -0.01], [100, -100]]
+    overrides = [
+        "fleets.pelicans.vehicles=[{position_ned: [0, -10, -20], waypoints_ned: [[0, 10, -20]]}]",
+        f"world.area={{type: polygon, corners_ned: {corners}, z_min: -50}}",
+        "duration=10",
+    ]
+    found = qrsim.rollout(qrsim.load_scenario("patrol_plain", overrides, quiet=True), seeds=range(3))
+    assert np.asarray(found.metrics["distance_m"]).max() < 11.0

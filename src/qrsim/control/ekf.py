@@ -30,6 +30,7 @@ from qrsim.control.kalman_parameters import KalmanParameters
 from qrsim.control.kalman_readings import Measured, airspeeds, compass, fields, headings, heights, places, velocities
 from qrsim.control.kalman_start import NORMALS, calibrated, levelled, turned_by
 from qrsim.control.kalman_state import (
+    GYROSCOPE,
     PLACE,
     SIZE,
     SPEED,
@@ -45,7 +46,7 @@ from qrsim.control.kalman_state import (
     of_angles,
     small,
 )
-from qrsim.control.kalman_unseen import Unseen, along, unseen, with_unseen
+from qrsim.control.kalman_unseen import Unseen, along, leaned, unseen, with_unseen
 from qrsim.control.reading_fields import AIRSPEED, FIELD, field_of, known, source_of
 from qrsim.control.setpoints import Estimate
 from qrsim.core.pairs import added
@@ -105,7 +106,8 @@ class ErrorStateKalmanFilter(KalmanParameters):
         )
         state = KalmanState(
             position, none, speed, begun, inner if bias is None else replace(inner, gyroscope_bias=bias),
-            none if rates is None else known(rates, none), Vec3(zero, zero, zero - self.gravity), covariance, zero,
+            none if rates is None else known(rates, none), Vec3(zero, zero, zero - self.gravity), covariance,
+            Vec3(zero, zero, zero + 1.0), zero,
             Innovations(
                 zero, zero, zero, zero, None if inner.earth_field_ned is None else zero,
                 None if inner.wind_north is None else zero,
@@ -180,7 +182,8 @@ class ErrorStateKalmanFilter(KalmanParameters):
 
     def inner(self, state: KalmanState) -> tuple[Inner, Inner]:
         """Return what it estimates beside the motion, and the std of it."""
-        return state.inner, inner_std(state)
+        unseen = self._unseen(state)
+        return state.inner, inner_std(state, [along(unseen, {k: 1.0}) for k in range(GYROSCOPE, SIZE)])
 
     def consistency(self, state: KalmanState, truth: Truth) -> Consistency:
         """Return how large its errors are beside what it states (n,); of magnetic field and wind nothing is said."""
@@ -198,7 +201,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
 
     def _unseen(self, state: KalmanState) -> list[Unseen]:
         """Return the errors that no reading shows, which the covariance does not contain."""
-        return unseen(state, self.accelerometer_scale, self.gravity)
+        return unseen(state, self.accelerometer_scale, self.gyroscope_g_sensitivity, self.gravity)
 
     def innovations(self, state: KalmanState) -> Innovations:
         """Return what the last readings said beside what was expected, in std."""
@@ -249,14 +252,16 @@ class ErrorStateKalmanFilter(KalmanParameters):
             felt = Vec3(*(jnp.where(seen, axis, still) for axis, still in zip(found.axes, felt.axes, strict=True)))
         change = replace(felt, z=felt.z + self.gravity) * dt
         position, low = added(state.position_ned, state.position_low_ned + (state.velocity_ned + 0.5 * change) * dt)
-        noise = self._noise(state.inner, turning, rates - state.rates_body, change, dt)
+        lean, leant = leaned(state.lean, after, dt)
+        noise = self._noise(state.inner, turning, rates - state.rates_body, change, leant, dt)
         covariance = propagated(state.covariance, moves(felt, after, dt), noise)
         return replace(
             state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
             attitude=attitude, rates_body=rates, force_ned=felt, since_fix=state.since_fix + dt, covariance=covariance,
+            lean=lean,
         )  # fmt: skip
 
-    def _noise(self, inner: Inner, turning: Vec3, swing: Vec3, change: Vec3, dt: float) -> list[Array]:
+    def _noise(self, inner: Inner, turning: Vec3, swing: Vec3, change: Vec3, leant: Array, dt: float) -> list[Array]:
         """Return the variance that a tick adds to each error, by rates, their change and that of velocity (F1)."""
         # Roll and pitch mostly turn back, and with them the errors of scale and misalignment.
         turned = (jnp.abs(turning.z) + BACK * (jnp.abs(turning.x) + jnp.abs(turning.y))) * dt
@@ -266,7 +271,9 @@ class ErrorStateKalmanFilter(KalmanParameters):
         of_motion = (0.0 * self.accelerometer_noise, self.accelerometer_noise, self.gyroscope_noise)
         stds = [*(std for std in of_motion for _ in range(3)), *self.walks(inner)]
         found = [std * std * dt for std in stds]
-        more = {SPEED: speed, TURN: turn}
+        # The gyroscope's bias depends on the attitude, by its sensitivity to the specific force.
+        lever = self._as(leant, self.gyroscope_g_sensitivity * self.gravity) * leant
+        more = {SPEED: speed, TURN: turn, GYROSCOPE: lever}
         if inner.earth_field_ned is not None:
             earth = inner.earth_field_ned
             more[SIZE + BLOCK] = self._as(turned, self.field_scale) * earth.dot(earth) * turned

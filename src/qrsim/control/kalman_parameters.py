@@ -36,6 +36,7 @@ class KalmanParameters(Estimator):
     accelerometer_bias_std: Array = _sensed(0.1, "m/s^2", "of its bias at the start")
     gyroscope_scale: Array = _sensed(0.0, "1", "error of a rate over the rate: scale and misalignment")
     accelerometer_scale: Array = _sensed(0.0, "1", "error of an acceleration over it: scale and misalignment")
+    gyroscope_g_sensitivity: Array = _sensed(0.0, "rad s/m", "error of a rate over the specific force")
     position_std: Array = _sensed(1.5, "m", "of a fix, per horizontal axis, where it states no accuracy", positive=True)
     vertical_std: Array = _sensed(2.5, "m", "the same, down", positive=True)
     velocity_std: Array = _sensed(

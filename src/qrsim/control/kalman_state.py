@@ -77,6 +77,7 @@ class KalmanState:
         doc="of position, velocity, rotation in NED, both biases, then field and its bias, wind and bias of the "
         "height: blocks of three errors with three, see covariance.py, 15 to 24 errors"
     )
+    lean: Vec3 = quantity(unit="1", doc="downward direction in body axes, averaged over LEAN_S")
     since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
     innovations: Innovations = quantity(doc="of the last readings")
     past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
@@ -225,11 +226,17 @@ def _inner(inner: Inner, errors: Array) -> Inner:
     return inner
 
 
-def inner_std(state: KalmanState) -> Inner:
-    """Return the std of each part of ``inner``; the covariance may be that of many ticks."""
+def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SIZE - GYROSCOPE)) -> Inner:
+    """Return the std of each part of ``inner``; the covariance may be that of many ticks.
+
+    Args:
+        state: of the filter.
+        unseen: variances of the biases of gyroscope and accelerometer that the covariance does not contain.
+    """
     places = state.places
     # In NumPy where the state is: a log asks for each part of a flight.
-    own = [variance**0.5 for variance in variances(state.covariance)]
+    more = dict(enumerate(unseen, GYROSCOPE))
+    own = [(variance + more.get(k, 0.0)) ** 0.5 for k, variance in enumerate(variances(state.covariance))]
 
     def three(first: int | None) -> Vec3 | None:
         return None if first is None else Vec3(*own[first : first + 3])

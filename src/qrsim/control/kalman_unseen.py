@@ -8,14 +8,18 @@ Schmidt-Kalman filter whose cross-covariances are zero (Schmidt 1966).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.covariance import Sparse
-from qrsim.control.kalman_state import ACCELEROMETER, PLACE, TURN, KalmanState, body_axes
+from qrsim.control.kalman_state import ACCELEROMETER, GYROSCOPE, PLACE, TURN, KalmanState, body_axes
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Rotation, Vec3
+
+# Time constant of the mean lean [s]: faster tilts turn back before a bias by the lean has turned the estimate.
+LEAN_S = 20.0
 
 
 class Unseen(NamedTuple):
@@ -25,9 +29,25 @@ class Unseen(NamedTuple):
     factors: dict[int, Array]
 
 
-def unseen(state: KalmanState, scale: Array, gravity: Array) -> list[Unseen]:
-    """Return the slow errors of the position, and the lean of an accelerometer with errors of ``scale`` [1]."""
-    one = jnp.ones_like(state.since_fix)
+def leaned(lean: Vec3, turned: Rotation, dt: float) -> tuple[Vec3, Array]:
+    """Return the mean downward direction (n,) in body axes after a tick, and the square of its change in the tick.
+
+    The squares of the ticks that follow a sudden change add up to the square of that change.
+    """
+    away = Vec3(*(axis.z for axis in body_axes(turned))) - lean
+    return lean + away * (dt / LEAN_S), away.dot(away) * (2.0 * dt / LEAN_S)
+
+
+def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array) -> list[Unseen]:
+    """Return the errors that the covariance does not contain, in NumPy where the state is.
+
+    Args:
+        state: of the filter.
+        scale: error of a specific force over it [1].
+        sensitivity: of the gyroscope to the specific force [rad s/m].
+        gravity: [m/s^2].
+    """
+    one = 0.0 * state.since_fix + 1.0
     found = [] if state.slow is None else [
         Unseen(variance, {PLACE + i: one}) for i, variance in enumerate(state.slow.axes)
     ]  # fmt: skip
@@ -35,17 +55,22 @@ def unseen(state: KalmanState, scale: Array, gravity: Array) -> list[Unseen]:
     for i, axis in enumerate(body_axes(state.rotation)[:2]):
         lean = {TURN: axis.y, TURN + 1: -axis.x, ACCELEROMETER + i: one * gravity}
         found.append(Unseen(one * scale * scale, lean))
+    # The biases are those of a level vehicle, and a lean changes them.
+    away = replace(state.lean, z=state.lean.z - 1.0) * gravity
+    square = away.dot(away)
+    for first, std in ((GYROSCOPE, sensitivity), (ACCELEROMETER, scale)):
+        found += [Unseen(square * std * std, {first + i: one}) for i in range(3)]
     return found
 
 
-def along(errors: Sequence[Unseen], sensitivity: Sparse) -> Array:
+def along(errors: Sequence[Unseen], sensitivity: Mapping[int, Any]) -> Any:
     """Return the variance (n,) that unseen errors add to a sum of errors with these factors."""
-    total: Array | float = 0.0
+    total: Any = 0.0
     for error in errors:
         shared = [factor * error.factors[k] for k, factor in sensitivity.items() if k in error.factors]
         if shared:
-            total = total + error.variance * jnp.square(sum(shared[1:], shared[0]))
-    return jnp.asarray(total)
+            total = total + error.variance * sum(shared[1:], shared[0]) ** 2
+    return total
 
 
 def with_unseen(covariance: Array, errors: Sequence[Unseen]) -> Array:

@@ -97,7 +97,9 @@ def pack(path: Path) -> int:
         raise UsageError(f"{cache_folder()}: there is no compiled program for this processor; fly a scenario first")
     manifest = json.dumps({"format": FORMAT, "machine": machine_name(), "programs": len(entries)}, indent=2).encode()
     buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w:gz" if path.suffix in (".gz", ".tgz") else "w") as archive:
+    # The default level 9 takes four times as long as level 6 and saves 0.4 %.
+    how: dict[str, Any] = {"mode": "w:gz", "compresslevel": 6} if path.suffix in (".gz", ".tgz") else {"mode": "w"}
+    with tarfile.open(fileobj=buffer, **how) as archive:
         for name, content in {MANIFEST: manifest, **entries}.items():
             member = tarfile.TarInfo(name)
             member.size, member.mode = len(content), 0o600

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control import Mission, MissionGuidance, MissionState
-from qrsim.simulation.simulation import History
+from qrsim.simulation.history import History
 from qrsim.world.state import Fleet, FleetState, World
 
 FINISHED, LATE, UNFINISHED = "mission_finished", "leg_timeout", "mission_unfinished"

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from qrsim.models.radio.links import Links
-from qrsim.simulation.simulation import History
+from qrsim.simulation.history import History
 from qrsim.world.state import World
 
 # Of the nearest that could be heard, so many are logged.

@@ -17,7 +17,8 @@ from qrsim.runs import RunInfo, RunWriter
 from qrsim.runs.layout import check_every
 from qrsim.runs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from qrsim.simulation.pilot import Pilot

@@ -17,7 +17,8 @@ from qrsim.runs import Column
 from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.runs.radio_columns import radio_columns
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, World, position_of
 

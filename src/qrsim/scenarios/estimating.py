@@ -105,6 +105,7 @@ def _imu(imu: Any, time: float, _: Any) -> Stds:
             + len(TIMES) * flicker[1]
         ),
         "gyroscope_scale": scales["gyroscope"], "accelerometer_scale": scales["accelerometer"],
+        "gyroscope_g_sensitivity": imu.gyroscope_g_sensitivity,
     }  # fmt: skip
 
 
@@ -112,6 +113,7 @@ def _gyroscope(sensor: Any, time: float, _: Any) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "gyroscope_noise": density, "gyroscope_walk": 0.0, "gyroscope_bias_std": 0.0, "gyroscope_scale": 0.0,
+        "gyroscope_g_sensitivity": 0.0,
         "gyroscope_calibrated_std": density / math.sqrt(max(time, 1e-3)),
     }  # fmt: skip
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
 
+# Ticks are counted in 32 bits.
+LARGEST_TICK = 2**31 - 2
+
 
 def checked_number(number: Any) -> int:
     """Check the number of a world and return it, 0 <= number < 2**32; raises UsageError."""
@@ -40,3 +43,12 @@ def checked_seed(seed: Any) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return int(seed)
+
+
+def checked_ticks(ticks: Any, flown: int) -> int:
+    """Check how many ticks are to follow those flown, and return it; raises UsageError."""
+    if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 1:
+        raise UsageError(f"ticks: {ticks!r} is not a positive integer")
+    if flown + int(ticks) > LARGEST_TICK:
+        raise UsageError(f"ticks: {ticks} would pass the last tick, {LARGEST_TICK}")
+    return int(ticks)

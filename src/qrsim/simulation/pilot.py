@@ -12,7 +12,8 @@ from qrsim.interface.policies import UserFunction, user_function
 from qrsim.interface.readings import Reading
 from qrsim.simulation.arguments import check_counts
 from qrsim.simulation.block_parts import call_compiled
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 
 
 class Pilot:

@@ -14,10 +14,11 @@ from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import Violation, collisions, reason_text
+from qrsim.world.checking import own_checks
 from qrsim.world.episode import surroundings
 from qrsim.world.sensing import with_traffic
+from qrsim.world.starting import start_fleet
 from qrsim.world.state import Fleet, FleetState, State, World
-from qrsim.world.tick import own_checks, start_fleet
 
 FloatArray = np.ndarray[Any, Any]
 WIDTHS = (3, 6, 12, 13)

@@ -22,7 +22,7 @@ from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
-from qrsim.simulation.arguments import check_counts
+from qrsim.simulation.arguments import LARGEST_TICK, check_counts
 from qrsim.simulation.block_parts import Setup
 from qrsim.simulation.blocks import Engine, Schedule
 from qrsim.world.state import State, World
@@ -34,7 +34,6 @@ VEHICLES_PER_BLOCK = 4096
 MEMORY_BYTES = 512 * 2**20
 COPIES = 4
 LARGEST_SEED = 2**63
-LARGEST_TICK = 2**31 - 2
 
 
 # Units of metrics, by the ends of their names.

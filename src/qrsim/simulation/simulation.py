@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,57 +14,35 @@ import numpy as np
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
 from qrsim.core.tables import Table, Tabled, number_text
-from qrsim.core.tree import replace
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.crowds import warn_of_overfull
-from qrsim.interface.messages import Message, Say, messages, outboxes, receiver_number
 from qrsim.interface.readings import Reading
 from qrsim.interface.seen import Seen, StateOffsets
 from qrsim.interface.truth import Truth
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
-from qrsim.simulation.alone import Alone, alone
-from qrsim.simulation.arguments import checked_number, checked_seed
+from qrsim.simulation.alone import alone
+from qrsim.simulation.arguments import checked_number, checked_seed, checked_ticks
+from qrsim.simulation.history import History
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
-from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
+from qrsim.simulation.radios import Radios, nobody
+from qrsim.simulation.snapshot import SavedState, fingerprint, write
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import State, World, WorldKeys
 
-FloatArray = np.ndarray[Any, Any]
 # Ticks that a program of ``record`` is for where the user does not say.
 CAPACITY = 50
-
-
-class History:
-    """The states of consecutive ticks, as NumPy arrays with the tick as first axis.
-
-    Attributes:
-        ticks: (T,) tick numbers.
-        time: (T,) simulated time [s].
-        state: the State, each leaf with a leading axis T.
-    """
-
-    def __init__(self, ticks: FloatArray, time_step: float, state: State):
-        self.ticks = ticks
-        self.time = ticks * time_step
-        self.state = state
-
-
 # Of a simulation, what a copy makes for itself.
 _MADE_AGAIN = ("_checker", "_ticks", "_offsets", "_now", "_lock", "_changes")
 
 
-def _nobody() -> None:
-    """Stand in for the reference to a state that nobody sees."""
-
-
-class Simulation(Alone, Tabled):
+class Simulation(Radios, Tabled):
     """A world in flight.
 
     One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
@@ -104,7 +82,7 @@ class Simulation(Alone, Tabled):
         self._offsets: StateOffsets | None = None
         self._state: Buffers | None = None
         # The present state, as long as somebody sees it.
-        self._now: Callable[[], Seen | None] = _nobody
+        self._now: Callable[[], Seen | None] = nobody
         # Whether vehicles may come to have more others around them than they look at.
         self._crowded = True
 
@@ -160,7 +138,7 @@ class Simulation(Alone, Tabled):
             self.seed = checked_seed(seed)
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
-            self.tick, self._now = 0, _nobody
+            self.tick, self._now = 0, nobody
             refuse_unplaced(self.world, cast(State, self._seen()).placed)
         return self.reading
 
@@ -209,14 +187,14 @@ class Simulation(Alone, Tabled):
 
     def _advance(self, command: Any, ticks: int, estimate: Estimate | None) -> None:
         if estimate is None and self._state is not None and self._ticks.taken(command):
-            count = self._checked_ticks(ticks)
+            count = checked_ticks(ticks, self.tick)
             self._let_go()
             self._state = self._ticks.advance_bound(self._state, self.tick, count)
             self.tick += count
             return
         actions = self._checker.actions(command, lambda: self.valid)
         estimates = self._checker.estimates(estimate)
-        count = self._checked_ticks(ticks)
+        count = checked_ticks(ticks, self.tick)
         layout, state = self._running()
         self._let_go()
         with self.precision_context():
@@ -243,7 +221,7 @@ class Simulation(Alone, Tabled):
         """
         actions = self._checker.actions(command, lambda: self.valid)
         estimates = self._checker.estimates(estimate)
-        count = self._checked_ticks(ticks)
+        count = checked_ticks(ticks, self.tick)
         if capacity is None:
             capacity = max(CAPACITY, count)
         if count > capacity:
@@ -255,65 +233,6 @@ class Simulation(Alone, Tabled):
             numbers = np.arange(self.tick + 1, self.tick + count + 1)
             self.tick += count
         return History(numbers, self.world.time_step, layout.unpack(rows))
-
-    def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
-        """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/radio.md).
-
-        Args:
-            vehicle: name or number of the sender.
-            payload: at most as many numbers as ``world.radio.size`` says.
-            to: name or number of who alone is to hear it; None: all.
-
-        Raises:
-            UsageError: no radio, nobody of that name, or a payload that is too long or no numbers.
-        """
-        self.send_all([(vehicle, payload, to)])
-
-    @alone
-    def send_all(self, messages: Sequence[tuple[str | int, Any, str | int | None]]) -> None:
-        """Hand messages to radios, all or none, each as in ``send``: vehicle, payload and to.
-
-        Raises:
-            UsageError: as of ``send``.
-        """
-        layout, before = self._running()
-        if self.world.radio is None:
-            raise UsageError("send: the scenario has no world.radio")
-        checked = [self._checked(*message) for message in messages]
-        state = layout.unpack(tuple(np.array(part) for part in before))  # type: ignore[arg-type]
-        radio = state.radio
-        for sender, payload, receiver in checked:
-            radio = self.world.radio.handed(radio, sender, payload, receiver, self.tick)
-        with self.precision_context():
-            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), _nobody
-
-    def _checked(self, vehicle: str | int, payload: Any, to: str | int | None) -> tuple[int, Any, int]:
-        """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""
-        sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
-        (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)
-        return sender, outbox.payload[:, 0], receiver
-
-    def inbox(self, vehicle: str | int) -> list[Message]:
-        """Return what a vehicle has heard over the radio, the newest message of each sender.
-
-        Raises:
-            UsageError: no radio, or nobody of that name.
-        """
-        if self.world.radio is None:
-            raise UsageError("inbox: the scenario has no world.radio")
-        return messages(self.world, self.state, self.tick, [self._vehicle_number("inbox", vehicle)])[0]
-
-    def inboxes(self) -> list[list[Message]]:
-        """Return the same of every vehicle; raises UsageError without a radio."""
-        if self.world.radio is None:
-            raise UsageError("inboxes: the scenario has no world.radio")
-        return messages(self.world, self.state, self.tick, range(self.size))
-
-    def _vehicle_number(self, what: str, vehicle: str | int) -> int:
-        number = receiver_number(vehicle, self.vehicle_names, f"{what}: vehicle")
-        if number < 0:
-            raise UsageError(f"{what}: vehicle: name one, or give its number")
-        return number
 
     @alone
     def set_state(self, state: Any, new_battery: bool = False) -> Reading:
@@ -340,7 +259,7 @@ class Simulation(Alone, Tabled):
             changed = self._ticks.place(layout, before, self.tick, (rows, chosen, chosen & new_battery))
             fleets = layout.unpack(changed).fleets
             refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
-            self._state, self._now = changed, _nobody
+            self._state, self._now = changed, nobody
         return self.reading
 
     @alone
@@ -378,7 +297,7 @@ class Simulation(Alone, Tabled):
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._state = self._ticks.adopt(buffers)
-            self._layout, self._now = layout, _nobody
+            self._layout, self._now = layout, nobody
             self.tick, self.seed, self.number = saved.tick, saved.seed, saved.number
         return self.reading
 
@@ -433,15 +352,15 @@ class Simulation(Alone, Tabled):
         seen = self._now()
         if seen is not None:
             seen.keep()
-            self._now = _nobody
+            self._now = nobody
 
     @property
     def history(self) -> History:
         """The present state as a History of one tick."""
         with self._lock:
             layout, state = self._running()
-            host, tick = tuple(np.array(buffer)[None] for buffer in state), self.tick
-        return History(np.array([tick]), self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+            ticks, (floats, integers) = np.array([self.tick]), (np.array(buffer)[None] for buffer in state)
+        return History(ticks, self.world.time_step, layout.unpack((floats, integers)))
 
     @property
     def reading(self) -> Reading:
@@ -466,19 +385,12 @@ class Simulation(Alone, Tabled):
         """Why each of the n vehicles is invalid, "" while it is valid; kind, field and value."""
         with self._lock:
             found = [fleet.violation for fleet in cast(State, self._seen()).fleets]
-        codes, values = (np.concatenate(each) for each in zip(*((one.code, one.value) for one in found), strict=True))
-        return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
+        pairs = (pair for one in found for pair in zip(one.code, one.value, strict=True))
+        return [reason_text(int(code), float(value)) for code, value in pairs]
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
         """Make a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
         return self._checker.waypoint(position_ned, yaw_rad)
-
-    def _checked_ticks(self, ticks: Any) -> int:
-        if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 1:
-            raise UsageError(f"ticks: {ticks!r} is not a positive integer")
-        if self.tick + int(ticks) > LARGEST_TICK:
-            raise UsageError(f"ticks: {ticks} would pass the last tick, {LARGEST_TICK}")
-        return int(ticks)
 
     def _running(self) -> tuple[Packer, Buffers]:
         if self._layout is None or self._state is None:

@@ -23,11 +23,11 @@ from qrsim.models.gnss.sp3 import Sp3Orbits
 from qrsim.models.scene.area import REASONS
 from qrsim.models.scene.terrain import OCCLUSION
 from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
+from qrsim.simulation.arguments import LARGEST_TICK
 from qrsim.world.state import Fleet, FleetState, State, World
 
 FORMAT = 4
 NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")
-LARGEST_TICK = 2**31 - 2
 LARGEST_SEED, LARGEST_NUMBER = 2**63 - 1, 2**32 - 1
 # No state comes near it: a thousand vehicles take 600 kB.
 LARGEST_FILE = 2**28

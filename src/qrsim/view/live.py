@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import walk
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 from qrsim.tasks.places import Places
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.frame import Frame, cast_of, frame_of

@@ -150,7 +150,9 @@ def _rows(draw: Draw) -> None:
         draw.put(x)
 
 
-@pytest.mark.parametrize("programs", [5, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "programs", [5, pytest.param(50, marks=pytest.mark.long), pytest.param(200, marks=pytest.mark.nightly)]
+)
 def test_random_programs_that_reduce_rows(programs: int) -> None:
     outcomes = [compiler.tried(3 * 10**9 + number, _rows, longest=3) for number in range(programs)]
     assert [what for what, _ in outcomes if what not in compiler.OUTCOMES] == []

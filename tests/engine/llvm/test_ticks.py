@@ -53,7 +53,7 @@ def everything(vehicles: int) -> dict[str, Any]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("vehicles", [1, 19])
+@pytest.mark.parametrize("vehicles", [pytest.param(1, marks=pytest.mark.nightly), 19])
 def test_a_tick_is_that_of_xla(vehicles, caplog):
     """Every number of the state after 12 ticks, an epoch of the receivers among them, to a few roundings."""
     world = qrsim.load_scenario(everything(vehicles)).world()

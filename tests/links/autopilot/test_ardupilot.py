@@ -157,7 +157,7 @@ def test_motors_are_where_and_turn_as_those_of_frame_x() -> None:
 @pytest.mark.long
 def test_a_stand_in_takes_off_and_holds_its_height(port: int) -> None:
     said: list[str] = []
-    pilot = StandIn(port)
+    pilot = StandIn(port, steps=round(8.0 * RATE))
     with flight_of(one(), port, said=said) as flight:
         pilot.start()
         history = flight.record(round(8.0 * RATE))
@@ -183,11 +183,12 @@ def test_two_fly_at_once_and_the_same_twice(port: int) -> None:
     def flown() -> list[Any]:
         team = one()
         team["fleets"]["pelicans"]["vehicles"] = [{"position_ned": [north, 0.0, -5.0]} for north in (0.0, 8.0)]
-        pilots = [StandIn(port), StandIn(port + 10)]
+        ticks = round(1.5 * RATE)
+        pilots = [StandIn(each, steps=ticks) for each in (port, port + 10)]
         with flight_of(team, port) as flight:
             for pilot in pilots:
                 pilot.start()
-            flight.advance(round(1.5 * RATE))
+            flight.advance(ticks)
             assert not any(flight.simulation.reasons)
         for pilot in pilots:
             pilot.join(10.0)

@@ -97,6 +97,7 @@ def test_mavsdk_4(field):
     check_log(field.end())
 
 
+@pytest.mark.nightly
 def test_dronekit():
     """DroneKit speaks the older dialect of missions, and flies to places by MISSION_ITEM."""
     python = environment("dronekit")

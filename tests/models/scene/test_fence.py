@@ -248,3 +248,30 @@ def test_the_margin_is_the_distance_to_the_nearest_side_floor_or_ceiling() -> No
     expected = [10.0, 2.0, 1.0, 0.5, 0.25, -2.0, -1.0]
     for area in (square, box):
         np.testing.assert_allclose(area.margin(position), expected, atol=1e-5)
+
+
+# A square with a slit from the north, 0.1 m wide at its mouth, whose tip is at 5 m south.
+SLIT = [[-10.0, -10.0], [-10.0, 10.0], [10.0, 10.0], [10.0, 0.05], [-5.0, 0.0], [10.0, -0.05], [10.0, -10.0]]
+
+
+def test_a_way_across_a_slit_leaves_the_area():
+    """At 100 m/s a step of 0.02 s is 2 m: both ends are inside, and the way is not; south of the tip it is."""
+    ways = np.array([
+        [[0.0, -1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, -1.0]], [[9.0, -1.0], [-9.0, 1.0]],
+        [[-6.0, -1.0], [-6.0, 1.0]], [[0.0, -1.0], [0.0, -0.5]], [[0.0, 1.0], [0.0, 1.0]], [[-9.0, -9.0], [-9.0, 9.0]],
+    ])  # fmt: skip
+    start, end = places(ways[:, 0]), places(ways[:, 1])
+    assert not np.asarray(check(area(SLIT), end)[0][2]).any(), "the ends alone show nothing"
+    (_, distance, broken), _ = jax.jit(PolygonArea.swept)(area(SLIT), start, end)
+    assert np.asarray(broken).tolist() == [True, True, True, False, False, False, False]
+    # The fence itself, where the way crosses it; else the distance of the end: of the tip at (-5, 0) from (-6, 1).
+    assert np.asarray(distance)[[0, 3]] == pytest.approx([0.0, math.sqrt(2.0)])
+
+
+def test_no_way_inside_a_convex_polygon_leaves_it():
+    """Ways of up to 450 m between points of the square, some of which start on its edge."""
+    random = np.random.default_rng(5)
+    start, end = random.uniform(-1.0, 1.0, (2, 500, 2)) * [99.0, 199.0]
+    start[:20, 0] = -100.0
+    (_, _, broken), _ = jax.jit(PolygonArea.swept)(area(SQUARE), places(start), places(end))
+    assert not np.asarray(broken).any()

@@ -118,6 +118,7 @@ def draw(ids: int, tick: int, seed: int = 0) -> Draw:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 def test_puffs_are_released_at_exponential_gaps_with_uniform_amounts() -> None:
     """Counts and amounts of 100 sources in 2000 s against their mean, within four standard errors."""
     plume = cast(PuffPlume(fewest=100, most=100, puffs=1024), np.float64)

@@ -25,7 +25,12 @@ def grounds() -> np.ndarray[Any, Any]:
         stream = Key.root(jnp.stack([seed, jnp.uint32(0)])).stream("ground", jnp.zeros(1, jnp.uint32))
         return ground.init(Draw(stream, jnp.int32(0), jnp.zeros((), jnp.float32))).classes
 
-    return np.asarray(jax.jit(jax.vmap(grow))(jnp.arange(24, dtype=jnp.uint32)))
+    # Without optimisation it computes for longer than it takes to compile with it.
+    quick = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", False)
+    found = np.asarray(jax.jit(jax.vmap(grow))(jnp.arange(24, dtype=jnp.uint32)))
+    jax.config.update("jax_disable_most_optimizations", quick)
+    return found
 
 
 @pytest.mark.long

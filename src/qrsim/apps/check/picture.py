@@ -60,9 +60,8 @@ def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
     for name, places in where.items():
         if len(places):
             axes.plot(places[:, 1], places[:, 0], "X", color=COLOURS[name], mec="white", ms=9, label=name, alpha=0.8)
-    axes.set(
-        xlabel="east [m]", ylabel="north [m]", aspect="equal", title="where it went wrong; routes dashed, starts o"
-    )
+    told = "where runs went wrong" if any(map(len, where.values())) else "no run went wrong"
+    axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", title=f"{told}; routes dashed, starts o")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 

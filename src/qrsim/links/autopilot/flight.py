@@ -17,7 +17,8 @@ from qrsim.links.autopilot.packets import Sensed
 from qrsim.links.autopilot.sensing import FleetSight
 from qrsim.links.autopilot.sticks import channels
 from qrsim.models.vehicles.multirotor.commands import MotorCommand
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet, Piloted
 
 # From what is asked of vehicles (n, 4: pitch, roll, throttle, yaw rate) at a time [s] to the same.

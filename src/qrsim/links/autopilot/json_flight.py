@@ -18,7 +18,8 @@ from qrsim.links.shared.grounding import put_down, standing
 from qrsim.models.vehicles.multirotor.commands import MotorCommand
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet, Piloted
 
 # Arms of a vehicle may stand so far from those of ArduPilot's frame [deg].

@@ -24,7 +24,8 @@ from qrsim.links.reference.sensors import SensorReadout
 from qrsim.runs import Column, EpisodesWriter, RunInfo, RunWriter
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView

@@ -21,7 +21,7 @@ from qrsim.links.shared.plant import Plant
 from qrsim.links.shared.recorded import STREAM, order_columns, order_values
 from qrsim.runs import Column
 from qrsim.runs.streams import Values
-from qrsim.simulation.simulation import History
+from qrsim.simulation.history import History
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView

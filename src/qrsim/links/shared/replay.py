@@ -15,7 +15,8 @@ from qrsim.links.shared.recorded import STREAM
 from qrsim.links.shared.spoken import TICK, Spoken
 from qrsim.runs import Run, RunInfo, RunWriter
 from qrsim.runs.streams import EventFinder, Values, columns, values
-from qrsim.simulation.simulation import History, Simulation
+from qrsim.simulation.history import History
+from qrsim.simulation.simulation import Simulation
 
 # Ticks that are flown in one call, where their orders are the same.
 MOST_AT_ONCE = 50

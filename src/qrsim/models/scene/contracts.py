@@ -36,6 +36,13 @@ class Area(Protocol):
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
         """Return the checks of positions (n,) [m]: code of a reason (area.py), value (n,), and whether it is broken."""
 
+    def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
+        """Return the checks of positions (n,) [m] that vehicles reached on straight ways, and of these ways.
+
+        By default the positions alone are checked: no way between two points of a convex area leaves it.
+        """
+        return self.check(position_ned)
+
     @abstractmethod
     def margin(self, position_ned: Vec3) -> Array:
         """Return the distance (n,) [m] of positions from the nearest limit; negative outside."""

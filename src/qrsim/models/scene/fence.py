@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from jax import Array
+from jax import Array, lax
 
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import Vec3
@@ -32,6 +32,29 @@ class PolygonArea(Area):
             (reason_code("out_of_area", "fence"), distance, distance < 0.0),
             (reason_code("out_of_area", "position_ned.z"), z, (z < self.z_min) | (z > self.z_max)),
         ]
+
+    def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
+        """Return the checks of positions (n,), of which a way that leaves the polygon and returns breaks the first."""
+        (code, distance, outside), vertical = self.check(position_ned)
+        north, east = position_ned.x - before_ned.x, position_ned.y - before_ned.y
+        # A way that is shorter than the distance from the nearest edge stays inside.
+        near = ~outside & (distance * distance < north * north + east * east)
+        crosses = lax.cond(
+            jnp.any(near), lambda: near & self._crossed(before_ned, position_ned), lambda: jnp.zeros_like(near)
+        )
+        return [(code, jnp.where(crosses, 0.0, distance), outside | crosses), vertical]
+
+    def _crossed(self, before_ned: Vec3, position_ned: Vec3) -> Array:
+        """Return whether the ways (n,) cross an edge; a way that starts or ends on an edge does not cross that edge."""
+        north, east = self.north[:, None], self.east[:, None]
+        edge_north, edge_east = jnp.roll(north, -1, axis=0) - north, jnp.roll(east, -1, axis=0) - east
+        way_north, way_east = (position_ned.x - before_ned.x)[None], (position_ned.y - before_ned.y)[None]
+        from_north, from_east = before_ned.x[None] - north, before_ned.y[None] - east
+        start = edge_east * from_north - edge_north * from_east
+        end = start + edge_east * way_north - edge_north * way_east
+        corner = way_east * from_north - way_north * from_east
+        next_corner = jnp.roll(corner, -1, axis=0)
+        return jnp.any((start * end < 0.0) & ((corner > 0.0) != (next_corner > 0.0)), axis=0)
 
     def distance_to_fence(self, position_ned: Vec3) -> Array:
         """Return the horizontal distance [m] of positions of any shape from the polygon's edges, negative outside.

@@ -1,0 +1,100 @@
+"""What the radios of a simulation are given to send, and what they have heard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tree import replace
+from qrsim.engine.layout import Buffers, Packer
+from qrsim.errors import UsageError
+from qrsim.interface.messages import Message, Say, messages, outboxes, receiver_number
+from qrsim.simulation.alone import Alone, alone
+from qrsim.simulation.one_world import OneWorld
+from qrsim.world.state import State, World
+
+
+def nobody() -> None:
+    """Stand in for the reference to a state that nobody sees."""
+
+
+class Radios(Alone):
+    """The part of a ``Simulation`` that sends and hears messages; it adds nothing to its attributes."""
+
+    world: World
+    tick: int
+    dtype: Any
+    vehicle_names: tuple[str, ...]
+    precision_context: Callable[[], Any]
+    _ticks: OneWorld
+    _state: Buffers | None
+    _now: Callable[[], Any]
+
+    @property
+    def state(self) -> State:
+        """The whole state as NumPy arrays."""
+        raise NotImplementedError
+
+    def _running(self) -> tuple[Packer, Buffers]:
+        raise NotImplementedError
+
+    def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
+        """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/radio.md).
+
+        Args:
+            vehicle: name or number of the sender.
+            payload: at most as many numbers as ``world.radio.size`` says.
+            to: name or number of who alone is to hear it; None: all.
+
+        Raises:
+            UsageError: no radio, nobody of that name, or a payload that is too long or no numbers.
+        """
+        self.send_all([(vehicle, payload, to)])
+
+    @alone
+    def send_all(self, messages: Sequence[tuple[str | int, Any, str | int | None]]) -> None:
+        """Hand messages to radios, all or none, each as in ``send``: vehicle, payload and to.
+
+        Raises:
+            UsageError: as of ``send``.
+        """
+        layout, before = self._running()
+        if self.world.radio is None:
+            raise UsageError("send: the scenario has no world.radio")
+        checked = [self._checked(*message) for message in messages]
+        state = layout.unpack(tuple(np.array(part) for part in before))  # type: ignore[arg-type]
+        radio = state.radio
+        for sender, payload, receiver in checked:
+            radio = self.world.radio.handed(radio, sender, payload, receiver, self.tick)
+        with self.precision_context():
+            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), nobody
+
+    def _checked(self, vehicle: str | int, payload: Any, to: str | int | None) -> tuple[int, Any, int]:
+        """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""
+        sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
+        (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)
+        return sender, outbox.payload[:, 0], receiver
+
+    def inbox(self, vehicle: str | int) -> list[Message]:
+        """Return what a vehicle has heard over the radio, the newest message of each sender.
+
+        Raises:
+            UsageError: no radio, or nobody of that name.
+        """
+        if self.world.radio is None:
+            raise UsageError("inbox: the scenario has no world.radio")
+        return messages(self.world, self.state, self.tick, [self._vehicle_number("inbox", vehicle)])[0]
+
+    def inboxes(self) -> list[list[Message]]:
+        """Return the same of every vehicle; raises UsageError without a radio."""
+        if self.world.radio is None:
+            raise UsageError("inboxes: the scenario has no world.radio")
+        return messages(self.world, self.state, self.tick, range(len(self.vehicle_names)))
+
+    def _vehicle_number(self, what: str, vehicle: str | int) -> int:
+        number = receiver_number(vehicle, self.vehicle_names, f"{what}: vehicle")
+        if number < 0:
+            raise UsageError(f"{what}: vehicle: name one, or give its number")
+        return number

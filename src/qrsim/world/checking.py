@@ -1,0 +1,94 @@
+"""What ends the flights of vehicles: new positions looked at together, and each vehicle alone."""
+
+from __future__ import annotations
+
+import functools
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import concatenated, map_tree, replace, select
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.area import Violation, collisions, reason_code
+from qrsim.models.scene.sweeping import obstacle_hit
+from qrsim.models.vehicles.contracts import Charged
+from qrsim.world.sensing import (
+    at_rest,
+)
+from qrsim.world.standing import ground_checks, over_the_floor
+from qrsim.world.state import (
+    Fleet,
+    FleetState,
+    World,
+)
+
+
+def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
+    """Look at all new positions together; a vehicle that breaks a limit stays where it was, at rest."""
+    positions = []
+    for old, new in zip(before, flown, strict=True):
+        moving = old.violation.code == 0
+        positions.append(select(moving, new.vehicle.position_ned, old.vehicle.position_ned))
+    came_from = concatenated([old.vehicle.position_ned for old in before])
+    collided = collisions(concatenated(positions), world.collision_distance, world.radii, came_from)
+    checked, first = [], 0
+    for fleet, old, new in zip(world.fleets, before, flown, strict=True):
+        own = Violation.first(own_checks(world, fleet, new, old.vehicle.position_ned), new.vehicle.position_ned.x)
+        in_collision = map_tree(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
+        first += fleet.size
+        violation = old.violation.or_else(own.or_else(in_collision))
+        stopped = fleet.vehicle.stopped(old.vehicle)
+        valid = violation.code == 0
+        # The vehicle itself is put back, and its estimate stays: what else a stopped vehicle computes goes nowhere.
+        kept = select(valid, new.vehicle, stopped)
+        low = select(valid, new.position_low_ned, old.position_low_ned)
+        checked.append(
+            replace(
+                new, vehicle=kept, position_low_ned=low, violation=violation,
+                estimate=select(valid, new.estimate, at_rest(old.estimate)),
+                command_clipped=new.command_clipped & valid,
+            )
+        )  # fmt: skip
+    return tuple(checked)
+
+
+def own_checks(
+    world: World, fleet: Fleet, state: FleetState, before_ned: Vec3 | None = None
+) -> list[tuple[int, Array, Array]]:
+    """Check each vehicle (n,) of a fleet alone, without the others; (code, value, broken).
+
+    Args:
+        world, fleet, state: of the fleet.
+        before_ned: positions (n,) [m] from which it came in a straight line; None: it was put where it is.
+    """
+    pose = fleet.vehicle.pose(state.vehicle)
+    over = over_the_floor(world, fleet, pose.position_ned)
+    # One after the other: side by side in one array they would be written to memory first.
+    finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
+    return [
+        # Who has hit the ground hard enough to overflow has crashed.
+        *fleet.vehicle.own_checks(state.vehicle),
+        (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
+        *ground_checks(world, fleet, state),
+        *(world.area.check(over) if before_ned is None else world.area.swept(before_ned, over)),
+        _hits_obstacle(world, fleet, pose.position_ned if before_ned is None else before_ned, pose.position_ned),
+        *_empty_battery(fleet, state),
+        *fleet.battery.own_checks(state.battery),
+        *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body, state.turns),
+    ]
+
+
+def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
+    """Return the check (code, charge, empty) of vehicles (n,) with a battery that can run out."""
+    if not fleet.battery.drains:
+        return []
+    charge = cast(Charged, state.battery).charge
+    return [(reason_code("battery_empty", "charge"), charge, charge <= 0.0)]
+
+
+def _hits_obstacle(world: World, fleet: Fleet, start_ned: Vec3, end_ned: Vec3) -> tuple[int, Array, Array]:
+    """Return the check (code, number of the obstacle, hit) of ways (n,)."""
+    number, hit = obstacle_hit(world.obstacles, start_ned, end_ned, world.radius_of(fleet))
+    return reason_code("collision", "obstacle"), number, hit
