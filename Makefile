@@ -7,13 +7,13 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 TOOLS := .venv/.tools
 DOCS := .venv/.docs
-CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard tools) $(wildcard examples/*.py)
+CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard docs/writers) $(wildcard tools) $(wildcard examples/*.py)
 
 # Without bytecode, every process of the tests and each of its children would compile all sources.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly lint bench evidence pictures docs docs-serve docs-pages proto dist clean help
+.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures docs docs-serve docs-pages proto dist clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -73,6 +73,9 @@ test-nightly: $(TOOLS)  ## tests of minutes each: random programs, fuzzing, othe
 	@echo "== pytest (nightly)"
 	@$(BIN)/python -m pytest -n 2 --dist loadfile -m nightly $(ARGS)
 
+mutation: $(TOOLS)  ## change models/ and control/, and print what no test notices: make mutation ARGS='--each 3 models/sensors/barometer.py'
+	@$(BIN)/python -m tests.mutation $(ARGS)
+
 lint: $(TOOLS)  ## formatting, lint, types, layers of imports
 	@$(LINT)
 
@@ -83,9 +86,9 @@ bench: $(TOOLS)  ## run every benchmarks/*.py
 evidence: $(TOOLS)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
 
-pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; evidence/pictures.py lists all pictures
-	@$(BIN)/python -m evidence.pictures
-	@$(BIN)/python -m evidence.task_pictures
+pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; docs/writers/pictures.py lists all pictures
+	@$(BIN)/python -m docs.writers.pictures
+	@$(BIN)/python -m docs.writers.task_pictures
 
 $(DOCS): $(STAMP)
 	$(PIP) '.[docs]'

@@ -11,9 +11,7 @@ import datetime
 import importlib
 import json
 import math
-import os
 import pkgutil
-import platform
 import subprocess
 import sys
 import time
@@ -22,13 +20,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import jax
-
 import evidence
-from evidence import docs
+from evidence import ROOT, docs
+from evidence._processes import benchmark
 from qrsim.errors import QrsimError, UsageError, did_you_mean
 
-ROOT = Path(__file__).resolve().parent.parent
 OUTPUT = ROOT / "docs" / "evidence"
 DIRTY = "+dirty"
 
@@ -58,25 +54,10 @@ def commit(root: Path) -> str:
     return revision + (DIRTY if changed else "")
 
 
-def _cpu_model() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
-
-
 def machine() -> dict[str, Any]:
     """Return what the numbers were measured on."""
-    return {
-        "cpu": _cpu_model(),
-        "cores": os.cpu_count(),
-        "os": f"{platform.system()} {platform.release()}",
-        "python": platform.python_version(),
-        "jax": jax.__version__,
-    }
+    found = benchmark("_common").machine()
+    return {name: found[name] for name in ("cpu", "cores", "os", "python", "jax")}
 
 
 def plain(results: Any, path: str = "") -> Any:

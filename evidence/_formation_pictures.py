@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.models.atmosphere import field_reference as of
 
-from evidence import _field as of
+from evidence import IMAGES
 
-IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 SPACINGS, GUST = IMAGES / "turbulence_spacing.png", IMAGES / "turbulence_gust.gif"
 # Of the animation: wind [m/s], height and distance of the vehicles [m], their number, times [s] and time of a frame.
 WIND, HEIGHT, APART, VEHICLES = 8.0, 15.0, 10.0, 5
@@ -22,9 +23,14 @@ COLOURS = 48
 Values = np.ndarray[Any, Any]
 
 
-def draw_spacings(grids: dict[str, Any], path: Path = SPACINGS) -> None:
-    """Draw correlation and relative motion of neighbours against the spacing of their grid."""
-    from evidence.formation_gusts import closed
+def draw_spacings(grids: dict[str, Any], closed: Callable[[float], dict[str, float]], path: Path = SPACINGS) -> None:
+    """Draw correlation and relative motion of neighbours against the spacing of their grid.
+
+    Args:
+        grids: by spacing, the results of each kind of gusts.
+        closed: the correlations in closed form at a spacing [m].
+        path: of the picture.
+    """
     from qrsim.runs.picture import new_figure
 
     spacings = np.array([float(name.replace("_", ".")) for name in grids])

@@ -21,15 +21,14 @@ import jax
 import numpy as np
 from platformdirs import user_cache_path
 
+from evidence import IMAGES, ROOT
 from evidence.tasks import summary
 from qrsim.envs.batch import Batch
 from qrsim.envs.scoring import BASELINE, HOVER, maker, play_policy
 from qrsim.errors import RunError
 from qrsim.runs.picture import new_figure, save_picture
 
-ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("torch==2.13.0", "stable-baselines3==2.9.2")
-IMAGES = ROOT / "docs" / "images"
 INSTALL = f"pip install {' '.join(PACKAGES)}"
 # Seeds from here on are of episodes that nothing is learned from: those of the scores, and those of the curves.
 NEW, TRIED = 10**6, 2 * 10**6

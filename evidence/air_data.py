@@ -7,18 +7,17 @@ that of an ideal one wherever it says any.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import qrsim
+from evidence import IMAGES
 from qrsim.models.sensors.air_presets import AIRSPEEDS
 
 DOC = "errors of pressure altimeter and airspeed on a patrol in wind"
 SEED = 20261122
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 Floats = npt.NDArray[np.float64]
 # The parameters of each error.
 ERRORS = {

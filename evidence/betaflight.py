@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.studies.discover.flown_logs import random_steps
 
-from evidence.identify import random_steps
+from evidence import IMAGES
 from qrsim.links.autopilot.firmware import binary, configured
 from qrsim.links.autopilot.fleet import prepared
 from qrsim.links.autopilot.flight import Flight
@@ -40,7 +41,7 @@ MASS = 0.5
 SIGNALS = (
     "roll", "pitch", "yaw", "roll_rate", "pitch_rate", "yaw_rate", "velocity_north", "velocity_east", "velocity_down",
 )  # fmt: skip
-PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "betaflight_identified.png"
+PICTURE = IMAGES / "betaflight_identified.png"
 Floats = np.ndarray[Any, Any]
 
 

@@ -7,12 +7,12 @@ docs/images/gnss_canyon.png.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import qrsim
+from evidence import IMAGES
 
 DOC = "receivers of type gnss in the streets of a town, by height, and on a flight through streets"
 SEED = 29
@@ -20,7 +20,6 @@ HEIGHTS = (1.5, 5.0, 12.0, 25.0, 40.0)
 BUILDINGS, HALF = 200, 300.0
 # Places at each height, and times of a day.
 FULL, SMALL = (200, 4), (40, 1)
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 # Of the flight: height [m] above which it is over the roofs.
 ROOFS = 33.0
 

@@ -25,7 +25,8 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent
+from evidence import ROOT
+
 MARKER = re.compile(r"<!--[ ]?ev\b(.*?)-->[ ]*\n?", re.DOTALL)
 TAG = re.compile(r"<!--[ ]*/?[ ]*ev\b")
 NUMBER = re.compile(r"(?:(?<!\w)[+-])?(?<![\w.^])(\d+(?:\.\d+)?|\.\d+)(e[+-]?\d+)?(?!\w|\.\d)", re.IGNORECASE)

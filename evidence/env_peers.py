@@ -14,7 +14,7 @@ from typing import Any
 
 import gymnasium
 
-from evidence.performance import printed
+from evidence._processes import printed
 from qrsim.envs import gymnasium_id
 
 DOC = "environment steps a second of keep_spot, over those of crazyflow and PyFlyt in the same run; where time is lost"

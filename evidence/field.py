@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
+from tests.models.atmosphere import field_reference as of
 
-from evidence import _field as of
+from evidence import IMAGES
 from qrsim.studies.validate.statistics import against, judge, mean_and_error
 from qrsim.studies.validate.wind_field import LIFETIME
 from qrsim.studies.validate.wind_field import kept as remembered
@@ -23,7 +23,7 @@ from qrsim.studies.validate.wind_field import kept as remembered
 DOC = "correlations, spectra, rotation and divergence of dryden_field, and what its waves leave out"
 # The day on which Batchelor's book appeared is not known; its year, and a day.
 SEED = 19530101
-FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "turbulence_field.png"
+FIGURE = IMAGES / "turbulence_field.png"
 LINE = FIGURE.with_name("turbulence_line.png")
 HEIGHT = 15.0
 SEPARATIONS = (1.0, 5.0, 20.0, 100.0)

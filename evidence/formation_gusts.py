@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from tests.models.atmosphere import field_reference as of
 
 import qrsim
-from evidence import _field as of
 from evidence import _intervals as interval
 from qrsim.studies.sweep.study import load_study
 from qrsim.studies.validate.wind_field import LIFETIME
@@ -271,7 +271,7 @@ def run(full: bool) -> dict[str, Any]:
     if full:
         from evidence import _formation_pictures as pictures
 
-        pictures.draw_spacings(grids)
+        pictures.draw_spacings(grids, closed)
         pictures.draw_gust()
     return {
         "seeds": seeds, "seconds": seconds, "left_out": LEFT_OUT_S, "grid": grids, "line": lines, "sweep": swept,

@@ -1,14 +1,14 @@
 """Mutations of everything that a user can hand in: each is taken, or refused in words, soon and in little memory.
 
-Case k is made from the seed and k alone. The full form does them in two processes, each watched by its own alarm and
-by this one, which notes a case that ends a process and goes on after it; what has been done is kept in a file and not
-done again.
+Case k is made from the seed and k alone. The full form does them in two processes, each with an alarm; a case that ends
+its process is counted, and another process goes on after it. What has been done is kept in a file and not done again.
 """
 
 from __future__ import annotations
 
 import collections
 import contextlib
+import faulthandler
 import gc
 import itertools
 import json
@@ -17,21 +17,24 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.wrong_input.handing_in import KINDS, Workshop, silence
+from tests.wrong_input.mutating import SPENT_S
 
-from evidence._handing_in import KINDS, Workshop, silence
-from evidence._mutating import SPENT_S
+from evidence import ROOT
+from evidence._processes import peak_bytes, resident_bytes
 from qrsim.errors import QrsimError
 
 DOC = "10 000 mutations of scenarios, plans, fences, studies, states, runs, logs, bags, maps and ephemerides"
 SEED = 20261121
-ROOT = Path(__file__).resolve().parents[1]
 FULL, SMALL = 10_000, 300
 PROCESSES = 2
 LIMIT_S, LIMIT_BYTES = 2.0, 10**9
@@ -56,15 +59,6 @@ def _alarm(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-
-
-def resident_bytes(peak: bool) -> int:
-    """Return the resident set of this process now, or its largest since it was last reset (Linux)."""
-    name = "VmHWM:" if peak else "VmRSS:"
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith(name):
-            return 1024 * int(line.split()[1])
-    raise RuntimeError(f"/proc/self/status has no {name}")
 
 
 def _reset_peak() -> None:
@@ -105,7 +99,7 @@ def case(shop: Workshop, number: int, held: int = 0) -> dict[str, Any]:
     # Of the processor, so that a busy machine is no hang.
     found["s"] = round(time.process_time() - began - (SPENT_S[0] - before), 3)
     if found["outcome"] in ("taken", "refused"):
-        found["bytes"] = resident_bytes(peak=True)
+        found["bytes"] = peak_bytes()
         # Compiling takes its time.
         if found["s"] > (PATIENCE_S if kind == "flight" else LIMIT_S):
             found["outcome"] = "hang"
@@ -128,8 +122,11 @@ def prepared(folder: Path) -> Workshop:
 def work(first: int, last: int, results: Path) -> None:
     """Do the cases from ``first`` to before ``last`` and append a line for each; a line says first what is begun."""
     with tempfile.TemporaryDirectory() as folder, results.open("a", encoding="utf-8") as lines:
+        # The alarm is not heard inside of compiled code; this ends the process, and the next one goes on.
+        faulthandler.dump_traceback_later(PREPARING_S, exit=True)
         shop = prepared(Path(folder))
         for number in range(first, last):
+            faulthandler.dump_traceback_later(2.0 * COMPILING_S, exit=True)
             print(json.dumps({"begun": number}), file=lines, flush=True)
             found = case(shop, number)
             print(json.dumps(found), file=lines, flush=True)
@@ -157,36 +154,11 @@ def _missing(first: int, last: int, results: Path) -> list[int]:
     return [number for number in range(first, last) if number not in done]
 
 
-class _Stretch:
-    """A stretch of cases, done by one process after the other."""
-
-    def __init__(self, first: int, last: int, results: Path):
-        self.first, self.last, self.results = first, last, results
-        self._process: subprocess.Popen[bytes] | None = None
-        self._seen, self._since, self._patience = 0, 0.0, 0.0
-
-    def go_on(self) -> int:
-        """Start a process where none is at work, end one that no longer answers; return how many cases are missing."""
-        missing = _missing(self.first, self.last, self.results)
-        if self._process is not None and self._process.poll() is None:
-            size = self.results.stat().st_size if self.results.exists() else 0
-            if size != self._seen:
-                self._seen, self._since, self._patience = size, time.monotonic(), 2.0 * COMPILING_S
-            elif time.monotonic() - self._since > self._patience:
-                self._process.kill()
-        elif missing:
-            words = [sys.executable, "-m", "evidence.fuzz", str(missing[0]), str(self.last), str(self.results)]
-            self._process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            # Of a process that prepares itself, more is borne.
-            self._seen = self.results.stat().st_size if self.results.exists() else 0
-            self._since, self._patience = time.monotonic(), PREPARING_S
-        return len(missing)
-
-    def stop(self) -> None:
-        """End the process, if there is one."""
-        if self._process is not None and self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
+def _stretch(first: int, last: int, results: Path, stop: threading.Event) -> None:
+    """Do a stretch of cases by one process after the other, until none is missing."""
+    while not stop.is_set() and (missing := _missing(first, last, results)):
+        words = [sys.executable, "-m", "evidence.fuzz", str(missing[0]), str(last), str(results)]
+        subprocess.run(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
 def _all(cases: int) -> list[dict[str, Any]]:
@@ -199,16 +171,21 @@ def _all(cases: int) -> list[dict[str, Any]]:
         shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     edges = [cases * i // PROCESSES for i in range(PROCESSES + 1)]
-    stretches = [_Stretch(a, b, folder / f"{a}-{b}.jsonl") for a, b in itertools.pairwise(edges)]
-    try:
-        while missing := sum(stretch.go_on() for stretch in stretches):
-            print(f"\rfuzz: {cases - missing} of {cases}", end="", file=sys.stderr, flush=True)
-            time.sleep(2.0)
-    finally:
-        for stretch in stretches:
-            stretch.stop()
+    stretches = [(a, b, folder / f"{a}-{b}.jsonl") for a, b in itertools.pairwise(edges)]
+    stop = threading.Event()
+    with ThreadPoolExecutor(PROCESSES) as pool:
+        running = [pool.submit(_stretch, *stretch, stop) for stretch in stretches]
+        try:
+            while not all(each.done() for each in running):
+                done = cases - sum(len(_missing(*stretch)) for stretch in stretches)
+                print(f"\rfuzz: {done} of {cases}", end="", file=sys.stderr, flush=True)
+                time.sleep(2.0)
+        finally:
+            stop.set()
+        for each in running:
+            each.result()
     print(file=sys.stderr)
-    return [entry for stretch in stretches for entry in _done(stretch.results).values()]
+    return [entry for *_, results in stretches for entry in _done(results).values()]
 
 
 def summed_up(entries: list[dict[str, Any]]) -> dict[str, Any]:
@@ -230,7 +207,7 @@ def summed_up(entries: list[dict[str, Any]]) -> dict[str, Any]:
 
 def some(count: int, first: int = 0) -> list[dict[str, Any]]:
     """Do so many cases in this process, whatever others hold in it."""
-    held = resident_bytes(peak=False)
+    held = resident_bytes()
     # To look through what others hold for garbage takes seconds, which are not the cases' own.
     gc.freeze()
     try:

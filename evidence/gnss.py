@@ -14,8 +14,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from tests.models.gnss import flown_receivers as receivers
 
-from evidence import _receivers as receivers
+from evidence import IMAGES
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.constellations import NominalConstellations
@@ -44,7 +45,6 @@ POWERS_W = (0.001, 0.01, 0.1, 1.0)
 # What the recording is rounded to [m]: 1e-7 deg of latitude and of longitude, 1 mm of height.
 RESOLUTION = np.array([0.0111, 0.0069, 0.001])
 AXES = ("north", "east", "down")
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 # After a satellite has come or gone the filter takes so many fixes to follow.
 AFTER_CHANGE = 25
 

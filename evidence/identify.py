@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import scipy
+from tests.studies.discover.flown_logs import DT, NOISE, pelican_log, random_steps
 
 import qrsim
 from evidence.recordings import data_folder
 from qrsim.core.tree import replace
 from qrsim.models.vehicles.quadrotor import THROTTLE_RAW_PER_UNIT, Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
-from qrsim.simulation.openloop import hover_state, simulate_open_loop
 from qrsim.studies.discover.discovery import Discovery, discover, is_published
 from qrsim.studies.flight_logs import FlightLog, read_log
 from qrsim.studies.identify.constants import CONSTANTS, PITCH, constants_in
@@ -31,7 +31,6 @@ from qrsim.studies.identify.verdicts import coloured_channels
 DOC = "constants and laws found again in simulated flights; errors on held-out parts of the recordings"
 SEED = 20261121
 PARTS = ("recordings", "laws", "round_trip", "lagged")
-DT = 0.02
 VEHICLES, FLIGHT_S, HORIZON_S = 50, 40.0, 2.0
 # Vehicles whose actuators lag behind commands by a first-order lag, which the equations do not have.
 LAGGED, LAG_S = 20, 0.04
@@ -39,9 +38,6 @@ SPREAD = 0.4
 HOVER = (0.25, 0.75)
 HOVER_BATTERY_V = 11.0
 WIND_20FT, HEIGHT = 4.0, 300.0
-# Standard deviations of what the log adds to the truth.
-NOISE = {"angle": 0.005, "rate": 0.01, "velocity": 0.05}
-THRUST_NOISE_N = 0.1
 # Of discovering.
 SEEDS, RECORDED_SEEDS, GENERATIONS, POPULATION = 10, 5, 12, 30
 DRAWN = tuple(name for name in CONSTANTS if name not in (*PITCH, "mass"))
@@ -75,17 +71,6 @@ def hover_throttle(values: dict[str, float]) -> float | None:
     real = [float(root.real) / THROTTLE_RAW_PER_UNIT for root in roots if abs(root.imag) < 1e-9]
     inside = [throttle for throttle in real if HOVER[0] <= throttle <= HOVER[1]]
     return inside[0] if inside else None
-
-
-def random_steps(rows: int, size: float, dwell_s: tuple[float, float], rng: np.random.Generator) -> Floats:
-    """Return (rows,) a signal that jumps to values of (-size, size) and stays there for a random time."""
-    values = np.empty(rows)
-    at = 0
-    while at < rows:
-        length = round(rng.uniform(*dwell_s) / DT)
-        values[at : at + length] = rng.uniform(-size, size)
-        at += length
-    return values
 
 
 def commands(hover: float, rows: int, rng: np.random.Generator) -> Floats:
@@ -289,32 +274,6 @@ def _recording(log: FlightLog, question: Question) -> dict[str, Any]:
         **({"horizontal_lower_percent": 100.0 * (1.0 - horizontal[1] / horizontal[0])} if horizontal[0] else {}),
         "lag_1": {name: each["lag_1"] for name, each in found.whiteness[0].items()},
     }
-
-
-def pelican_log(seed: int, flight_s: float = 40.0) -> FlightLog:
-    """Return a noisy log of a published Pelican that flies in calm air by random commands, thrust measured."""
-    rng = np.random.default_rng(seed)
-    rows = round(flight_s / DT)
-    asked = np.stack(
-        [
-            random_steps(rows, 0.3, (0.3, 1.5), rng),
-            random_steps(rows, 0.3, (0.3, 1.5), rng),
-            # Below what the battery allows at 12 V, because its ceiling is none of the laws.
-            0.50 + random_steps(rows, 0.34, (0.3, 1.2), rng),
-            random_steps(rows, 1.0, (0.5, 2.0), rng),
-            np.full(rows, 12.0),
-        ],
-        axis=1,
-    )
-    start = hover_state(Quadrotor())
-    states = np.concatenate([start[None], simulate_open_loop(Quadrotor(), asked, start)[:-1, :13]])
-    names = ("roll", "pitch", "yaw", "roll_rate", "pitch_rate", "yaw_rate", "thrust")
-    sizes = np.array([NOISE["angle"]] * 3 + [NOISE["rate"]] * 3 + [THRUST_NOISE_N])
-    measured = states[:, [3, 4, 5, 9, 10, 11, 12]]
-    measured = measured + sizes * rng.standard_normal(measured.shape)
-    given = ("pitch_command", "roll_command", "throttle", "yaw_rate_command")
-    signals = dict(zip(names, measured.T, strict=True)) | dict(zip(given, asked.T[:4], strict=True))
-    return FlightLog("pelican", Path("pelican"), "simulated", DT, DT * np.arange(rows), signals)
 
 
 def laws(seeds: int, folder: Path | None, generations: int, population: int) -> dict[str, Any]:

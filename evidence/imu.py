@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from evidence import IMAGES
 from evidence._at_rest import compared, readings_at_rest
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
@@ -27,7 +27,6 @@ from qrsim.models.vehicles.contracts import Load
 
 DOC = "noise of the imu presets against its theory, and vibration against the recording"
 SEED = 20261122
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 CONFIDENCE = 0.9
 # Windows [s] from which on the random walk shows.
 LONG = 100.0

@@ -8,7 +8,6 @@ patrol, each with another chip, whose heading is taken with the true tilt: what 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 import qrsim
+from evidence import IMAGES
 from evidence._at_rest import compared as against_theory
 from evidence._at_rest import readings_at_rest
 from qrsim.core.tree import cast
@@ -27,7 +27,6 @@ from qrsim.models.vehicles.contracts import Load
 
 DOC = "noise of the magnetometer presets against its theory, and errors of a compass in flight"
 SEED = 20261122
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 CONFIDENCE = 0.9
 Floats = npt.NDArray[np.float64]
 

@@ -7,10 +7,11 @@ import math
 import random
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
-from evidence import _mavlink_clients as clients
+from tests.links.mavlink import driven_clients as clients
+
+from evidence._processes import resident_bytes
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
@@ -189,7 +190,7 @@ def fuzzed(frames: int, ticks: int) -> dict[str, Any]:
         beside.tick()
         orders.append(victim.order)
         if tick == ticks // 5:
-            before = _resident()
+            before = resident_bytes()
     alone = Flight(orders)
     for _ in range(ticks):
         alone.tick()
@@ -202,15 +203,8 @@ def fuzzed(frames: int, ticks: int) -> dict[str, Any]:
         "flights_that_differ": int(beside.bits != alone.bits),
         "last_height_m": round(float(-alone.world.simulation.truth.position_ned[0, 2]), 2),
         "items_reached": honest.mission().seq,
-        "growth_mb": round((_resident() - before) / 1e6, 1),
+        "growth_mb": round((resident_bytes() - before) / 1e6, 1),
     }
-
-
-def _resident() -> int:
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmRSS:"):
-            return 1024 * int(line.split()[1])
-    raise RuntimeError("/proc/self/status has no VmRSS")
 
 
 def flights(client: str, count: int, factor: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from evidence.performance import printed
+from evidence._processes import printed
 
 DOC = "late ticks and the latency of orders where each vehicle of a world has a controller in a process of its own"
 SEED = 0

@@ -7,12 +7,12 @@ docs/images/scan.png: what a scanner with noise and losses sees from one place.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import qrsim
+from evidence import IMAGES
 
 DOC = "scans among the buildings of street_canyon, against distances by shapely"
 SEED = 41
@@ -27,7 +27,6 @@ PLACES = [
     [50.0, 20.0, -10.0],
 ]
 PICTURED = 1
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 
 Values = np.ndarray[Any, Any]
 

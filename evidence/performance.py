@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 import qrsim
-from evidence.rollout import peak_bytes
+from evidence._processes import peak_bytes, printed
 
 DOC = "vehicle-steps per second by stage, latency of one step, memory, compilation, against XLA on the same machine"
 SEED = 0
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 VEHICLES = ("1", "10", "100", "1000", "4096", "65536")
 NAMES_OF_LIGHT = {
     "python -c 'import jax'": "import_jax",
@@ -30,14 +25,6 @@ NAMES_OF_LIGHT = {
 # Collisions cost less than the machine drifts within a minute: with and without them by turns.
 TURNS = 7
 TICKS = 1_000_000
-
-
-def printed(name: str, *words: str, **environment: str) -> list[dict[str, Any]]:
-    """Return the rows that a benchmark prints."""
-    command = [sys.executable, str(BENCHMARKS / f"{name}.py"), "--json", *words]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env={**os.environ, **environment})
-    rows: list[dict[str, Any]] = json.loads(done.stdout)["results"]
-    return rows
 
 
 def by_stage(rows: list[dict[str, Any]]) -> dict[str, Any]:

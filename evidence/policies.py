@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from evidence.performance import printed
+from evidence._processes import printed
 
 DOC = "vehicle-steps per second of rollouts with compiled policies, with ones in NumPy, and with one for each team"
 SEED = 0

@@ -9,7 +9,6 @@ distances of a preset together. The full form draws docs/images/radio_delivery.p
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from evidence import IMAGES
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
@@ -57,7 +57,7 @@ LOADS = (0.05, 0.1, 0.2, 0.5, 1.0)
 SENDERS, PERIOD = 25, 0.2
 # Packets at each distance, periods of ALOHA at each load.
 FULL, SMALL = (200_000, 40_000), (4_000, 1_000)
-IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "radio_delivery.png"
+IMAGE = IMAGES / "radio_delivery.png"
 
 Values = np.ndarray[Any, Any]
 

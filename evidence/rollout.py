@@ -5,11 +5,9 @@ Only the summaries of the flights are kept; each world is the built-in keep_spot
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
+
+from evidence._processes import program
 
 DOC = "memory and time of a rollout of 10 000 worlds"
 SEED = 20140916
@@ -19,7 +17,7 @@ LIMIT_BYTES = 2 * 2**30
 PROGRAM = """
 import json, sys, time
 import qrsim
-from evidence.rollout import peak_bytes
+from evidence._processes import peak_bytes
 
 worlds, seconds, seed, cores = int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])
 qrsim.configure(cpu_devices=cores)
@@ -38,23 +36,9 @@ print(json.dumps({
 """
 
 
-def peak_bytes() -> int:
-    """Return the largest resident set of this process so far (Linux).
-
-    Not from getrusage: that remembers what the parent had when it started this process.
-    """
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmHWM:"):
-            return 1024 * int(line.split()[1])
-    raise RuntimeError("/proc/self/status has no VmHWM")
-
-
 def flown(worlds: int, seconds: float, cores: int) -> dict[str, Any]:
     """Return memory, time and outcome of a rollout in a new process."""
-    words = [sys.executable, "-c", PROGRAM, str(worlds), str(seconds), str(SEED), str(cores)]
-    done = subprocess.run(words, check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1])
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
+    return program(PROGRAM, worlds, seconds, SEED, cores)
 
 
 def run(full: bool) -> dict[str, Any]:

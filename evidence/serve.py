@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import os
 import random
-import resource
 import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
-from google.protobuf.message import DecodeError
+from tests.wrong_input.requests import TASK, kind, mutated, valid
 
-from evidence.performance import printed
+from evidence._processes import printed, resident_bytes
 from qrsim.links.reference.client import Client
-from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
-from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.protocol.qrsim_pb2 import Message
 
 DOC = "round trips, real time and streams of a server, and a server under malformed and truncated requests"
 SEED = 20261120
@@ -28,53 +24,6 @@ FULL, SMALL = 100_000, 500
 PER_CONNECTION = 50
 # Bins of the benchmark's histogram that are within a millisecond.
 NEAR_US = ((-1000, -500), (-500, -200), (-200, 200), (200, 500), (500, 1000))
-TASK, PLAYED = "free_flight", "keep_spot"
-
-
-def valid() -> list[bytes]:
-    """Return a request of each kind."""
-    place = pb.Arrayd(value=[6.0, -8.0, -9.0, 0.0])
-    step = Step(dt=0.02, type=Step.WP, cmd=[place])
-    order = pb.Order(vehicle="pelicans_0", type=Step.WP, cmd=place)
-    messages = [
-        Message(type=Message.INIT, init=pb.Init(task=TASK)),
-        Message(type=Message.STEP, step=step),
-        Message(type=Message.RESET, reset=pb.Reset(value=True)),
-        Message(type=Message.SETSTATE, setsState=pb.SetState(X=[pb.Arrayd(value=[6.0, -8.0, -9.0])])),
-        Message(type=Message.HELLO, hello=pb.Hello()),
-        Message(type=Message.OPEN, open=pb.Open(scenario="name: x\nfleets: {}")),
-        Message(type=Message.RESTART, restart=pb.Restart(seed=3)),
-        Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()),
-        Message(type=Message.WATCH, watch=pb.Watch(stop=True)),
-        Message(type=Message.PACE, pace=pb.Pace()),
-        Message(type=Message.PLAY, play=pb.Play(task=PLAYED)),
-        Message(type=Message.DESCRIBE, describe=pb.Describe()),
-        Message(type=Message.CLAIM, claim=pb.Claim(vehicle=["pelicans_0"], on_silence="hold", hold=1.0)),
-        Message(type=Message.COMMAND, command=pb.Command(order=[order], computed_from=1)),
-        Message(type=Message.SUBSCRIBE, subscribe=pb.Subscribe(rate=10.0)),
-        Message(type=Message.GET_STATUS, get_status=pb.GetStatus()),
-        Message(type=Message.RELEASE, release=pb.Release()),
-        Message(type=Message.ACT, act=pb.Act(action=[pb.Arrayd(value=[0.0, 0.0, 0.2, 0.0, 1.0])])),
-        Message(type=Message.SAY, say=pb.Say(words=[pb.Say.Words(vehicle="pelicans_0", value=[1.0], to="x")])),
-    ]
-    return [message.SerializeToString() for message in messages]
-
-
-def mutated(chance: random.Random, requests: list[bytes]) -> bytes:
-    """Return a request with bits flipped, bytes put in, or its end cut off; sometimes plain noise."""
-    if chance.random() < 0.1:
-        return chance.randbytes(chance.randrange(64))
-    content = bytearray(chance.choice(requests))
-    for _ in range(chance.randint(1, 3)):
-        at = chance.randrange(len(content)) if content else 0
-        kind = chance.randrange(3)
-        if kind == 0 and content:
-            content[at] ^= 1 << chance.randrange(8)
-        elif kind == 1:
-            content[at:at] = chance.randbytes(chance.randint(1, 8))
-        else:
-            del content[at:]
-    return bytes(content)
 
 
 def reply(connection: socket.socket) -> Message | None:
@@ -83,14 +32,6 @@ def reply(connection: socket.socket) -> Message | None:
     if len(head) < 5:
         return None
     return Message.FromString(connection.recv(int.from_bytes(head[1:], "little"), socket.MSG_WAITALL))
-
-
-def kind(payload: bytes) -> int:
-    """Return the type of a request, as far as it can be read."""
-    message = Message()
-    with suppress(DecodeError):
-        message.ParseFromString(payload)
-    return message.type
 
 
 def attack(port: int, chance: random.Random, requests: list[bytes], counted: dict[str, int]) -> None:
@@ -119,11 +60,6 @@ def attack(port: int, chance: random.Random, requests: list[bytes], counted: dic
                 return  # a refused INIT and a DISCONNECT end the connection
 
 
-def memory(pid: int) -> int:
-    """Return the resident memory of a process [bytes]."""
-    return int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1]) * resource.getpagesize()
-
-
 def malformed(wanted: int) -> dict[str, Any]:
     """Send so many requests; return what came back, what it took, and whether another client noticed."""
     chance, requests = random.Random(SEED), valid()
@@ -140,14 +76,14 @@ def malformed(wanted: int) -> dict[str, Any]:
             while counted["frames"] < wanted:
                 attack(port, chance, requests, counted)
                 if not before and counted["frames"] >= wanted // 4:
-                    before = memory(server.pid)
+                    before = resident_bytes(server.pid)
                 asked = time.perf_counter()
                 steps += 1
                 state = other.step_waypoint(0.02, [[6.0, -8.0, -9.0, 0.0]])
                 slowest = max(slowest, time.perf_counter() - asked)
                 assert abs(state.time - 0.02 * steps) < 1e-6
             seconds = time.perf_counter() - begun
-            after = memory(server.pid)
+            after = resident_bytes(server.pid)
         alive = server.poll() is None
         server.terminate()
         _, complaints = server.communicate(timeout=60.0)

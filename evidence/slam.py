@@ -7,16 +7,14 @@ the part that the remedy recovers percentile bootstrap intervals over seeds, all
 
 from __future__ import annotations
 
-import json
 import pickle
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evidence._processes import program
 from qrsim.studies.slam import example
 from qrsim.studies.slam import study as studies
 from qrsim.studies.slam.study import Study
@@ -33,7 +31,7 @@ LONG = (120.0, 900.0, 3600.0)
 PROGRAM = """
 import json, pickle, sys, time
 from pathlib import Path
-from evidence.rollout import peak_bytes
+from evidence._processes import peak_bytes
 from qrsim.studies.slam.estimate import bytes_needed, estimate
 
 flight, ranging = pickle.loads(Path(sys.argv[1]).read_bytes())
@@ -66,10 +64,7 @@ def measured(seconds: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight"
         path.write_bytes(pickle.dumps((flight, example.ranging_of(flight, SEED))))
-        words = [sys.executable, "-c", PROGRAM, str(path)]
-        done = subprocess.run(words, check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1])
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
+        return program(PROGRAM, path)
 
 
 def resources() -> dict[str, Any]:

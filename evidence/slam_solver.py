@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from evidence.performance import printed
+from evidence._processes import printed
 
 DOC = "CPU time of range-only SLAM over that of GTSAM on the same problem; the solutions' distance and cost"
 NUMBERS = ("states", "ours_cpu_s", "theirs_cpu_s", "ours_to_theirs", "ours_iterations", "theirs_iterations", "apart_m")

@@ -7,50 +7,23 @@ same where every coordinate, metric and attribute is, to the bit.
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import signal
 import statistics
-import subprocess
-import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
+from tests.studies.sweep.killing import SMALL, dask, finish, kill_process, kill_worker, opened, same, scheduler, sweep
 
+from evidence._processes import program
 from qrsim.scenarios.reading import dump_yaml
 
 DOC = "time of 10 000 episodes beside the raw core, kills, workers and clusters, memory of a study of a million points"
 SEED = 0
-ROOT = Path(__file__).parents[1]
 STUDY = "station_keeping_plain"
 # Words for ``qrsim sweep``: a part of the study, for what is flown many times.
 PART = [STUDY, "--seeds", "12", "--values", "8"]
-# A study small enough to be flown in a test.
-SMALL: dict[str, Any] = {
-    "name": "small",
-    "scenario": "hover_ideal",
-    "set": {
-        "duration": 1.0,
-        "world.wind": {"type": "log_shear", "speed_20ft": 1.0, "wind_from_deg": 90.0},
-        "fleets.pelicans.vehicle.process_noise": 1.0,
-    },
-    "vary": {
-        "world.wind.speed_20ft": {"values": [0.0, 2.0, 4.0], "name": "wind", "unit": "m/s"},
-        "fleets.pelicans.vehicle.mass": {"low": 1.5, "high": 1.8, "count": 4, "name": "mass"},
-    },
-    "seeds": 5,
-    "metrics": ["tracking_error_rms_m", "wind_max_m_s"],
-    "failure": {"metric": "tracking_error_max_m", "above": 0.05},
-    "batch": 5,
-}
 ROUNDS, WORKERS, MILLION = 3, 2, 2**20
-WAIT_S = 300.0
 
 THROUGHPUT = """
 import json, sys, tempfile, time
@@ -99,7 +72,7 @@ MEMORY = """
 import json, sys, tempfile
 from pathlib import Path
 
-from evidence.rollout import peak_bytes
+from evidence._processes import peak_bytes
 from qrsim.studies.sweep.prepare import plan_of
 from qrsim.studies.sweep.store import Store
 from qrsim.studies.sweep.study import load_study
@@ -130,20 +103,6 @@ metrics: [tracking_error_rms_m]
 """
 
 
-def program(text: str, *words: str) -> dict[str, Any]:
-    """Return what a program prints."""
-    # A file, because the processes that it starts import it.
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "program.py"
-        path.write_text(text, encoding="utf-8")
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(
-            [sys.executable, str(path), *words], check=True, stdout=subprocess.PIPE, text=True, env=environment
-        )
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
-
-
 def throughput(study: str, rounds: int) -> dict[str, Any]:
     """Return times of a study of one program on two cores, and the ratio to the raw core."""
     found = program(THROUGHPUT, study, str(rounds), str(WORKERS))
@@ -163,109 +122,6 @@ def throughput(study: str, rounds: int) -> dict[str, Any]:
 def million(points: int) -> dict[str, Any]:
     """Return how much more memory it takes to plan so many points than to plan 1024."""
     return program(MEMORY, str(points))
-
-
-def sweep(store: Path, words: list[str], *more: str) -> subprocess.Popen[bytes]:
-    """Start ``qrsim sweep`` in a process of its own."""
-    line = [sys.executable, "-m", "qrsim.cli", "sweep", *words, *more, "--out", str(store)]
-    return subprocess.Popen(line, stdout=subprocess.DEVNULL)
-
-
-def finish(process: subprocess.Popen[bytes]) -> None:
-    """Wait until a command has ended well."""
-    if process.wait(WAIT_S):
-        raise RuntimeError(f"qrsim sweep ended with {process.returncode}")
-
-
-def until(what: Callable[[], Any]) -> Any:
-    """Wait until something is true, and return it."""
-    end = time.monotonic() + WAIT_S
-    while time.monotonic() < end:
-        found = what()
-        if found:
-            return found
-        time.sleep(0.02)
-    raise RuntimeError(f"nothing happened in {WAIT_S:g} s")
-
-
-def written(store: Path) -> int:
-    """Return how many batches of a store are written."""
-    return sum(path.is_file() and path.suffix != ".partial" for path in (store / "flown" / "c").rglob("*"))
-
-
-def kill_process(store: Path, words: list[str], after: int) -> int:
-    """Kill a sweep in its middle and give the command again; return how many batches the kill left."""
-    process = sweep(store, words, "--workers", "1")
-    until(lambda: written(store) >= after)
-    family = psutil.Process(process.pid).children(recursive=True)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    left = written(store)
-    # Its workers notice, and nobody is left behind.
-    until(lambda: not any(one.is_running() and one.status() != psutil.STATUS_ZOMBIE for one in family))
-    finish(sweep(store, words, "--workers", "2"))
-    return left
-
-
-def kill_worker(store: Path, words: list[str], after: int) -> int:
-    """Kill one of two workers in the middle of a sweep; return how many batches were written then."""
-    process = sweep(store, words, "--workers", "2")
-    until(lambda: written(store) >= after)
-    workers = [
-        child
-        for child in psutil.Process(process.pid).children(recursive=True)
-        if "spawn_main" in " ".join(child.cmdline())
-    ]
-    workers[0].send_signal(signal.SIGKILL)
-    left = written(store)
-    finish(process)
-    return left
-
-
-@contextlib.contextmanager
-def dask(*words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a Dask program while the context lasts."""
-    line = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
-    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        own = psutil.Process(process.pid)
-        for one in [*own.children(recursive=True), own]:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                one.kill()
-        process.wait()
-
-
-@contextlib.contextmanager
-def scheduler(folder: Path) -> Iterator[str]:
-    """Run a Dask scheduler on loopback, and yield its address."""
-    file = folder / "scheduler.json"
-    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), "--no-show") as process:
-
-        def address() -> str:
-            if process.poll() is not None:
-                raise RuntimeError("the scheduler ended")
-            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
-                return str(json.loads(file.read_text(encoding="utf-8"))["address"])
-            return ""
-
-        yield until(address)
-
-
-def opened(store: Path) -> Any:
-    """Return the Dataset of a store, in memory."""
-    import xarray as xr
-
-    return xr.open_zarr(store, consolidated=False, chunks=None).load()
-
-
-def same(one: Any, other: Any) -> bool:
-    """Return whether two Datasets are the same to the bit, attributes included."""
-    return bool(
-        one.identical(other)
-        and all(np.asarray(one[name]).tobytes() == np.asarray(other[name]).tobytes() for name in one.variables)
-    )
 
 
 def sameness(words: list[str], after: int) -> dict[str, Any]:

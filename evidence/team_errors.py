@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from evidence import IMAGES
 from evidence import _intervals as interval
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.scenarios.reading import dump_yaml
@@ -23,7 +24,7 @@ from qrsim.scenarios.reading import dump_yaml
 DOC = "a formation, relative navigation and a search under independent and shared gusts and GNSS errors, 200 seeds"
 SEED = 0
 STUDY = "team_errors"
-PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "team_errors.png"
+PICTURE = IMAGES / "team_errors.png"
 # Distance [m] that counts as a collision: a Pelican from tip to tip of its rotors, as the study's failure has it.
 COLLISION_M = 0.65
 METRICS = ("relative_error_rms_m", "relative_estimate_rms_m", "separation_min_m", "missed_share")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import qrsim
+from evidence import IMAGES
 from evidence._plain_sensors import PLAIN
 
 DOC = "flocking, mean headings, a formation, coverage and reciprocal avoidance, flown on noisy sensors in gusts"
 SEED = 0
-PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "teams.png"
+PICTURE = IMAGES / "teams.png"
 WIND = {"type": "log_shear", "speed_20ft": 4.0, "wind_from_deg": 250}
 EDGE, HEIGHT, SECONDS, SEEDS = 200.0, 20.0, 90.0, 20
 AREA = {"type": "box", "x_min": -EDGE, "x_max": EDGE, "y_min": -EDGE, "y_max": EDGE, "z_min": -60.0, "z_max": 0.0}

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from examples import thermal
 
+from evidence import IMAGES
+
 DOC = "height gained or lost by a fixed wing with its motor off, in a thermal and out of it"
 SEED = 1
-PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "thermal.png"
+PICTURE = IMAGES / "thermal.png"
 GLIDES: dict[str, dict[str, Any]] = {
     "centred": {},
     "circling": {"centres": False},

@@ -13,13 +13,13 @@ from __future__ import annotations
 import dataclasses
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 from examples import keep_spot_ppo as ppo
 
+from evidence import IMAGES
 from evidence._learners import STUDIES, learned
 from evidence.tasks import CONFIDENCE, summary
 from qrsim.core.tree import record, replace
@@ -31,7 +31,7 @@ DOC = "return of policies learned by PPO on keep_spot, against hovering and the 
 PARTS = ("example", *STUDIES)
 # Learners, iterations, episodes of each iteration, episodes to try them in.
 FULL, SMALL = (3, ppo.ITERATIONS, ppo.EPISODES, 1000), (1, 2, 16, 16)
-IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "training.png"
+IMAGE = IMAGES / "training.png"
 
 
 @record

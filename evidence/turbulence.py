@@ -5,9 +5,9 @@ The computation is ``qrsim validate``'s, in more cases and over longer series.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
+from evidence import IMAGES
 from qrsim.studies.validate.jsbsim_gusts import INSTALL, TYPES, jsbsim_theory
 from qrsim.studies.validate.spectra import CASES, COMPONENTS, DT, SEVERITY, SPAN, closed_form
 from qrsim.studies.validate.statistics import judge
@@ -18,7 +18,7 @@ __all__ = ["CASES", "COMPONENTS", "DOC", "INSTALL", "SEED", "TYPES", "closed_for
 DOC = "variances and spectra of the full Dryden turbulence, JSBSim's and the closed forms of MIL-F-8785C"
 # The day of MIL-F-8785C; each case counts on from it.
 SEED = 19801105
-FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "turbulence.png"
+FIGURE = IMAGES / "turbulence.png"
 
 
 def run(full: bool) -> dict[str, Any]:

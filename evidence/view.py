@@ -13,9 +13,7 @@ browser fetches (benchmarks/_view_client.py). Memory is that of the simulating p
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -25,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import qrsim
+from evidence._processes import BENCHMARKS, benchmark, resident_bytes
 from qrsim.runs.recorder import fly
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
@@ -53,19 +52,6 @@ print(code, used.ru_utime + used.ru_stime, lines["VmHWM"].split()[0])
 """
 # Part of the flight during which memory is looked at.
 LOOK = 0.08
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-
-
-def benchmark(name: str) -> Any:
-    """Return one of the benchmarks, which are no package."""
-    if str(BENCHMARKS) not in sys.path:
-        sys.path.append(str(BENCHMARKS))
-    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
 
 
 def patrol(count: int) -> dict[str, Any]:
@@ -106,7 +92,7 @@ def memory(seconds: float) -> int:
     """Return the least memory of this process in some seconds [bytes]: what waits to be written comes and goes."""
     found, end = [], time.monotonic() + seconds
     while not found or time.monotonic() < end:
-        found.append(int(Path("/proc/self/statm").read_text("utf-8").split()[1]) * resource.getpagesize())
+        found.append(resident_bytes())
         time.sleep(0.02)
     return min(found)
 

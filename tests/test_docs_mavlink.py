@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from evidence import mavlink_table as table
+from docs.writers import mavlink_table as table
 
 from qrsim.links.mavlink.stack import plan
 

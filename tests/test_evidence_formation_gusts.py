@@ -74,7 +74,9 @@ def test_the_animation_is_small() -> None:
 def test_spacings_are_drawn(tmp_path: Path) -> None:
     row = {"value": 0.5, "low": 0.4, "high": 0.6}
     kind = {"correlation": {"horizontal": row, "vertical": row}, "relative_std": {"north": row, "down": row}}
-    pictures.draw_spacings({name: {"dryden": kind, "dryden_field": kind} for name in ("1", "7")}, tmp_path / "a.png")
+    pictures.draw_spacings(
+        {name: {"dryden": kind, "dryden_field": kind} for name in ("1", "7")}, study.closed, tmp_path / "a.png"
+    )
     assert 10_000 < (tmp_path / "a.png").stat().st_size < 200_000
 
 

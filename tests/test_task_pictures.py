@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence import task_pictures as pictures
+from docs.writers import task_pictures as pictures
 
 from qrsim import envs
 

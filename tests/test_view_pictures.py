@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence import pictures
+from docs.writers import pictures
 from PIL import Image
 
 from qrsim.scenarios.reading import built_in_names

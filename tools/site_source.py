@@ -1,7 +1,7 @@
 """Collect the pages of the site: docs/, and the pages of the repository that readers of the site want too.
 
 Links between pages stay relative. A link to any other file of the repository becomes its address at the tag of this
-version. Evidence (docs/evidence/) and private folders stay out.
+version. Evidence (docs/evidence/) and programs (docs/writers/) stay out.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ EXTRA = {
     "clients/cpp/README.md": "reference/client_cpp.md",
     "clients/ros2/README.md": "reference/client_ros2.md",
 }
-LEFT_OUT = "evidence"
+LEFT_OUT = {"evidence", "writers", "__pycache__"}
 # Its one section has every word.
 UNSEARCHED = ("CHANGELOG.md",)
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)\s#]+)(?P<anchor>#[^)\s]*)?(?=\))")
@@ -41,7 +41,11 @@ def pages(root: Path) -> dict[Path, str]:
         root: the repository.
     """
     docs = root / "docs"
-    files = (path for path in sorted(docs.rglob("*")) if path.is_file() and LEFT_OUT not in path.parts)
+    files = (
+        path
+        for path in sorted(docs.rglob("*"))
+        if path.is_file() and not LEFT_OUT.intersection(path.relative_to(docs).parts)
+    )
     extra = {root / name: target for name, target in EXTRA.items()}
     return {path: path.relative_to(docs).as_posix() for path in files} | extra
 

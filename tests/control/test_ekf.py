@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from evidence.estimator import DT, Fix, Heading, Height, Inertial, errors, filtered, flown, matched
 from tests.by_numpy import by_numpy
+from tests.control.kalman_rig import DT, Fix, Heading, Height, Inertial, errors, filtered, flown, matched
 
 from qrsim.control.covariance import Covariance, corrected, forgotten, matrix, propagated, variances
 from qrsim.control.kalman_state import SIZE, TURN, moves, of_angles

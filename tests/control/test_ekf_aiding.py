@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, matched, with_all
 from tests.by_numpy import by_numpy
+from tests.control.kalman_rig import EARTH_FIELD, Magnetic, errors, filtered, flown, matched, with_all
 
 from qrsim.control.consistency import Truth, normalised
 from qrsim.control.covariance import matrix, variances

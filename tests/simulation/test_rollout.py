@@ -321,7 +321,7 @@ class TestMemory:
         """4096 worlds of one noisy vehicle below 2 GiB; as many again, in a second block, add little."""
         program = """
 import json, qrsim
-from evidence.rollout import peak_bytes
+from evidence._processes import peak_bytes
 from qrsim.scenarios.scenario import load_scenario
 world, peaks = load_scenario("keep_spot").world(), []
 for worlds in (4096, 8192):

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence._mutated_states import attempt, mutants
 from tests import small_worlds
+from tests.wrong_input.states import attempt, mutants
 
 import qrsim
 from qrsim.errors import RunError, UsageError

@@ -9,14 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from evidence import compiler
-from evidence._bounds import given
-from evidence._programs import FEATURED
-from evidence._reference import evaluate
 from hypothesis import HealthCheck, settings
 from hypothesis import given as drawn
 from hypothesis import strategies as st
 from jax import lax
 from jax.extend.core import jaxprs_in_params
+from tests.engine.reference import trying
+from tests.engine.reference.bounds import given
+from tests.engine.reference.evaluation import evaluate
+from tests.engine.reference.programs import FEATURED
 
 from qrsim.engine.llvm.rules import RULES
 
@@ -35,7 +36,7 @@ def primitives(jaxpr: Any) -> set[Any]:
 @pytest.mark.parametrize("number", [2699, 10315, 15936, 16300, 18639])
 def test_programs_that_found_a_fault_once(number: int) -> None:
     """Numbers below the normal ones, kept by a loop, a tick or a constant, and the sign of zero."""
-    assert compiler.tried(number)[0] in ("equal", "within")
+    assert trying.tried(number)[0] in ("equal", "within")
 
 
 @pytest.mark.parametrize(
@@ -46,8 +47,8 @@ def test_random_programs_and_every_primitive(programs):
     seen: set[Any] = set()
 
     def check(number: int, featured: Any = None) -> None:
-        what, program = compiler.tried(number, featured, longest=3)
-        assert what in compiler.OUTCOMES, f"program {number}: {what}"
+        what, program = trying.tried(number, featured, longest=3)
+        assert what in trying.OUTCOMES, f"program {number}: {what}"
         if what in ("equal", "within"):
             seen.update(primitives(program.closed.jaxpr))
 
@@ -117,7 +118,7 @@ def _compare_all(rules: dict[str, Any], a: Any, b: Any) -> None:
     def function(_: Any, now: Any, tick: Any) -> Any:
         return dict(now, found=every(now["a"], now["b"]))
 
-    for mode in compiler.MODES[1:]:
+    for mode in trying.MODES[1:]:
         (mine,) = run(function, state, mode)
         for (name, wanted), value in zip(theirs.items(), reference, strict=True):
             np.testing.assert_array_equal(mine["found"][name], wanted, err_msg=f"{name} {mode}")
@@ -142,21 +143,21 @@ def test_special_numbers_go_the_way_they_go_in_jax():
 
 def test_a_value_that_is_too_far_off_is_found():
     """The reference's bounds are narrow: a sum of products with a wrong sign or 1e-5 beside it fails."""
-    program = compiler.tried(3, FEATURED[1], longest=2)[1]
+    program = trying.tried(3, FEATURED[1], longest=2)[1]
     with np.errstate(all="ignore"):
-        reference = compiler.expected(program, 1)
+        reference = trying.expected(program, 1)
     mine = [
         jax.tree.unflatten(jax.tree.structure(program.worlds[0]), [value.rounded for value in leaves])
         for leaves in reference
     ]
-    assert compiler.judged(mine, reference) == "equal"
+    assert trying.judged(mine, reference) == "equal"
     for name in ("i", "k", "u"):
         wrong = [dict(world) for world in mine]
         wrong[1][name] = wrong[1][name] + 1
-        assert name in compiler.judged(wrong, reference)
+        assert name in trying.judged(wrong, reference)
     wrong = [dict(world) for world in mine]
     wrong[0]["x"] = np.where(np.isfinite(wrong[0]["x"]), wrong[0]["x"] * 1.001 + 0.001, 1.0)
-    assert "'x'" in compiler.judged(wrong, reference)
+    assert "'x'" in trying.judged(wrong, reference)
 
 
 @pytest.mark.long
@@ -190,4 +191,4 @@ def test_the_reference_takes_the_zero_that_jax_takes_of_two(name, function):
 
 
 def test_a_program_whose_zeros_have_both_signs():
-    assert compiler.tried(16612)[0] == "equal"
+    assert trying.tried(16612)[0] == "equal"

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evidence import compiler
-from evidence._programs import Draw
 from jax import lax
 from tests.engine.llvm.test_operations import IDS, MODES, check, numbers, run
+from tests.engine.reference import trying
+from tests.engine.reference.programs import Draw
 
 from qrsim.engine.layout import Packer
 from qrsim.engine.llvm import Input, Mode, build
@@ -154,6 +154,6 @@ def _rows(draw: Draw) -> None:
     "programs", [5, pytest.param(50, marks=pytest.mark.long), pytest.param(200, marks=pytest.mark.nightly)]
 )
 def test_random_programs_that_reduce_rows(programs: int) -> None:
-    outcomes = [compiler.tried(3 * 10**9 + number, _rows, longest=3) for number in range(programs)]
-    assert [what for what, _ in outcomes if what not in compiler.OUTCOMES] == []
+    outcomes = [trying.tried(3 * 10**9 + number, _rows, longest=3) for number in range(programs)]
+    assert [what for what, _ in outcomes if what not in trying.OUTCOMES] == []
     assert sum(what in ("equal", "within") for what, _ in outcomes) > programs / 2

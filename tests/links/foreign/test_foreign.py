@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from evidence import _mavlink_clients as clients
+from tests.links.mavlink import driven_clients as clients
 
 from qrsim.scenarios.scenario import load_scenario
 

@@ -11,8 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from evidence import _mavlink_clients as clients
-from evidence._mavlink_clients import MODES, STEPS, Field, fly
+from tests.links.mavlink import driven_clients as clients
+from tests.links.mavlink.driven_clients import MODES, STEPS, Field, fly
 
 pytestmark = pytest.mark.long
 

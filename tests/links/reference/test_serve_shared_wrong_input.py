@@ -6,8 +6,8 @@ import random
 from typing import Any
 
 import pytest
-from evidence import serve
 from shared_worlds import A, B, alone, goal
+from tests.wrong_input import requests as wrong
 from wires import Wire, step
 
 from qrsim.errors import UsageError
@@ -92,19 +92,19 @@ def test_malformed_requests_get_one_reply_each_and_disturb_nobody(free):
     """500 requests with bits flipped, bytes put in or cut off, on connections of 20; what was unexpected fails here."""
     _, connect = free
     # As long as the name of a vehicle here, so that orders for it are among them.
-    requests = [content.replace(b"pelicans_0", b"vehicles_0") for content in serve.valid()]
+    requests = [content.replace(b"pelicans_0", b"vehicles_0") for content in wrong.valid()]
     chance = random.Random(20261122)
     other = connect()
     other.claim(B)
     for _ in range(25):
         with Wire(free[0].port) as wire:
             for _ in range(20):
-                payload = serve.mutated(chance, requests)
+                payload = wrong.mutated(chance, requests)
                 wire.socket.sendall(frame(payload))
                 reply = wire.receive()
                 while reply.type == Message.SENSED:
                     reply = wire.receive()
-                if serve.kind(payload) in (Message.INIT, Message.DISCONNECT) and reply.type == Message.ACK:
+                if wrong.kind(payload) in (Message.INIT, Message.DISCONNECT) and reply.type == Message.ACK:
                     break
         assert other.command({B: ("waypoint", goal(1, 0))}) > 0
     other.disconnect()

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from evidence import _field as field
+from tests.models.atmosphere import field_reference as field
 
 from qrsim.core.noise import Draw, Drawn, Key, threefry2x32
 from qrsim.core.vectors import Vec3

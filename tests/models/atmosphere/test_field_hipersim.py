@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence import _field as field
+from tests.models.atmosphere import field_reference as field
 
 INSTALL = "install it with 'python -m pip install --no-deps hipersim==0.1.22 tqdm'"
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evidence import _field as field
+from tests.models.atmosphere import field_reference as field
 
 from qrsim.core.tree import replace
 from qrsim.models.atmosphere.field_waves import mixed, stagger, waves_at

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evidence import _receivers as receivers
+from tests.models.gnss import flown_receivers as receivers
 
 from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Key

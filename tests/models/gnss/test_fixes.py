@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence import _receivers as receivers
+from tests.models.gnss import flown_receivers as receivers
 
 import qrsim
 from qrsim.errors import ScenarioError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from evidence import _receivers as receivers
+from tests.models.gnss import flown_receivers as receivers
 
 pytestmark = pytest.mark.long
 

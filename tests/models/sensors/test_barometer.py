@@ -178,3 +178,15 @@ def test_draws_as_many_normals_as_it_declares():
     reading = step(cast(sensor, np.float32), drawn, Vec3(one, one, one))
     a = math.exp(-PERIOD / TAU)
     assert float(reading.height[0]) == pytest.approx(a + math.sqrt(1.0 - a * a) - 1.0 + 1.0, rel=1e-5)
+
+
+def test_the_first_rate_of_a_vehicle_placed_anew_is_that_of_a_whole_period() -> None:
+    """Placed at 30 m, climbing at 2 m/s, 5 ms after a reading: at the next one, at 30.03 m, the rate is 2 m/s."""
+    sensor = cast(Barometer(drift_std=0.0), np.float32)  # type: ignore[arg-type]
+    zero = jnp.zeros(1, jnp.float32)
+    climb, still = vertical(zero - 2.0), Drawn((zero, zero))
+    state, _ = sensor.init(still, vertical(zero), vertical(zero))
+    state, _ = sensor.restart(state, still, jnp.full(1, 0.005, jnp.float32), vertical(zero - 30.0), climb)
+    _, reading = sensor.step(state, still, vertical(zero - 30.03), climb)
+    assert float(reading.height[0]) == pytest.approx(30.03, abs=1e-5)
+    assert float(reading.height_rate[0]) == pytest.approx(2.0, abs=5e-4)

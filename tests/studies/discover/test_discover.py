@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence.identify import pelican_log
+from tests.studies.discover.flown_logs import pelican_log
 from tests.studies.flight_logs.log_writing import flown, write_csv
 
 from qrsim import cli

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence._logs import ulog
-from evidence._mutating import mutated
 from tests.studies.flight_logs.log_writing import DT, Floats, flown, write_csv, write_dataflash, write_ulog
+from tests.wrong_input.logs import ulog
+from tests.wrong_input.mutating import mutated
 
 from qrsim.errors import LogError, UsageError
 from qrsim.studies.flight_logs import SIGNALS, FlightLog, read_log

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from evidence import _receivers as receivers
+from tests.models.gnss import flown_receivers as receivers
 
 from qrsim.core.noise import Draw, Key
 from qrsim.core.vectors import Vec3

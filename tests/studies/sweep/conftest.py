@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from evidence.sweep import SMALL
+from tests.studies.sweep.killing import SMALL
 
 from qrsim.studies.sweep.plan import Plan
 from qrsim.studies.sweep.prepare import plan_of

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from evidence.sweep import SMALL
+from tests.studies.sweep.killing import SMALL
 
 from qrsim.errors import QrsimError
 from qrsim.scenarios.scenario import load_scenario

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence.sweep import opened, same
 from tests.studies.sweep.conftest import flown, planned, write
+from tests.studies.sweep.killing import opened, same
 
 import qrsim
 from qrsim.cli import main

@@ -14,9 +14,9 @@ from typing import Any
 import distributed
 import pytest
 from distributed.comm import connect
-from evidence.sweep import dask, kill_process, kill_worker, opened, same
-from evidence.sweep import scheduler as running
 from tests.studies.sweep.conftest import flown, write
+from tests.studies.sweep.killing import dask, kill_process, kill_worker, opened, same
+from tests.studies.sweep.killing import scheduler as running
 
 from qrsim.cli import main
 from qrsim.errors import RunError

@@ -1,4 +1,4 @@
-"""Tables of the MAVLink that qrsim, PX4 and ArduPilot take: ``python -m evidence.mavlink_table [--write]``.
+"""Tables of the MAVLink that qrsim, PX4 and ArduPilot take: ``python -m docs.writers.mavlink_table [--write]``.
 
 The column "here" is asked of the code: every command is given to a vehicle of each flavour, every plan item uploaded.
 The others are written down below, from the sources of both (PX4 1.15: Commander, MavlinkReceiver,
@@ -26,8 +26,8 @@ from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.telemetry import ENCODERS
 from qrsim.models.site import Site
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "mavlink.md"
-BEGIN, END = "<!-- written by: python -m evidence.mavlink_table --write -->", "<!-- end of what is written -->"
+PAGE = Path(__file__).resolve().parents[1] / "mavlink.md"
+BEGIN, END = "<!-- written by: python -m docs.writers.mavlink_table --write -->", "<!-- end of what is written -->"
 BOTH: tuple[FlavourName, FlavourName] = ("px4", "ardupilot")
 NONE = "-"
 

@@ -1,18 +1,14 @@
-"""A jaxpr evaluated operation by operation, with bounds: what machine code is held against (see ``_bounds``)."""
+"""Elementwise operations of the reference, with bounds."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
-from jax.extend import core as jex
-
-from evidence import _bounds as bounds
-from evidence._bounds import Array, Value, compared, given, settled, whole
-from qrsim.core.primitives import KERNELS
+from tests.engine.reference import bounds
+from tests.engine.reference.bounds import Array, Value, compared, given, settled, whole
 
 _COMPARISONS: dict[str, Callable[..., Any]] = {
     "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
@@ -42,61 +38,10 @@ _EXTREMES: dict[str, Callable[..., Any]] = {
     "max": lambda a, b: _of_zeros(np.maximum(a, b), a, b, 1.0),
     "min": lambda a, b: _of_zeros(np.minimum(a, b), a, b, -1.0),
 }
-_CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "remat": "jaxpr", "checkpoint": "jaxpr", "remat2": "jaxpr",
-          "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "closed_call": "call_jaxpr",
-          "call": "call_jaxpr", "core_call": "call_jaxpr", "core_closed_call": "call_jaxpr"}  # fmt: skip
 
 
-def evaluate(closed: Any, arguments: Sequence[Value]) -> list[Value]:
-    """Return the results of a closed jaxpr.
-
-    Raises:
-        AmbiguousError: roundings decide a branch, the turns of a loop or a place.
-        KeyError: an operation that is not known here.
-    """
-    return _run(closed.jaxpr, [given(constant) for constant in closed.consts], arguments)
-
-
-def _run(jaxpr: Any, constants: Sequence[Value], arguments: Sequence[Value]) -> list[Value]:
-    known: dict[Any, Value] = dict(zip(jaxpr.invars, arguments, strict=True))
-    known.update(zip(jaxpr.constvars, constants, strict=True))
-
-    def read(atom: Any) -> Value:
-        return given(np.asarray(atom.val, atom.aval.dtype)) if isinstance(atom, jex.Literal) else known[atom]
-
-    for equation in jaxpr.eqns:
-        inputs = [read(atom) for atom in equation.invars]
-        found = _applied(equation, inputs)
-        for variable, value in zip(equation.outvars, found, strict=True):
-            shape = tuple(variable.aval.shape)
-            rounded = np.asarray(value.rounded, variable.aval.dtype)
-            # Literals have no axes.
-            known[variable] = Value(*(np.broadcast_to(part, shape) for part in (rounded, value.exact, value.error)))
-    return [read(atom) for atom in jaxpr.outvars]
-
-
-def _applied(equation: Any, inputs: list[Value]) -> list[Value]:
-    name, parameters = equation.primitive.name, equation.params
-    if name in _CALLS:
-        closed = parameters[_CALLS[name]]
-        return _run(getattr(closed, "jaxpr", closed), [given(c) for c in getattr(closed, "consts", ())], inputs)
-    if name.startswith("kernel_"):
-        closed = jax.make_jaxpr(KERNELS[name.removeprefix("kernel_")].body)(*(v.aval for v in equation.invars))
-        return _run(closed.jaxpr, [given(constant) for constant in closed.consts], inputs)
-    rule = _RULES.get(name)
-    if rule is not None:
-        found = rule(inputs, parameters, equation.outvars[0].aval)
-        return found if isinstance(found, list) else [found]
-    moved = _movement(name, parameters, equation)
-    if moved is not None:
-        return [inputs[0].each(moved)]
-    return [_elementwise(name, inputs, parameters, equation.outvars[0].aval.dtype)]
-
-
-# Elementwise
-
-
-def _elementwise(name: str, inputs: list[Value], parameters: Any, dtype: Any) -> Value:
+def elementwise(name: str, inputs: list[Value], parameters: Any, dtype: Any) -> Value:
+    """Return the result of an elementwise operation; KeyError: it is not known here."""
     a = inputs[0]
     if name in _COMPARISONS:
         return compared(_COMPARISONS[name], *inputs)
@@ -126,7 +71,8 @@ def _times_error(size: Array, error: Array) -> Array:
     return np.where(error == 0.0, 0.0, np.where(np.isfinite(size), size, 0.0) * error)
 
 
-def _product(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
+def product(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
+    """Return a product of two arrays."""
     a, b = inputs
     error = _times_error(np.abs(a.exact), b.error) + _times_error(np.abs(b.exact), a.error)
     error = error + np.where((a.error == 0.0) | (b.error == 0.0), 0.0, a.error * b.error)
@@ -220,10 +166,10 @@ def _integer_power(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
         return given(np.ones_like(x.rounded))
     while left:
         if left & 1:
-            result = square if result is None else _product([result, square], None, dtype)
+            result = square if result is None else product([result, square], None, dtype)
         left >>= 1
         if left:
-            square = _product([square, square], None, dtype)
+            square = product([square, square], None, dtype)
     assert result is not None
     return result if y > 0 else _quotient([given(np.ones_like(x.rounded)), result], None, dtype)
 
@@ -278,13 +224,13 @@ def _bits_of(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
 
 
 _FLOATS: dict[str, Callable[..., Value]] = {
-    "add": _sum, "add_any": _sum, "sub": _difference, "mul": _product, "div": _quotient, "rem": _remainder,
+    "add": _sum, "add_any": _sum, "sub": _difference, "mul": product, "div": _quotient, "rem": _remainder,
     "max": _extreme("max"), "min": _extreme("min"), "clamp": _clamped, "pow": _power, "atan2": _angle, "sqrt": _root,
     "integer_pow": _integer_power, "round": _rounding, "is_finite": _finite, "convert_element_type": _converted,
     "bitcast_convert_type": _bits_of,
     "neg": lambda inputs, *_: inputs[0]._replace(rounded=-inputs[0].rounded, exact=-inputs[0].exact),
     "abs": lambda inputs, *_: inputs[0]._replace(rounded=np.abs(inputs[0].rounded), exact=np.abs(inputs[0].exact)),
-    "square": lambda inputs, *_: _product([inputs[0], inputs[0]], None, None),
+    "square": lambda inputs, *_: product([inputs[0], inputs[0]], None, None),
     "rounded": lambda inputs, *_: inputs[0],
 }  # fmt: skip
 
@@ -346,28 +292,3 @@ _WHOLE: dict[str, Callable[..., int]] = {
     "integer_pow": lambda d, p, a: a ** p["y"], "shift_left": _shifted("left"),
     "shift_right_logical": _shifted("logical"), "shift_right_arithmetic": _shifted("arithmetic"),
 }  # fmt: skip
-
-
-# Arrays
-
-
-def _movement(name: str, parameters: Any, equation: Any) -> Callable[[Array], Array] | None:
-    """Return what only moves elements of one array, None for anything else."""
-    shape = tuple(equation.outvars[0].aval.shape)
-    if name == "broadcast_in_dim":
-        to, old = parameters["broadcast_dimensions"], tuple(equation.invars[0].aval.shape)
-        wider = [old[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
-        return lambda part: np.broadcast_to(part.reshape(wider), shape)
-    if name in ("reshape", "squeeze"):
-        return lambda part: part.reshape(shape)
-    if name == "transpose":
-        return lambda part: part.transpose(parameters["permutation"])
-    if name == "slice":
-        limits = zip(parameters["start_indices"], parameters["limit_indices"], strict=True)
-        strides = parameters["strides"] or [1] * len(shape)
-        cut = tuple(slice(a, b, s) for (a, b), s in zip(limits, strides, strict=True))
-        return lambda part: part[cut]
-    return None
-
-
-from evidence._reference_arrays import RULES as _RULES  # noqa: E402 (it evaluates the programs inside by this module)

@@ -1,4 +1,4 @@
-"""Write docs/images/task_FAMILY.png, an episode of each baseline: ``python -m evidence.task_pictures [FAMILY ...]``.
+"""Write docs/images/task_FAMILY.png, an episode of each baseline: ``python -m docs.writers.task_pictures FAMILY ...``.
 
 What is drawn as true is the truth of the simulation, which the policies do not see.
 """
@@ -14,9 +14,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from docs.writers.pictures import write_named
 from matplotlib.figure import Figure
 
-from evidence.pictures import write_named
 from qrsim.core.vectors import Vec3
 from qrsim.envs.batch import Batch
 from qrsim.runs.picture import new_figure, save_picture
@@ -24,7 +24,7 @@ from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline
 from qrsim.world.episode import surroundings
 
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
+IMAGES = Path(__file__).resolve().parents[1] / "images"
 Values = np.ndarray[Any, Any]
 COLOURS = ("tab:blue", "tab:green", "tab:purple")
 # The last part of the pursuit, drawn on its own [s].

@@ -1,4 +1,4 @@
-"""Write the pictures of the 3-D page and the README's figure: ``python -m evidence.pictures [NAME ...]``.
+"""Write the pictures of the 3-D page and the README's figure: ``python -m docs.writers.pictures [NAME ...]``.
 
 Each is what two commands make, and the documentation shows them: ``qrsim run`` flies, ``qrsim view --screenshot``
 looks. Of the other pictures in docs/images the list says which command writes them.
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
+IMAGES = Path(__file__).resolve().parents[1] / "images"
 # A scenario that is not built in: many vehicles, each on a square of its own.
 SWARM, SWARM_SIZE = "swarm.yaml", 1000
 

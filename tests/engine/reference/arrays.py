@@ -1,4 +1,4 @@
-"""The part of the reference that deals with whole arrays: reductions, places, branches and loops."""
+"""The part of the reference that deals with whole arrays: reductions and places."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-
-from evidence import _bounds as bounds
-from evidence._bounds import AmbiguousError, Array, Value, chosen, given, settled, whole
-
-# A loop of more turns than this is none that was meant.
-MOST_TURNS = 10_000
+from tests.engine.reference import bounds
+from tests.engine.reference.bounds import AmbiguousError, Array, Value, chosen, given, settled, whole
+from tests.engine.reference.elements import elementwise, product
 
 
 def _added(inputs: list[Value], parameters: Any, out: Any) -> Value:
@@ -39,13 +36,11 @@ def _multiplied(inputs: list[Value], parameters: Any, out: Any) -> Value:
     (x,), axes = inputs, tuple(parameters["axes"])
     if x.rounded.dtype.kind != "f":
         return whole(np.multiply.reduce(x.rounded, axis=axes, dtype=x.rounded.dtype), *_any_of(x, axes))
-    from evidence._reference import _product
-
     parts = np.moveaxis(x.rounded, axes, range(len(axes))).reshape(-1, *np.shape(x.rounded.sum(axis=axes)))
     moved = x.each(lambda part: np.moveaxis(part, axes, range(len(axes))).reshape(parts.shape))
     total = given(np.ones(parts.shape[1:], x.rounded.dtype))
     for i in range(len(parts)):
-        total = _product([total, moved.each(lambda part, i=i: part[i])], None, None)
+        total = product([total, moved.each(lambda part, i=i: part[i])], None, None)
     # In another order it may be too large, or lose what is too small, on the way.
     sizes = np.where(np.isfinite(moved.exact) & (moved.exact != 0.0), np.abs(moved.exact), 1.0)
     risky = (np.maximum(sizes, 1.0).prod(axis=0) > 1e37) | (np.minimum(sizes, 1.0).prod(axis=0) < 1e-36)
@@ -134,9 +129,7 @@ def _running(step: Callable[..., Value]) -> Callable[..., Value]:
 
 def _step_of(name: str) -> Callable[[Value, Value], Value]:
     def step(a: Value, b: Value) -> Value:
-        from evidence._reference import _elementwise
-
-        return _elementwise(name, [a, b], {}, a.rounded.dtype)
+        return elementwise(name, [a, b], {}, a.rounded.dtype)
 
     return step
 
@@ -246,50 +239,13 @@ def _scattered(how: str) -> Callable[..., Value]:
                 continue
             one, there = updates.each(lambda part, at=at: part[at]), tuple(index)
             if how != "set":
-                from evidence._reference import _elementwise
-
                 before = Value(*(np.asarray(part[there]) for part in found))
-                one = _elementwise(how, [before, one], {}, operand.rounded.dtype)
+                one = elementwise(how, [before, one], {}, operand.rounded.dtype)
             for part, new in zip(found, one, strict=True):
                 part[there] = new
         return Value(*found)
 
     return of
-
-
-def _branched(inputs: list[Value], parameters: Any, out: Any) -> list[Value]:
-    from evidence._reference import evaluate
-
-    if not inputs[0].known:
-        raise AmbiguousError("which branch")
-    branches = parameters["branches"]
-    return evaluate(branches[int(np.clip(int(inputs[0].rounded), 0, len(branches) - 1))], inputs[1:])
-
-
-def _repeated(inputs: list[Value], parameters: Any, out: Any) -> list[Value]:
-    from evidence._reference import evaluate
-
-    first, second = parameters["cond_nconsts"], parameters["body_nconsts"]
-    carry = inputs[first + second :]
-    for _ in range(MOST_TURNS):
-        (goes_on,) = evaluate(parameters["cond_jaxpr"], [*inputs[:first], *carry])
-        if not goes_on.known:
-            raise AmbiguousError("how many turns")
-        if not bool(goes_on.rounded):
-            return carry
-        carry = evaluate(parameters["body_jaxpr"], [*inputs[first : first + second], *carry])
-    raise AmbiguousError("a loop without an end")
-
-
-def _counted(inputs: list[Value], parameters: Any, out: Any) -> list[Value]:
-    from evidence._reference import evaluate
-
-    constants = parameters["num_consts"]
-    carry = inputs[constants:]
-    assert len(carry) == parameters["num_carry"]
-    for _ in range(parameters["length"]):
-        carry = evaluate(parameters["jaxpr"], [*inputs[:constants], *carry])
-    return carry
 
 
 def _nearest(inputs: list[Value], parameters: Any, out: Any) -> Value:
@@ -328,7 +284,6 @@ RULES: dict[str, Callable[..., Any]] = {
     "stop_gradient": _handed_on, "select_n": _selected,
     "dynamic_slice": _part, "gather": _gathered, "scatter": _scattered("set"), "scatter-add": _scattered("add"),
     "scatter-mul": _scattered("mul"), "scatter-min": _scattered("min"), "scatter-max": _scattered("max"),
-    "cond": _branched, "while": _repeated, "scan": _counted,
     "nearest_squared": _nearest, "copy": _handed_on, "copy_p": _handed_on,
     "optimization_barrier": _handed_on,
 }  # fmt: skip

@@ -14,10 +14,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from evidence._logs import csv_log, dataflash, inertial_ulog, rig_log, sp3, ulog
-from evidence._maps import GEOJSON, HEIGHTS, KML, PLAN
-from evidence._mutated_states import attempt, mutants, saved_state, simulation_of
-from evidence._mutating import Rng, mutated, number, scaled
+from tests.wrong_input.logs import csv_log, dataflash, inertial_ulog, rig_log, sp3, ulog
+from tests.wrong_input.maps import GEOJSON, HEIGHTS, KML, PLAN
+from tests.wrong_input.mutating import Rng, mutated, number, scaled
+from tests.wrong_input.states import attempt, mutants, saved_state, simulation_of
+
 from qrsim.errors import QrsimError
 
 BUG = "this is a bug in qrsim"
