@@ -6,13 +6,14 @@ BIN := .venv/bin
 # What running needs, and beside it what checking needs.
 STAMP := .venv/.installed
 TOOLS := .venv/.tools
-CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard docs/writers) $(wildcard examples/*.py)
+DOCS := .venv/.docs
+CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard docs/writers) $(wildcard tools) $(wildcard examples/*.py)
 
 # Without bytecode, every process of the tests and each of its children would compile all sources.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures proto dist clean help
+.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures docs docs-serve docs-pages proto dist clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -89,6 +90,19 @@ pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png
 	@$(BIN)/python -m docs.writers.pictures
 	@$(BIN)/python -m docs.writers.task_pictures
 
+$(DOCS): $(STAMP)
+	$(PIP) '.[docs]'
+	@touch $@
+
+docs: $(DOCS)  ## build the documentation site into build/site; a broken link or a warning about a docstring fails
+	@$(BIN)/python -m tools.site build
+
+docs-serve: $(DOCS)  ## serve the site at http://localhost:8000 and follow changes of the pages
+	@$(BIN)/python -m tools.site serve
+
+docs-pages: $(TOOLS)  ## write the pages of docs/reference/ that are generated from the code
+	@$(BIN)/python -m tools.reference
+
 proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto
 
@@ -99,7 +113,7 @@ dist: $(STAMP)  ## build the wheel and the source distribution in dist/, and che
 	$(BIN)/python -m twine check --strict dist/*
 
 clean:  ## remove caches and build output (.venv stays)
-	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf build dist .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:  ## list the targets

@@ -1,11 +1,12 @@
 """qrsim: a multi-UAV outdoor simulator.
 
->>> import qrsim
->>> sim = qrsim.load("outdoor_patrol", seed=1)
->>> reading = sim.reset()
->>> reading = sim.step(ticks=50)
->>> sim.truth.position_ned.shape
-(5, 3)
+Examples:
+    >>> import qrsim
+    >>> sim = qrsim.load("outdoor_patrol", seed=1)
+    >>> reading = sim.reset()
+    >>> reading = sim.step(ticks=50)
+    >>> sim.truth.position_ned.shape
+    (5, 3)
 """
 
 from __future__ import annotations

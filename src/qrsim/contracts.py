@@ -1,10 +1,11 @@
 """The contracts of components and links of your own (docs/extending.md), in one place.
 
->>> from qrsim.contracts import Sensor, describe
->>> describe("sensor")  # what a sensor has, with shapes and units
-
 A component may name its contract as its base class, and need not. Methods marked abstract are required; everything else
 has a default.
+
+Examples:
+    >>> from qrsim.contracts import Sensor, describe
+    >>> describe("sensor")  # the members of a sensor, with shapes and units
 """
 
 from __future__ import annotations

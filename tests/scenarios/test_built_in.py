@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -144,6 +145,16 @@ def test_the_json_schema_knows_every_component_of_the_catalogue() -> None:
         if isinstance(group, dict) and group and all(isinstance(item, type) for item in group.values()):
             for name in group:
                 assert f'"const": "{name}"' in known, name
+
+
+def test_the_json_schema_names_types_by_their_key_where_several_keys_have_one() -> None:
+    schema = json_schema()
+    assert not [name for name in schema["$defs"] if "__" in name]
+    assert schema["properties"]["task"]["discriminator"]["mapping"]["none"] == "#/$defs/task_none"
+    wings = {name for name in schema["$defs"] if name.endswith("fixed_wing")}
+    assert wings == {"vehicle_fixed_wing", "controller_fixed_wing", "guidance_fixed_wing"}
+    referred = set(re.findall(r'"#/\$defs/(\w+)"', json.dumps(schema)))
+    assert referred == set(schema["$defs"])
 
 
 def test_the_json_schema_takes_angles_in_degrees_too() -> None:

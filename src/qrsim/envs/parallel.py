@@ -28,10 +28,14 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     ``agents``; the episode ends when all have, or a vehicle has stopped that is no agent.
 
     Args:
-        scenario, overrides, precision, render_mode: as of ``SingleTask``.
+        scenario: as ``qrsim.load`` takes it.
+        overrides: assignments such as "world.wind.speed_20ft=7".
+        precision: "float32" or "float64".
+        render_mode: as of ``SingleTask``.
 
     Attributes:
-        observation_axes, answer_space: as of ``SingleTask``, each of one agent; the axes of several fleets by fleet.
+        observation_axes: as of ``SingleTask``, each of one agent; the axes of several fleets by fleet.
+        answer_space: as of ``SingleTask``, each of one agent.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012

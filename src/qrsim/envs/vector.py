@@ -27,7 +27,10 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     Environment i of a seed s is that of ``SingleTask`` with the seed s + i.
 
     Args:
-        scenario, overrides, precision, render_mode: as of ``SingleTask``.
+        scenario: as ``qrsim.load`` takes it.
+        overrides: assignments such as "world.wind.speed_20ft=7".
+        precision: "float32" or "float64".
+        render_mode: as of ``SingleTask``.
         num_envs: how many.
         autoreset_mode: when an episode that has ended is followed by the next, one of Gymnasium's or its name.
             ``NEXT_STEP``: the next step begins it; that step's action is not looked at, and its reward is 0.
@@ -36,7 +39,8 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             ``options["reset_mask"]`` begins it.
 
     Attributes:
-        observation_axes, answer_space: as of ``SingleTask``, each of one environment.
+        observation_axes: as of ``SingleTask``, each of one environment.
+        answer_space: as of ``SingleTask``, each of one environment.
 
     Raises:
         UsageError: there is no such mode.

@@ -30,12 +30,17 @@ class VectorParallelTask:
     Environment i of a seed s is that of ``ParallelTask`` with the seed s + i.
 
     Args:
-        scenario, overrides, precision, render_mode: as of ``SingleTask``.
-        num_envs, autoreset_mode: as of ``VectorTask``.
+        scenario: as ``qrsim.load`` takes it.
+        overrides: assignments such as "world.wind.speed_20ft=7".
+        precision: "float32" or "float64".
+        render_mode: as of ``SingleTask``.
+        num_envs: number of episodes.
+        autoreset_mode: as of ``VectorTask``.
 
     Attributes:
         possible_agents: names of the agents; all act in every step.
-        observation_axes, answer_space: as of ``SingleTask``, each of one agent in one environment.
+        observation_axes: as of ``SingleTask``, each of one agent in one environment.
+        answer_space: as of ``SingleTask``, each of one agent in one environment.
 
     Raises:
         UsageError: there is no such mode.

@@ -108,7 +108,9 @@ def fly(
         precision: float32 or float64.
         every: stream -> N: of this stream only the ticks that N divides are kept. Events are all kept.
         realtime: pace the flight against the wall clock.
-        policy, estimator, policy_ticks: the user's own functions, see ``qrsim.interface.policies``.
+        policy: commands the vehicles, see ``qrsim.interface.policies``; None: every fleet's own guidance.
+        estimator: feeds the controllers in place of the sensors, see ``qrsim.interface.policies``.
+        policy_ticks: ticks between two calls of the policy.
         progress: called after every chunk with simulated and wall time [s].
         command_line: words to note in the run folder, by default those of this process.
         view: page that shows the flight, and says how fast it goes.

@@ -46,10 +46,6 @@ def rollout(
 ) -> Rollout:
     """Fly many worlds from their start and return the metrics of each flight.
 
-    >>> import qrsim
-    >>> qrsim.rollout("hover", ticks=100, worlds=3).metrics["reason"].shape
-    (3, 1)
-
     Args:
         world: a scenario by its name (``qrsim list``), the path of its YAML file, its content as a dict or a Scenario;
             a World; or a list with one of these for each world, which may differ in numbers only.
@@ -76,6 +72,11 @@ def rollout(
         UsageError: no such scenario, wrong numbers, worlds of different structure, a World without ticks, or a policy
             or estimator of the wrong kind, shape or value (vehicle, world and tick are named).
         ScenarioError: faults in a scenario, all of them listed.
+
+    Examples:
+        >>> import qrsim
+        >>> qrsim.rollout("hover", ticks=100, worlds=3).metrics["reason"].shape
+        (3, 1)
     """
     check_precision(precision)
     # A generator would be at its end after the first of several scenarios.
@@ -133,13 +134,6 @@ def play(
 ) -> Flight:
     """Fly a world once with a policy for each team, tick by tick.
 
-    >>> import numpy as np
-    >>> import qrsim
-    >>> def climb(reading):
-    ...     return qrsim.WaypointSetpoint.of(np.array([[0.0, 0.0, -30.0]]), 0.0)
-    >>> qrsim.play("hover", {"pelicans": climb}, ticks=50).position_ned.shape
-    (51, 1, 3)
-
     The same dict is a policy of ``rollout``, which flies many worlds.
 
     Args:
@@ -147,13 +141,23 @@ def play(
         policies: by the names of fleets or of single vehicles, see ``qrsim.interface.policies``. Each sees the readings
             of its own vehicles and commands these; who is in none flies by its own guidance.
         ticks: how many steps; None: the duration of the scenario.
-        seed, precision, overrides: as in ``rollout``.
+        seed: of all randomness.
         policy_ticks: the policies are asked at every so-many-th tick.
         record_every: ticks between two records.
+        precision: as in ``rollout``.
+        overrides: as in ``rollout``.
 
     Raises:
         UsageError: no such scenario, fleet or vehicle, wrong numbers, or a policy of the wrong kind, shape or value.
         RunError: a policy failed.
+
+    Examples:
+        >>> import numpy as np
+        >>> import qrsim
+        >>> def climb(reading):
+        ...     return qrsim.WaypointSetpoint.of(np.array([[0.0, 0.0, -30.0]]), 0.0)
+        >>> qrsim.play("hover", {"pelicans": climb}, ticks=50).position_ned.shape
+        (51, 1, 3)
     """
     from qrsim.simulation.pilot import Pilot
     from qrsim.simulation.simulation import Simulation

@@ -50,8 +50,6 @@ _ORIGINS: dict[tuple[str, str], Origin] = {}
 def register(kind: str, name: str, component: type) -> type:
     """Register a class under a name for scenarios; return the class.
 
-    >>> qrsim.register("sensor", "laser", Laser)
-
     Args:
         kind: what it is: "sensor", "vehicle", "wind", ... (see docs/extending.md).
         name: what a scenario calls it.
@@ -59,6 +57,9 @@ def register(kind: str, name: str, component: type) -> type:
 
     Raises:
         UsageError: no such kind, no name, another component has the name, or the class is no such component.
+
+    Examples:
+        >>> qrsim.register("sensor", "laser", Laser)
     """
     _check_kind(kind)
     if not isinstance(name, str) or not name or code.is_code(name) or name != name.strip():

@@ -23,6 +23,7 @@ from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
+from qrsim.scenarios.definitions import with_short_names
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import RowsSpec, one_by_one
 from qrsim.scenarios.interference import MOST, InterferenceSlot
@@ -444,4 +445,4 @@ _SLOTS: dict[str, Any] = {
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of scenario files."""
-    return ScenarioSpec.model_json_schema()
+    return with_short_names(ScenarioSpec.model_json_schema())

@@ -211,7 +211,8 @@ class Simulation(Radios, Tabled):
 
         Args:
             ticks: how many, at most ``capacity``.
-            command, estimate: as in ``step``.
+            command: as in ``step``.
+            estimate: as in ``step``.
             capacity: for how many ticks the program is compiled and its memory held; calls of different ``ticks`` and
                 the same capacity share a program. None: 50, or ``ticks`` where these are more.
 

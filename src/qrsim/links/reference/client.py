@@ -60,7 +60,8 @@ class Client(SharedCalls):
     """A connection to a server; use it as a context manager.
 
     Args:
-        host, port: of the server.
+        host: name or address of the server.
+        port: TCP port of the server.
         timeout: how long to wait for an answer [s]; the first step of each kind may have to be compiled.
 
     Attributes:

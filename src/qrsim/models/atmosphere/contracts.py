@@ -211,7 +211,9 @@ class Updraft(Protocol):
         """Return the velocity (n,) [m/s] to be added to the mean wind.
 
         Args:
-            position_ned, height_agl: places (n,) [m] and their heights above ground.
+            position_ned: places (n,) [m].
+            height_agl: their heights above ground (n,) [m].
             wind_ned: mean wind (n,) [m/s] there.
-            seconds, fraction: () time since the start of the run [s].
+            seconds: () whole seconds since the start of the run.
+            fraction: () the rest of the time since the start [s].
         """

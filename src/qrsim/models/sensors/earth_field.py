@@ -83,7 +83,8 @@ def compass_heading(field_body: Vec3, roll: Any, pitch: Any, declination: Any = 
 
     Args:
         field_body: measured field (n,) in body axes, in any unit.
-        roll, pitch: of the body (n,) [rad].
+        roll: roll of the body (n,) [rad].
+        pitch: pitch of the body (n,) [rad].
         declination: of the field there [rad].
     """
     x, y, z = (jnp.asarray(axis) for axis in field_body.axes)

@@ -52,14 +52,22 @@ def cooperative_from_run(
         between: ranges between vehicles as the sensors ``ranging`` of the run "measured" them, "simulated" with the
             noise and losses of that sensor, or "none".
         between_std: white noise of a range between vehicles [m]; None: that of the sensor.
-        states, prior, range_std, range_limit, state_period, fix_std, process_noise, iterations, damping: as in
-            ``qrsim.slam.from_run``; the graph is "gnss".
-        landmarks_ned, landmarks_guess_ned: (L, 3) as there, around all flights.
-        ranges: your own, of each vehicle rows (R, 3) as there; None: simulated.
+        states: "full" are the 13 of the vehicle's model, "poses" are position and heading only.
+        prior: as in ``qrsim.slam.from_run``; the graph is "gnss".
+        landmarks_ned: (L, 3) true places [m]; None: drawn at random on the ground around all flights.
+        landmarks_guess_ned: (L, 3) where to begin [m]; None: drawn at random in the same place.
+        ranges: your own, of each vehicle rows (R, 3) as in ``qrsim.slam.from_run``; None: simulated.
+        range_std: white noise of a range to a landmark [m].
+        range_limit: greatest simulated range to a landmark [m].
         seed: of simulated landmarks, guesses and ranges; None: the run's.
+        state_period: time between two states, a multiple of the simulator's step [s].
+        fix_std: standard deviation of a fix per axis [m]; None: measured against the truth of the run.
         bias_time_constant: model the fixes' errors as Ornstein-Uhlenbeck states of this time constant [s].
         common_share: part of their variance, 0 to 1, that is one state for all vehicles; the rest are states of each.
         own_time_constant: of these rests [s]; None: ``bias_time_constant``.
+        process_noise: replaces the vehicle's own process noise, as in ``qrsim.slam.from_run``.
+        iterations: greatest number of linear solutions.
+        damping: as in ``qrsim.slam.from_run``.
 
     Raises:
         UsageError: an unknown option or vehicle, measurements that come between states, or no landmark in range.

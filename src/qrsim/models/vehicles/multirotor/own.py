@@ -204,11 +204,14 @@ def own_multirotor(
 ) -> Multirotor:
     """Return a multirotor of six numbers, or of four and the table of its motor, for ``make_scenario(vehicle=...)``.
 
-    >>> vehicle = qrsim.own_multirotor(mass=1.2, arm=0.225, rotors=4, hover_throttle=0.5, thrust_to_weight=2.2,
-    ...                                attitude_bandwidth=8.0)
-
     Args:
-        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry: see ``own_parameters``.
+        mass: take-off mass [kg].
+        arm: distance of the rotors' hubs from the middle [m].
+        rotors: number of rotors.
+        attitude_bandwidth: 1 over the time in which it reaches 63 % of a step of roll [rad/s].
+        hover_throttle: throttle at which it hovers, 0 to 1; None with a motor table.
+        thrust_to_weight: largest thrust over weight; None with a motor table.
+        geometry: name of the rotors' arrangement; None: the usual one of the number of rotors.
         motor_table: columns of one motor with its propeller by name (``motor_table.py``), or ``{"file": PATH}`` of a
             CSV file with them, in place of hover throttle and thrust to weight; it also gives the electrical power.
         warn: called with a sentence for each thing in the table that is not plausible.
@@ -216,6 +219,10 @@ def own_multirotor(
 
     Raises:
         UsageError: a number out of its range, numbers that contradict each other, or an unknown parameter.
+
+    Examples:
+        >>> vehicle = qrsim.own_multirotor(mass=1.2, arm=0.225, rotors=4, hover_throttle=0.5, thrust_to_weight=2.2,
+        ...                                attitude_bandwidth=8.0)
     """
     table: dict[str, float] = {}
     if motor_table is not None:

@@ -1,0 +1,43 @@
+"""Names of the definitions in the JSON schema of scenarios.
+
+Pydantic qualifies models of one name by their module and a number, such as those of the guidance and the controller
+``attitude``. Editors show these names, so each gets that of its key as well: ``guidance_attitude``.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+
+def with_short_names(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a schema in which the definitions of types are called by their key and their type.
+
+    Args:
+        schema: of scenarios, as pydantic makes it.
+    """
+    names: dict[str, str] = {}
+    _look(schema, "", names)
+    text = json.dumps(schema)
+    for long, short in names.items():
+        text = text.replace(f'"#/$defs/{long}"', f'"#/$defs/{short}"').replace(f'"{long}":', f'"{short}":')
+    renamed: dict[str, Any] = json.loads(text)
+    for short in names.values():
+        renamed["$defs"][short]["title"] = short
+    return renamed
+
+
+def _look(node: Any, key: str, names: dict[str, str]) -> None:
+    """Collect long name -> short name from the choices of a component below ``key``."""
+    if isinstance(node, list):
+        for part in node:
+            _look(part, key, names)
+    elif isinstance(node, dict):
+        for kind, target in node.get("discriminator", {}).get("mapping", {}).items():
+            long = target.rpartition("/")[2]
+            if "__" in long:
+                names.setdefault(long, f"{key}_{kind}")
+        for name, part in node.items():
+            inside = name in ("properties", "$defs")
+            for inner_key, inner in part.items() if inside and isinstance(part, dict) else ((key, part),):
+                _look(inner, inner_key, names)
