@@ -60,9 +60,12 @@ class CascadeController(Controller):
     climb_integral_gain: Array = parameter(default=2.0, unit="1/s^2", doc="the same per integrated error")
     climb_integral_limit: Array = parameter(default=6.0, unit="m/s^2", doc="largest vertical integral", minimum=0.0)
     tilt_limit: Array = parameter(
-        default=0.611, unit="rad", doc="largest wanted tilt of the thrust, as flown and not as commanded", above=0.0,
+        default=0.611,
+        unit="rad",
+        doc="largest wanted tilt of the thrust, as flown and not as commanded",
+        above=0.0,
         maximum=1.4,
-    )  # fmt: skip
+    )
     thrust_fraction: Array = parameter(
         default=0.98, unit="1", doc="part of the vehicle's largest thrust that may lift", above=0.0, maximum=1.0
     )

@@ -372,8 +372,10 @@ def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], wher
 
     Accuracies that change are those of another slow error, of which a part of the position is not known.
     """
-    after = [*(jnp.where(where, new, old) for new, old in zip(stated, slow.axes, strict=False)),
-             *slow.axes[len(stated):]]  # fmt: skip
+    after = [
+        *(jnp.where(where, new, old) for new, old in zip(stated, slow.axes, strict=False)),
+        *slow.axes[len(stated) :],
+    ]
     jump = {PLACE + i: jnp.abs(new - old) for i, (new, old) in enumerate(zip(after, slow.axes, strict=True))}
     return widened(covariance, {k: jump[k] for k in list(jump)[: len(stated)]}), Vec3(*after)
 

@@ -97,10 +97,15 @@ class ComplementaryFilter(Estimator):
         velocity = known(velocity, start.velocity_ned)
         own = attitude is None and field_of(readings, "rates_body") is not None
         state = FilterState(
-            known(position, start.position_ned), none, velocity, none,
-            start.attitude if attitude is None else known(attitude, start.attitude), zero, zero,
+            known(position, start.position_ned),
+            none,
+            velocity,
+            none,
+            start.attitude if attitude is None else known(attitude, start.attitude),
+            zero,
+            zero,
             Turning.start(Quaternion.of(start.attitude), velocity) if own else None,
-        )  # fmt: skip
+        )
         return state, _estimate(state)
 
     def step(
@@ -162,9 +167,13 @@ class ComplementaryFilter(Estimator):
         way = (state.velocity_ned + 0.5 * change) * dt
         position, low = added(state.position_ned, state.position_low_ned + way)
         return replace(
-            state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
-            since_fix=state.since_fix + dt, since_height=state.since_height + dt,
-        )  # fmt: skip
+            state,
+            position_ned=position,
+            position_low_ned=low,
+            velocity_ned=state.velocity_ned + change,
+            since_fix=state.since_fix + dt,
+            since_height=state.since_height + dt,
+        )
 
     def _by_fix(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
         """Return the state corrected by horizontal place and velocity, where a fix is new (C17)."""
@@ -223,6 +232,9 @@ def _estimate(state: FilterState) -> Estimate:
 def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> FilterState:
     position, low = added(state.position_ned, state.position_low_ned + moved)
     return replace(
-        state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + gained,
+        state,
+        position_ned=position,
+        position_low_ned=low,
+        velocity_ned=state.velocity_ned + gained,
         bias_ned=state.bias_ned + learned,
-    )  # fmt: skip
+    )

@@ -61,10 +61,7 @@ def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str
         own = jnp.where(strong, YAW_BEFORE * YAW_BEFORE, own)
     attitude = Quaternion.of(known(Euler(roll, pitch, yaw), before))
     tilt = zero + TILT_BEFORE * TILT_BEFORE
-    state = replace(
-        state, attitude=attitude,
-        covariance=with_turn(state.covariance, (tilt, tilt, own)),
-    )  # fmt: skip
+    state = replace(state, attitude=attitude, covariance=with_turn(state.covariance, (tilt, tilt, own)))
     noise = kalman.accelerometer_noise
     scalars = gravities(state, force, kalman.gravity, zero + noise * noise * (1.0 / FIRST_S) + 1e-6)
     if field is not None and state.places.field is not None:

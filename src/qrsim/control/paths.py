@@ -325,7 +325,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
         last=table(lambda part: part.leg.last, bool),
         circle=_circles(table) if circles else None,
         facing=_facing(table) if faces else None,
-    )  # fmt: skip
+    )
 
 
 def _headings(rows: list[list[_Part]]) -> Any:

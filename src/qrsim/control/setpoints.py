@@ -97,9 +97,11 @@ class PathSetpoint:
 
     @staticmethod
     def of(
-        position_ned: Any, velocity_ned: Any = (0.0, 0.0, 0.0), acceleration_ned: Any = (0.0, 0.0, 0.0),
+        position_ned: Any,
+        velocity_ned: Any = (0.0, 0.0, 0.0),
+        acceleration_ned: Any = (0.0, 0.0, 0.0),
         yaw_rad: Any = 0.0,
-    ) -> PathSetpoint:  # fmt: skip
+    ) -> PathSetpoint:
         """Return the set-point of (n, 3) arrays [m], [m/s], [m/s^2], or one row for all, and headings [rad]."""
         position = axes(position_ned)
 

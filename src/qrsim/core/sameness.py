@@ -17,9 +17,14 @@ import numpy as np
 DEPTH = 4
 _PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _CODE = (
-    type, types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.ModuleType, functools.partial,
+    type,
+    types.FunctionType,
+    types.BuiltinFunctionType,
+    types.MethodType,
+    types.ModuleType,
+    functools.partial,
     jax.stages.Wrapped,
-)  # fmt: skip
+)
 
 
 class Itself:

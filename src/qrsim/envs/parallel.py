@@ -45,9 +45,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     ):
         self.render_mode = checked_mode(render_mode)
         self.batch = Batch(scenario, 1, overrides, precision)
-        self.metadata = {
-            **self.metadata, "name": self.batch.functional.name, "render_fps": self.batch.steps_per_second
-        }  # fmt: skip
+        self.metadata = {**self.metadata, "name": self.batch.functional.name, "render_fps": self.batch.steps_per_second}
         self._drawing = None if render_mode is None else Drawing(self.batch)
         self.possible_agents = list(self.batch.functional.agents)
         self.agents: list[str] = []

@@ -83,12 +83,14 @@ class VecTask(VecEnv):  # type: ignore[misc]
         for i in map(int, np.flatnonzero(ended)):
             last = jax.tree.map(lambda leaf, i=i: leaf[i].copy(), infos["final_obs"])
             told[i] = _row(infos["final_info"], i) | {
-                "terminal_observation": last, "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "terminal_observation": last,
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                 "episode": {
-                    "r": float(self._returns[i]), "l": int(self._lengths[i]),
+                    "r": float(self._returns[i]),
+                    "l": int(self._lengths[i]),
                     "t": round(time.monotonic() - self._begun, 6),
                 },
-            }  # fmt: skip
+            }
             self.reset_infos[i] = _row(infos, i)
         self._returns[ended], self._lengths[ended] = 0.0, 0
         return seen, rewards.astype(np.float32), ended, told

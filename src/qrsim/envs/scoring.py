@@ -216,8 +216,10 @@ def play_policy(
                     each.know(batch.episodes.episode(row).state)
             given = [policies[i].act(seen[i]) if flies[i] else None for i in range(batch.size)]
         silent = np.full((len(nothing), play.message), np.nan)
-        parts = [(nothing, silent) if done is None and not flies[i] else _together(batch, done, name)
-                 for i, done in enumerate(given)]  # fmt: skip
+        parts = [
+            (nothing, silent) if done is None and not flies[i] else _together(batch, done, name)
+            for i, done in enumerate(given)
+        ]
         actions, words = np.stack([act for act, _ in parts]), np.stack([said for _, said in parts])
         reward, terminated, truncated = batch.step(actions, words, f"policy {name}")
         total += np.where(flies[:, None], reward.astype(np.float64), 0.0)
@@ -349,11 +351,15 @@ def score_task(
         first = not found
         found.append(
             play_policy(
-                batch, name, make, seeds, drawn and first,
+                batch,
+                name,
+                make,
+                seeds,
+                drawn and first,
                 lambda step, name=name: told(name, step),  # type: ignore[misc]
                 recording if first else None,
             )
-        )  # fmt: skip
+        )
     return found
 
 

@@ -101,9 +101,11 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         if moved.last is not None:
             seen, truth = moved.last
             infos = {
-                "final_obs": jax.tree.map(lambda leaf: leaf[:, 0], seen), "final_info": self._truth(truth, moved.ended),
-                "_final_obs": moved.ended.copy(), "_final_info": moved.ended.copy(),
-            }  # fmt: skip
+                "final_obs": jax.tree.map(lambda leaf: leaf[:, 0], seen),
+                "final_info": self._truth(truth, moved.ended),
+                "_final_obs": moved.ended.copy(),
+                "_final_info": moved.ended.copy(),
+            }
         infos |= self._truth(self.batch.truth, np.ones(self.num_envs, bool))
         return self._seen(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
 

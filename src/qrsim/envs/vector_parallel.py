@@ -57,9 +57,11 @@ class VectorParallelTask:
         self.num_envs = self.batch.size
         self._series = Series(self.batch, autoreset_mode, render_mode)
         self.metadata = {
-            **self.metadata, "name": self.batch.functional.name, "autoreset_mode": self._series.mode,
+            **self.metadata,
+            "name": self.batch.functional.name,
+            "autoreset_mode": self._series.mode,
             "render_fps": self.batch.steps_per_second,
-        }  # fmt: skip
+        }
         self.possible_agents = list(self.batch.functional.agents)
         self.observation_axes, self.answer_space = self.batch.functional.observation_axes, answer_space(self.batch)
         shapes = jax.eval_shape(self.batch.functional.reset, np.zeros(2, np.uint32))[1]

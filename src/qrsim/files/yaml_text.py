@@ -254,9 +254,7 @@ class _Dumper(yaml.SafeDumper):
     """Quotes what a reader of YAML 1.2, or of 1.1, would not take for a text."""
 
 
-_Dumper.yaml_implicit_resolvers = {
-    key: list(value) for key, value in yaml.SafeDumper.yaml_implicit_resolvers.items()
-}  # fmt: skip
+_Dumper.yaml_implicit_resolvers = {key: list(value) for key, value in yaml.SafeDumper.yaml_implicit_resolvers.items()}
 for _first in "-+.0123456789":
     for _kind, _pattern in (("int", _INT), ("float", _FLOAT)):
         _whole = re.compile(f"^(?:{_pattern.pattern})$")

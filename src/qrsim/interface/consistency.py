@@ -54,9 +54,13 @@ def truth_of(fleet: Fleet, state: FleetState) -> Truth:
     found = dict(_biases(fleet, state))
     velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
     return Truth(
-        pose.position_ned, velocity, pose.attitude, state.position_low_ned, found.get("rates_body"),
+        pose.position_ned,
+        velocity,
+        pose.attitude,
+        state.position_low_ned,
+        found.get("rates_body"),
         found.get("specific_force"),
-    )  # fmt: skip
+    )
 
 
 def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:

@@ -79,16 +79,29 @@ class FlightMetrics:
         like = position.x
         zero, count, none = jnp.zeros_like(like), jnp.zeros(like.shape, jnp.int32), Extreme.none(like)
         nothing = Flight(
-            ticks=count, distance=zero, position_ned=position, leg_start=position, leg_end=goal,
-            tracked=count, tracking_square=zero, tracking=none,
+            ticks=count,
+            distance=zero,
+            position_ned=position,
+            leg_start=position,
+            leg_end=goal,
+            tracked=count,
+            tracking_square=zero,
+            tracking=none,
             fixes=FixErrors.none(world, state, like),
-            wind=none, closeness=none, outwards=none,
-            sides=none.value, ceiling=none.value, floor=none.value,
+            wind=none,
+            closeness=none,
+            outwards=none,
+            sides=none.value,
+            ceiling=none.value,
+            floor=none.value,
             charge=none.value,
-            clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
-            position_low_ned=_low(state), distance_low=None if _low(state) is None else zero,
-            looks=Looks.none(world, state), consumption=Consumption.none(world, state),
-        )  # fmt: skip
+            clipped=count,
+            stopped=jnp.full(like.shape, -1, jnp.int32),
+            position_low_ned=_low(state),
+            distance_low=None if _low(state) is None else zero,
+            looks=Looks.none(world, state),
+            consumption=Consumption.none(world, state),
+        )
         return self.update(nothing, world, state, jnp.int32(0))
 
     def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:

@@ -17,9 +17,17 @@ from qrsim.world.state import State, World
 
 # What a table shows, with its unit.
 _UNITS = {
-    "position_ned": "m", "attitude": "rad", "velocity_ned": "m/s", "velocity_body": "m/s", "rates_body": "rad/s",
-    "thrust": "N", "specific_force": "m/s^2", "wind_ned": "m/s", "on_ground": "", "command": "",
-}  # fmt: skip
+    "position_ned": "m",
+    "attitude": "rad",
+    "velocity_ned": "m/s",
+    "velocity_body": "m/s",
+    "rates_body": "rad/s",
+    "thrust": "N",
+    "specific_force": "m/s^2",
+    "wind_ned": "m/s",
+    "on_ground": "",
+    "command": "",
+}
 
 
 class Truth(Tabled):

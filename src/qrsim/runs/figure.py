@@ -280,8 +280,16 @@ def _gnss(panels: Any, data: _Data) -> None:
     for row, item in enumerate(data.around.interference[:MOST_SAID]):
         # Each on a line of its own, where it begins.
         place = (max(item.start, data.span[0]), 1.0)
-        panels[0].annotate(item.text, place, (2, -2 - 9 * row), xycoords=panels[0].get_xaxis_transform(),
-                           textcoords="offset points", fontsize=7, va="top", color="0.25")  # fmt: skip
+        panels[0].annotate(
+            item.text,
+            place,
+            (2, -2 - 9 * row),
+            xycoords=panels[0].get_xaxis_transform(),
+            textcoords="offset points",
+            fontsize=7,
+            va="top",
+            color="0.25",
+        )
     panels[-1].set_xlabel("time [s]")
 
 

@@ -66,9 +66,12 @@ def of_world(world: Any) -> tuple[Interferer, ...]:
     if present is None:
         return ()
     parts = {
-        "jammer": present.jammers, "disc": present.discs, "spoofer": present.spoofers, "outage": present.outages,
+        "jammer": present.jammers,
+        "disc": present.discs,
+        "spoofer": present.spoofers,
+        "outage": present.outages,
         "iono_storm": present.storms,
-    }  # fmt: skip
+    }
     return tuple(_interferer(kind, vars(item)) for kind, items in parts.items() for item in items)
 
 

@@ -31,9 +31,7 @@ from qrsim.runs.quantities import Quantity, find_quantities
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import stops_of
 
-STYLES: tuple[Any, ...] = (
-    "-", "--", ":", "-.", (0, (6, 1)), (0, (1, 3)), (0, (4, 1, 1, 1, 1, 1)), (0, (9, 3)),
-)  # fmt: skip
+STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1)), (0, (1, 3)), (0, (4, 1, 1, 1, 1, 1)), (0, (9, 3)))
 DIRECTIONS = {"x": "north", "y": "east", "z": "down"}
 
 

@@ -80,9 +80,13 @@ def _graph(figure: Figure, axes: Any, run: Run, packets: Packets) -> None:
     worst_first = np.argsort(ratio[sender, receiver])
     width = _width(strength[sender, receiver])
     drawn = LineCollection(
-        list(lines[worst_first]), array=ratio[sender, receiver][worst_first], cmap=mpl.colormaps["viridis"],
-        norm=mpl.colors.Normalize(0.0, 1.0), linewidths=width[worst_first], zorder=1,
-    )  # fmt: skip
+        list(lines[worst_first]),
+        array=ratio[sender, receiver][worst_first],
+        cmap=mpl.colormaps["viridis"],
+        norm=mpl.colors.Normalize(0.0, 1.0),
+        linewidths=width[worst_first],
+        zorder=1,
+    )
     axes.add_collection(drawn)
     figure.colorbar(drawn, ax=axes, label="part of the packets that was heard", shrink=0.8)
     axes.scatter(east, north, c=colours_of(len(run.vehicles)), s=60, edgecolors="black", zorder=3)

@@ -123,10 +123,15 @@ def fly(
     check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
     info = RunInfo.collect(
-        scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
-        vehicles=simulation.vehicle_names, every=every, command_line=command_line,
+        scenario=scenario.name,
+        seed=seed,
+        precision=precision,
+        time_step=scenario.spec.time_step,
+        vehicles=simulation.vehicle_names,
+        every=every,
+        command_line=command_line,
         components=scenario.outside,
-    )  # fmt: skip
+    )
     make_parent(folder)
     simulation.reset()
     referee = _referee(scenario, simulation)

@@ -47,10 +47,17 @@ def _poses(fleet: Fleet, states: Any) -> Any:
 
 
 _UNITS = {
-    "specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s",
-    "estimate.position_ned.": "m", "estimate.velocity_ned.": "m/s", "estimate.attitude.": "rad",
-    "estimate_std.position_ned.": "m", "estimate_std.velocity_ned.": "m/s", "estimate_std.attitude.": "rad",
-}  # fmt: skip
+    "specific_force.": "m/s^2",
+    "mean_ned.": "m/s",
+    "gust_ned.": "m/s",
+    "gust_rates_ned.": "rad/s",
+    "estimate.position_ned.": "m",
+    "estimate.velocity_ned.": "m/s",
+    "estimate.attitude.": "rad",
+    "estimate_std.position_ned.": "m",
+    "estimate_std.velocity_ned.": "m/s",
+    "estimate_std.attitude.": "rad",
+}
 
 
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:

@@ -250,8 +250,10 @@ def _reads(component: Any) -> Any:
 def _common(kind: str) -> list[str]:
     """Return the public methods that all built-in components of a kind have."""
     built_in = [known for known in catalogue.KINDS[kind].values() if known.__module__.startswith("qrsim.")]
-    methods = [{name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
-               for known in built_in]  # fmt: skip
+    methods = [
+        {name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
+        for known in built_in
+    ]
     return sorted(set.intersection(*methods)) if methods else []
 
 

@@ -89,11 +89,21 @@ def rollout(
         for source, scenario in zip(several, scenarios, strict=True)
     ]
     return rollouts.rollout(
-        built if isinstance(world, list | tuple) else built[0], policy, ticks=ticks, worlds=worlds, seed=seed,
-        seeds=seeds, estimator=made("estimator", estimator), policy_ticks=policy_ticks, metrics=made("metric", metrics),
-        record=record, record_every=record_every, sink=sink, progress=progress,
+        built if isinstance(world, list | tuple) else built[0],
+        policy,
+        ticks=ticks,
+        worlds=worlds,
+        seed=seed,
+        seeds=seeds,
+        estimator=made("estimator", estimator),
+        policy_ticks=policy_ticks,
+        metrics=made("metric", metrics),
+        record=record,
+        record_every=record_every,
+        sink=sink,
+        progress=progress,
         site=site or (first.site if first else None),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ _GIVEN: dict[str, dict[str, Any]] = {
         "satellites": (list[str] | None, Field(None, description="names of satellites that fail", min_length=1)),
     },
     "iono_storm": {},
-}  # fmt: skip
+}
 
 
 @cache

@@ -113,9 +113,11 @@ class _Author:
         elif self.place[2] > down:
             self.problems.append(f"{where}: lands from below the ground, whose height is {-down:g} m there")
         self.landed = f"item {spec.item}" if spec.item else _short(where)
-        over = [] if math.dist(self.place[:2], (north, east)) < SAME_PLACE else [
-            self._line((north, east, self.place[2]), spec, stop=True)
-        ]  # fmt: skip
+        over = (
+            []
+            if math.dist(self.place[:2], (north, east)) < SAME_PLACE
+            else [self._line((north, east, self.place[2]), spec, stop=True)]
+        )
         return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
 
     def _loiter(self, spec: Any, where: str) -> list[Leg]:

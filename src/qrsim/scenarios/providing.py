@@ -87,8 +87,17 @@ def outside_components(content: Any) -> list[dict[str, str]]:
         if name in catalogue.KINDS[kind] and registry.is_outside(kind, name):
             origin = registry.origin_of(kind, name)
             title = f"{origin.module}:{catalogue.KINDS[kind][name].__qualname__}"
-            found.append({"path": path, "kind": kind, "type": name, "class": title, "file": origin.file,
-                          "sha256": origin.sha256, "from": f"{origin.how}: {origin.place}"})  # fmt: skip
+            found.append(
+                {
+                    "path": path,
+                    "kind": kind,
+                    "type": name,
+                    "class": title,
+                    "file": origin.file,
+                    "sha256": origin.sha256,
+                    "from": f"{origin.how}: {origin.place}",
+                }
+            )
     return found
 
 

@@ -205,8 +205,11 @@ def _watched(component: type, kind: str, size: int | None) -> type:
     contract = CONTRACTS.get(kind)
     names = [name for name in vars(contract or component) if not name.startswith("_")]
     methods = {name: getattr(component, name) for name in names if callable(getattr(component, name, None))}
-    found = {name: _looked_at(component, kind, name, method) for name, method in methods.items()
-             if hasattr(method, "__code__") and not _free(component, name)}  # fmt: skip
+    found = {
+        name: _looked_at(component, kind, name, method)
+        for name, method in methods.items()
+        if hasattr(method, "__code__") and not _free(component, name)
+    }
     own = {"_watched": component, "_size": size, "__module__": __name__}
     return record(type(component.__name__, (component,), {**found, **own}))
 

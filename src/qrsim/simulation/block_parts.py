@@ -78,8 +78,15 @@ class Setup:
         """What programs depend on, by which none of the user's objects are kept alive."""
         asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
         return (
-            *asked, self.measured, self.policy_ticks, self.structure, self.types, self.varied, self.mesh, self.kinds,
-        )  # fmt: skip
+            *asked,
+            self.measured,
+            self.policy_ticks,
+            self.structure,
+            self.types,
+            self.varied,
+            self.mesh,
+            self.kinds,
+        )
 
     @property
     def plain(self) -> bool:

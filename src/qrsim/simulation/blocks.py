@@ -66,10 +66,16 @@ class Engine:
     """
 
     def __init__(
-        self, setup: Setup, example: World, fixed: list[Any], varied: list[Any], schedule: Schedule,
-        record: Callable[[State], Any] | None, sink: Callable[[Array, int, Any], None] | None,
+        self,
+        setup: Setup,
+        example: World,
+        fixed: list[Any],
+        varied: list[Any],
+        schedule: Schedule,
+        record: Callable[[State], Any] | None,
+        sink: Callable[[Array, int, Any], None] | None,
         progress: Callable[[int], None],
-    ):  # fmt: skip
+    ):
         self.setup, self.example, self.fixed, self.varied = setup, example, fixed, varied
         self.schedule, self.record, self.sink, self.progress = schedule, record, sink, progress
         self.names = [name for fleet in example.fleets for name in fleet.vehicle_names]

@@ -45,8 +45,10 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
         first += fleet.size
     puts = [_vehicles(fleet, rows[mine]) for fleet, mine in zip(world.fleets, spans, strict=True)]
     together = zip(puts, state.fleets, spans, strict=True)
-    there = [(select(chosen[mine], put, now.vehicle), chosen[mine] | (now.violation.code == 0))
-             for put, now, mine in together]  # fmt: skip
+    there = [
+        (select(chosen[mine], put, now.vehicle), chosen[mine] | (now.violation.code == 0))
+        for put, now, mine in together
+    ]
     view = with_traffic(world, surroundings(world, state.contents, tick), *zip(*there, strict=True))
     fleets = []
     for fleet, before, keys, mine, put in zip(world.fleets, state.fleets, state.fleet_keys, spans, puts, strict=True):

@@ -167,9 +167,13 @@ def rollout(
 
 
 def setup_of(
-    several: Sequence[World], policy: Any = None, estimator: Any = None, metrics: Any = None, policy_ticks: int = 1,
+    several: Sequence[World],
+    policy: Any = None,
+    estimator: Any = None,
+    metrics: Any = None,
+    policy_ticks: int = 1,
     site: Site | None = None,
-) -> tuple[Setup, list[Any], list[Any]]:  # fmt: skip
+) -> tuple[Setup, list[Any], list[Any]]:
     """Return the setup of a rollout, the leaves that its worlds share, and those that vary, (W, ...).
 
     The arguments are those of ``rollout``.
@@ -177,9 +181,18 @@ def setup_of(
     structure, fixed, varied, which_varied = _stack(list(several))
     metrics = FLIGHT_METRICS if metrics is None else metrics
     setup = Setup(
-        user_function("policy", policy), user_function("estimator", estimator), metrics, sameness(metrics),
-        policy_ticks, site or Site(), structure, repr(structure), which_varied, device_mesh(), tuple(kinds(structure)),
-    )  # fmt: skip
+        user_function("policy", policy),
+        user_function("estimator", estimator),
+        metrics,
+        sameness(metrics),
+        policy_ticks,
+        site or Site(),
+        structure,
+        repr(structure),
+        which_varied,
+        device_mesh(),
+        tuple(kinds(structure)),
+    )
     return setup, fixed, varied
 
 

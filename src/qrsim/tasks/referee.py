@@ -66,8 +66,15 @@ class TaskScore:
     def to_json(self) -> dict[str, Any]:
         """Return the fields by name, for JSON; of several fleets the mean return of each too."""
         several = {"fleets": {name: self._mean(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
-        return {"return": self.mean, **several, "agents": dict(self.returns), "outcome": self.outcome,
-                "steps": self.steps, "of_steps": self.of, "handed_in": self.handed_in}  # fmt: skip
+        return {
+            "return": self.mean,
+            **several,
+            "agents": dict(self.returns),
+            "outcome": self.outcome,
+            "steps": self.steps,
+            "of_steps": self.of,
+            "handed_in": self.handed_in,
+        }
 
 
 class Referee:
@@ -180,8 +187,9 @@ class Referee:
                 episode = Episode(self._last, self._carried[0], step, self._carried[1])
                 total = total + score(self._play, episode, given)
             outcome = outcome if np.isfinite(total).all() else SPOILT
-        returns = {name: float(value) if np.isfinite(value) else None
-                   for name, value in zip(self._names, total, strict=True)}  # fmt: skip
+        returns = {
+            name: float(value) if np.isfinite(value) else None for name, value in zip(self._names, total, strict=True)
+        }
         handed_in = answer is not None if asked else None
         sides = self._play.sides
         fleets = {side.fleet: side.names for side in sides} if len(sides) > 1 else {}

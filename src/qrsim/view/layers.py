@@ -147,12 +147,15 @@ class Bodies:
             (
                 members,
                 layer.batch(
-                    f"bodies{number or ''}", shapes.looks(kind), colours[members] if each else colours, members,
+                    f"bodies{number or ''}",
+                    shapes.looks(kind),
+                    colours[members] if each else colours,
+                    members,
                     **options,
                 ),
             )
             for number, (kind, members) in enumerate(every)
-        ]  # fmt: skip
+        ]
 
     def place(self, position_ned: Floats, attitude: Floats, span: Floats) -> None:
         """Move all vehicles (n, 3) [m], turn them (n, 3) [rad], and give each (n,) a span [m]."""

@@ -104,9 +104,12 @@ class Paths(Layer):
             # What has no length yet would weigh as much as a path.
             elif np.isfinite(self._to[number]):
                 self._nodes[number] = self.stage.scene.add_line_segments(
-                    f"{self.path}/{number}", self._segments(number), self._colours(),
-                    thickness=self.thickness, thickness_units="screen",
-                )  # fmt: skip
+                    f"{self.path}/{number}",
+                    self._segments(number),
+                    self._colours(),
+                    thickness=self.thickness,
+                    thickness_units="screen",
+                )
         self._changed.clear()
 
     def _segments(self, number: int) -> Floats:

@@ -33,11 +33,14 @@ def satellites(said: Mapping[str, Floats]) -> list[Satellite]:
     azimuth = np.degrees(np.asarray(said["azimuth"], np.float64))
     return [
         (
-            satellite_name(int(number[k])), round(float(azimuth[k])), round(float(elevation[k])),
-            round(float(said["cn0"][k])), int(said["satellite_state"][k]),
+            satellite_name(int(number[k])),
+            round(float(azimuth[k])),
+            round(float(elevation[k])),
+            round(float(said["cn0"][k])),
+            int(said["satellite_state"][k]),
         )
         for k in there.tolist()
-    ]  # fmt: skip
+    ]
 
 
 def told(vehicle: str, found: list[Satellite]) -> dict[str, Any] | None:

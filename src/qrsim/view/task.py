@@ -37,12 +37,19 @@ class _Marks(Layer):
         """Add them."""
         count, (corners, faces) = len(self._places), self.mesh()
         self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/marks", corners.astype(np.float32), faces.astype(np.uint32),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), batched_positions=self._places,
+            f"{self.path}/marks",
+            corners.astype(np.float32),
+            faces.astype(np.uint32),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            batched_positions=self._places,
             batched_scales=np.full((count, 3), self.spans * self.stage.span, np.float32),
-            batched_colors=shapes.linear(self.colour), lod="off", flat_shading=True, side="double",
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            batched_colors=shapes.linear(self.colour),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
 
 class Goals(_Marks):

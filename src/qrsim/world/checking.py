@@ -46,11 +46,14 @@ def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState,
         low = select(valid, new.position_low_ned, old.position_low_ned)
         checked.append(
             replace(
-                new, vehicle=kept, position_low_ned=low, violation=violation,
+                new,
+                vehicle=kept,
+                position_low_ned=low,
+                violation=violation,
                 estimate=select(valid, new.estimate, at_rest(old.estimate)),
                 command_clipped=new.command_clipped & valid,
             )
-        )  # fmt: skip
+        )
     return tuple(checked)
 
 

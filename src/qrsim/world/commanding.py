@@ -77,10 +77,12 @@ def _command_some(
     for which, action in some.parts:
         theirs = command_fleet(world, whole, fleet, state, tick, action, believed)
         found = Commanded(
-            select(which, theirs.guidance, found.guidance), select(which, theirs.setpoint, found.setpoint),
-            select(which, theirs.controller, found.controller), found.estimate,
+            select(which, theirs.guidance, found.guidance),
+            select(which, theirs.setpoint, found.setpoint),
+            select(which, theirs.controller, found.controller),
+            found.estimate,
             _joined(found.commands, which, theirs.commands[0][1]),
-        )  # fmt: skip
+        )
     return found
 
 

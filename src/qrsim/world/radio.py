@@ -81,9 +81,10 @@ def _together(world: World, said: tuple[Outbox | None, ...], like: Array) -> Out
     parts = []
     for fleet, part in zip(world.fleets, said, strict=True):
         nothing = Outbox(
-            jnp.zeros((world.radio.size, fleet.size), like.dtype), jnp.zeros(fleet.size, bool),
+            jnp.zeros((world.radio.size, fleet.size), like.dtype),
+            jnp.zeros(fleet.size, bool),
             jnp.full(fleet.size, -1, jnp.int32),
-        )  # fmt: skip
+        )
         parts.append(part or nothing)
     return Outbox(
         jnp.concatenate([part.payload for part in parts], axis=1),

@@ -158,7 +158,13 @@ class FlownWorld:
         airspeed = np.linalg.norm(velocity - truth.wind_ned, axis=1)
         quaternion = quaternion_of(np.asarray(truth.attitude))
         columns = (
-            quaternion, truth.rates_body, np.degrees(latitude)[:, None], np.degrees(longitude)[:, None],
-            height[:, None], velocity, airspeed[:, None], truth.specific_force,
-        )  # fmt: skip
+            quaternion,
+            truth.rates_body,
+            np.degrees(latitude)[:, None],
+            np.degrees(longitude)[:, None],
+            height[:, None],
+            velocity,
+            airspeed[:, None],
+            truth.specific_force,
+        )
         return np.concatenate(columns, axis=1, dtype=np.float64).tolist()

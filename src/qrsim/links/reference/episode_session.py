@@ -143,9 +143,14 @@ class EpisodeSession:
             reward += score(self.play, self._episodes.episode(0), answer)
         self._running = not (terminated or truncated)
         return Outcome(
-            step=self._step, t=self.time, observation=self.observation(), reward=reward.tolist(),
-            terminated=terminated, truncated=truncated, info=self.info(),
-        )  # fmt: skip
+            step=self._step,
+            t=self.time,
+            observation=self.observation(),
+            reward=reward.tolist(),
+            terminated=terminated,
+            truncated=truncated,
+            info=self.info(),
+        )
 
     def _action(self, given: Sequence[Arrayd]) -> Array:
         """Return the actions (n, A) of a request."""

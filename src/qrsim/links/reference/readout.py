@@ -110,8 +110,14 @@ class Readout:
         head = _STATE_HEAD + varint(body)
         self._body_at = HEAD_SIZE + len(head)
         x_at = self._body_at + len(_T_HEAD) + 8
-        content = frame(head + _T_HEAD + bytes(8) + _X_HEAD.ljust(_X_STRIDE, b"\0") * count
-                        + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count + tail)  # fmt: skip
+        content = frame(
+            head
+            + _T_HEAD
+            + bytes(8)
+            + _X_HEAD.ljust(_X_STRIDE, b"\0") * count
+            + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count
+            + tail
+        )
         self._buffer = bytearray(content)
         self._time = np.ndarray((1,), "<f8", self._buffer, x_at - 8)
         self._x = np.ndarray((count, STATE_SIZE), "<f8", self._buffer, x_at + len(_X_HEAD), (_X_STRIDE, 8))

@@ -19,9 +19,13 @@ CMD_VEL, VELOCITY = "cmd_vel", "setpoint_velocity/cmd_vel"
 POSITION, ATTITUDE, THRUST = "setpoint_position/local", "setpoint_attitude/attitude", "setpoint_attitude/thrust"
 # Topic, type, and kind of order that the vehicle must take.
 TAKEN = (
-    (CMD_VEL, TWIST, "velocity"), (CMD_VEL, TWIST_STAMPED, "velocity"), (VELOCITY, TWIST_STAMPED, "velocity"),
-    (POSITION, POSE_STAMPED, "waypoint"), (ATTITUDE, POSE_STAMPED, "attitude"), (THRUST, FLOAT, "attitude"),
-)  # fmt: skip
+    (CMD_VEL, TWIST, "velocity"),
+    (CMD_VEL, TWIST_STAMPED, "velocity"),
+    (VELOCITY, TWIST_STAMPED, "velocity"),
+    (POSITION, POSE_STAMPED, "waypoint"),
+    (ATTITUDE, POSE_STAMPED, "attitude"),
+    (THRUST, FLOAT, "attitude"),
+)
 
 
 @dataclass(frozen=True)

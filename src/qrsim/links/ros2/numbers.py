@@ -45,9 +45,12 @@ def seen(values: Array) -> Array:
     """
     found = np.full((len(values), WIDTH), np.nan)
     _put_motion(
-        found, values[:, s.POSITION : s.POSITION + 3], values[:, s.QUATERNION : s.QUATERNION + 4],
-        values[:, s.VELOCITY : s.VELOCITY + 3], values[:, s.RATES : s.RATES + 3],
-    )  # fmt: skip
+        found,
+        values[:, s.POSITION : s.POSITION + 3],
+        values[:, s.QUATERNION : s.QUATERNION + 4],
+        values[:, s.VELOCITY : s.VELOCITY + 3],
+        values[:, s.RATES : s.RATES + 3],
+    )
     found[:, FORCE : FORCE + 3] = flu_of(values[:, s.FORCE : s.FORCE + 3])
     found[:, FIELD : FIELD + 3] = _MICRO * flu_of(values[:, s.FIELD : s.FIELD + 3])
     found[:, PLACE : PLACE + 3] = values[:, s.FIX_PLACE : s.FIX_PLACE + 3]
@@ -57,9 +60,15 @@ def seen(values: Array) -> Array:
     found[:, PLACE_VARIANCE : PLACE_VARIANCE + 3] = np.nan_to_num(np.stack(variances, axis=1))
     found[:, FIX_STATUS] = np.where(values[:, s.FIX_TYPE] >= _CORRECTED, 2.0, 0.0)
     for column, source in (
-        (PRESSURE, s.PRESSURE), (HEIGHT, s.HEIGHT), (RANGE, s.RANGE), (CHARGE, s.CHARGE), (VOLTAGE, s.VOLTAGE),
-        (DIFFERENTIAL, s.DIFFERENTIAL), (AIRSPEED, s.AIRSPEED), (FLOW, s.FLOW),
-    ):  # fmt: skip
+        (PRESSURE, s.PRESSURE),
+        (HEIGHT, s.HEIGHT),
+        (RANGE, s.RANGE),
+        (CHARGE, s.CHARGE),
+        (VOLTAGE, s.VOLTAGE),
+        (DIFFERENTIAL, s.DIFFERENTIAL),
+        (AIRSPEED, s.AIRSPEED),
+        (FLOW, s.FLOW),
+    ):
         found[:, column] = values[:, source]
     found[:, FLOW + 1], found[:, FLOW + 2] = -values[:, s.FLOW + 1], 0.0
     found[:, FLOW_TURN : FLOW_TURN + 3] = flu_of(values[:, s.FLOW_TURN : s.FLOW_TURN + 3])

@@ -43,9 +43,15 @@ class Publications:
     """
 
     def __init__(
-        self, types: Types, world: World, names: Sequence[str], sensor: Callable[[int, int], Any],
-        windy: Sequence[bool], truth: bool, rate: float = math.inf,
-    ):  # fmt: skip
+        self,
+        types: Types,
+        world: World,
+        names: Sequence[str],
+        sensor: Callable[[int, int], Any],
+        windy: Sequence[bool],
+        truth: bool,
+        rate: float = math.inf,
+    ):
         self._types, self._truth, self._dt = types, truth, world.time_step
         self._each = max(1, math.ceil(1.0 / (rate * world.time_step) - 1e-6))
         self.namespaces = namespaces(names)

@@ -82,10 +82,13 @@ class Recorded:
         found: dict[int, int] = {}
         commands = self._columns("commands")
         for prefix, column, axes in (
-            ("estimate.position_ned", s.POSITION, "xyz"), ("estimate.velocity_ned", s.VELOCITY, "xyz"),
-            ("estimate.attitude", s.ATTITUDE, _ANGLES), ("estimate_std.position_ned", s.STD_POSITION, "xyz"),
-            ("estimate_std.velocity_ned", s.STD_VELOCITY, "xyz"), ("estimate_std.attitude", s.STD_ATTITUDE, _ANGLES),
-        ):  # fmt: skip
+            ("estimate.position_ned", s.POSITION, "xyz"),
+            ("estimate.velocity_ned", s.VELOCITY, "xyz"),
+            ("estimate.attitude", s.ATTITUDE, _ANGLES),
+            ("estimate_std.position_ned", s.STD_POSITION, "xyz"),
+            ("estimate_std.velocity_ned", s.STD_VELOCITY, "xyz"),
+            ("estimate_std.attitude", s.STD_ATTITUDE, _ANGLES),
+        ):
             for i, axis in enumerate(axes):
                 if f"{prefix}.{axis}" in commands:
                     self._sources.append((rows, column + i, "commands", f"{prefix}.{axis}"))
@@ -176,9 +179,12 @@ class Recorded:
         wind = vector("wind", "mean_ned") + vector("wind", "gust_ned") if winds else np.full((1, 3), np.nan)
         position, attitude = vector("truth", "position_ned"), vector("truth", "attitude", _ANGLES)
         found = n.of_motion(
-            position, attitude, n.velocity_ned(attitude, vector("truth", "velocity_body")),
-            vector("truth", "rates_body"), np.broadcast_to(wind, position.shape),
-        )  # fmt: skip
+            position,
+            attitude,
+            n.velocity_ned(attitude, vector("truth", "velocity_body")),
+            vector("truth", "rates_body"),
+            np.broadcast_to(wind, position.shape),
+        )
         return found.reshape(len(ticks), len(self.names), n.WIDTH)
 
     def _news(self, column: int, tick: int, values: Array, before: dict[tuple[int, int], Any]) -> News:

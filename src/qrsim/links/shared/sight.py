@@ -32,13 +32,25 @@ WIDTH = 67
 VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
 FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
 SCALARS = {
-    "height": HEIGHT, "pressure": PRESSURE, "temperature": TEMPERATURE, "differential_pressure": DIFFERENTIAL,
-    "true_airspeed": AIRSPEED, "range": RANGE, "flow_x": FLOW, "flow_y": FLOW + 1, "quality": FLOW_QUALITY,
-}  # fmt: skip
+    "height": HEIGHT,
+    "pressure": PRESSURE,
+    "temperature": TEMPERATURE,
+    "differential_pressure": DIFFERENTIAL,
+    "true_airspeed": AIRSPEED,
+    "range": RANGE,
+    "flow_x": FLOW,
+    "flow_y": FLOW + 1,
+    "quality": FLOW_QUALITY,
+}
 FIX_SCALARS = {
-    "satellites": SATELLITES, "fix_type": FIX_TYPE, "horizontal_accuracy": HORIZONTAL, "vertical_accuracy": VERTICAL,
-    "speed_accuracy": SPEED, "hdop": HDOP, "vdop": VDOP,
-}  # fmt: skip
+    "satellites": SATELLITES,
+    "fix_type": FIX_TYPE,
+    "horizontal_accuracy": HORIZONTAL,
+    "vertical_accuracy": VERTICAL,
+    "speed_accuracy": SPEED,
+    "hdop": HDOP,
+    "vdop": VDOP,
+}
 # A voltage changes slowly, and takes longer to compute than all else [s].
 _VOLTAGE_EVERY_S = 0.5
 

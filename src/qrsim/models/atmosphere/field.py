@@ -113,9 +113,12 @@ class DrydenField(Turbulence):
         default=16, unit="1", doc="chains of waves in each of two segments, a multiple of 4", minimum=8, maximum=64
     )
     octaves: int = setting(
-        default=12, unit="1", doc="octaves of wavelength down from 6560 m; fewer leave out small gusts", minimum=8,
+        default=12,
+        unit="1",
+        doc="octaves of wavelength down from 6560 m; fewer leave out small gusts",
+        minimum=8,
         maximum=14,
-    )  # fmt: skip
+    )
 
     rates: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "seconds", "fraction", "field")

@@ -43,9 +43,12 @@ class Thermals(Updraft):
     places_ned: Array = quantity(unit="m", doc="(K, 2) north and east of each at the start; empty: drawn")
     w_star: Array = parameter(default=2.0, unit="m/s", doc="convective velocity scale w*", above=0.0, maximum=20.0)
     z_i: Array = parameter(
-        default=1200.0, unit="m", doc="depth of the mixed layer, above which there are none", minimum=100.0,
+        default=1200.0,
+        unit="m",
+        doc="depth of the mixed layer, above which there are none",
+        minimum=100.0,
         maximum=8000.0,
-    )  # fmt: skip
+    )
     count: int = setting(
         default=0, unit="1", doc="thermals without places; 0: by their mean spacing", minimum=0, maximum=MOST_THERMALS
     )

@@ -73,9 +73,17 @@ class Tracking:
 
 
 def solved(
-    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
-    position_ned: Vec3, fast: Array, slow: Array, effect: Effect | None = None,
-) -> tuple[Geometry, Tracking]:  # fmt: skip
+    receiver: Any,
+    skyline: Skyline,
+    slots: Slots,
+    whole: Geometry,
+    before: Tracking | None,
+    same: Any,
+    position_ned: Vec3,
+    fast: Array,
+    slow: Array,
+    effect: Effect | None = None,
+) -> tuple[Geometry, Tracking]:
     """Return the solutions of receivers (n,) among obstacles, new ones every ``obstacle_period``.
 
     Args:

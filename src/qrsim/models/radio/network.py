@@ -179,9 +179,13 @@ class Network(Channel, Radio):
         coming = heard.joined(jax.tree.map(lambda leaf: leaf[:kept], state.coming))
         waiting = _without_first(state.waiting, queued & sends)
         return replace(
-            state, waiting=waiting, coming=coming, table=table, links=links,
+            state,
+            waiting=waiting,
+            coming=coming,
+            table=table,
+            links=links,
             counts=_counted(state.counts, links, near, sends, wants),
-        )  # fmt: skip
+        )
 
     def _first(self, state: NetworkState, now: Exchange) -> tuple[Array, Array, Array, Array, Array]:
         """Return payload (D, n), receiver and tick of each vehicle's next message, if it has waited, and if it is."""
@@ -221,9 +225,14 @@ class Network(Channel, Radio):
         return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
 
     def _arriving(
-        self, state: NetworkState, near: Neighbours, links: Links, packets: tuple[Array, Array, Array], now: Exchange,
+        self,
+        state: NetworkState,
+        near: Neighbours,
+        links: Links,
+        packets: tuple[Array, Array, Array],
+        now: Exchange,
         frame: Array,
-    ) -> Heard:  # fmt: skip
+    ) -> Heard:
         """Return the nearest heard packets with the ticks at which they arrive."""
         payload, since, begin = packets
         heard = links.outcome == Outcome.HEARD

@@ -96,9 +96,12 @@ def taken(heard: Heard, chosen: Any) -> Heard:
         return library.where(has, found, library.asarray(nothing, leaf.dtype))
 
     return Heard(
-        of(heard.payload, 0), of(heard.sender, NOBODY), of(heard.sent, NOBODY), of(heard.arrives, NOBODY),
+        of(heard.payload, 0),
+        of(heard.sender, NOBODY),
+        of(heard.sent, NOBODY),
+        of(heard.arrives, NOBODY),
         of(heard.rssi, 0),
-    )  # fmt: skip
+    )
 
 
 def library_of(values: Any) -> Any:

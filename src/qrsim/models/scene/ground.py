@@ -160,9 +160,12 @@ class ElevationFile:
     origin_north: float = setting(default=0.0, unit="m", doc="of a local one: its northing at the site's origin")
     origin_east: float = setting(default=0.0, unit="m", doc="of a local one: its easting at the site's origin")
     height_of_zero: float | None = setting(
-        default=None, unit="m", doc="its height that is z = 0; default: that of the ground at the site's origin",
-        minimum=-1000.0, maximum=10_000.0,
-    )  # fmt: skip
+        default=None,
+        unit="m",
+        doc="its height that is z = 0; default: that of the ground at the site's origin",
+        minimum=-1000.0,
+        maximum=10_000.0,
+    )
 
     def at(self, site: Site, box: Bounds | None) -> GridGround:
         """Read the file for a site and an area, in float64.

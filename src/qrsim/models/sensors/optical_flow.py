@@ -86,24 +86,42 @@ class OpticalFlow(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = (
-        "position_ned", "attitude", "velocity_body", "rates_body", "obstacles", "ground",
-    )  # fmt: skip
+        "position_ned",
+        "attitude",
+        "velocity_body",
+        "rates_body",
+        "obstacles",
+        "ground",
+    )
     normals: ClassVar[int] = 5
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
 
     def init(
-        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3,
-        obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return the first reading, as if the motion of now had lasted a period."""
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
         state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
         return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
 
     def step(
-        self, state: OpticalFlowState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        rates_body: Vec3, obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        state: OpticalFlowState,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return what has moved since the last reading."""
         normals = draw.normals(5)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
@@ -139,14 +157,25 @@ class IdealOpticalFlow(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = (
-        "position_ned", "attitude", "velocity_body", "rates_body", "obstacles", "ground",
-    )  # fmt: skip
+        "position_ned",
+        "attitude",
+        "velocity_body",
+        "rates_body",
+        "obstacles",
+        "ground",
+    )
     normals: ClassVar[int] = 0
 
     def init(
-        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3,
-        obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return the first reading, as if the motion of now had lasted a period."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
@@ -154,9 +183,16 @@ class IdealOpticalFlow(Sensor):
         return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
 
     def step(
-        self, state: OpticalFlowState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        rates_body: Vec3, obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        state: OpticalFlowState,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return what has moved since the last reading."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)

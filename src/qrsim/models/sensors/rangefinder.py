@@ -76,9 +76,11 @@ class Rangefinder(Sensor):
         default=default_rangefinder("resolution"), unit="m", doc="step of the range; 0: none", minimum=0.0
     )
     period: float = setting(
-        default=default_rangefinder("period"), unit="s", doc="interval between readings, a multiple of the time step",
+        default=default_rangefinder("period"),
+        unit="s",
+        doc="interval between readings, a multiple of the time step",
         above=0.0,
-    )  # fmt: skip
+    )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground")
     normals: ClassVar[int] = 3
     presets: ClassVar[dict[str, dict[str, Any]]] = RANGEFINDERS

@@ -153,8 +153,11 @@ def _range_spread(run: Run, sensor: str) -> float:
     content = run.scenario if isinstance(run.scenario, dict) else {}
     try:
         shared = float(content["world"]["sky"]["errors"].get("std", math.nan))
-        own = [float(fleet["sensors"][sensor].get("range_noise_std", 0.0))
-               for fleet in content["fleets"].values() if sensor in fleet["sensors"]]  # fmt: skip
+        own = [
+            float(fleet["sensors"][sensor].get("range_noise_std", 0.0))
+            for fleet in content["fleets"].values()
+            if sensor in fleet["sensors"]
+        ]
         return math.hypot(shared, max(own))
     except (KeyError, TypeError, ValueError, AttributeError):
         return math.nan

@@ -20,9 +20,7 @@ from qrsim.studies.flight_logs.inertial import Readings
 from qrsim.studies.flight_logs.signals import Floats
 
 TERMS = ("noise", "bias_instability", "random_walk")
-UNITS = {
-    "gyroscope": ("rad/s^0.5", "rad/s", "rad/s^1.5"), "accelerometer": ("m/s^1.5", "m/s^2", "m/s^2.5"),
-}  # fmt: skip
+UNITS = {"gyroscope": ("rad/s^0.5", "rad/s", "rad/s^1.5"), "accelerometer": ("m/s^1.5", "m/s^2", "m/s^2.5")}
 # Correlation times [s] of the processes that make flicker noise, and the variance of each per B^2.
 TIMES, SHARE = (5.0, 50.0, 500.0), math.log(10.0) / math.pi
 # A log at rest has to be so long [s]; who stands still has in no second more than so many times its usual noise, and

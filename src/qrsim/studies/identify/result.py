@@ -49,9 +49,12 @@ class Result:
         for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
             low, high = self.answer.covariance.interval(name)
             found[name] = {
-                "value": self.answer.values[name], "low": low, "high": high, "start": self.question.start[name],
+                "value": self.answer.values[name],
+                "low": low,
+                "high": high,
+                "start": self.question.start[name],
                 "unit": unit_of(name),
-            }  # fmt: skip
+            }
         return found
 
     def effective(self) -> dict[str, list[str]]:
@@ -133,9 +136,12 @@ class Result:
         found = {}
         for name, movement in self.excitations[i].movements.items():
             found[name] = {
-                "std": movement.std, "noise": movement.noise, "ratio": movement.ratio, "moves": movement.moves,
+                "std": movement.std,
+                "noise": movement.noise,
+                "ratio": movement.ratio,
+                "moves": movement.moves,
                 "unit": SIGNALS[name].unit,
-            }  # fmt: skip
+            }
             if not SIGNALS[name].command:
                 found[name]["identified"] = name in known
         return found

@@ -107,9 +107,15 @@ def _places(name: str, values: Any) -> Floats:
 
 
 def measure_ranges(
-    position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float,
-    vehicle: int = 0, alone: bool = True,
-) -> Ranging:  # fmt: skip
+    position_ned: Floats,
+    landmarks_ned: Floats,
+    guess_ned: Floats,
+    seed: int,
+    std: float,
+    limit: float,
+    vehicle: int = 0,
+    alone: bool = True,
+) -> Ranging:
     """Measure ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
 
     The noise is of the seed and of the vehicle's number.

@@ -79,12 +79,15 @@ def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> I
                 with calling(lambda: None):
                     cluster = open_ones.enter_context(
                         distributed.LocalCluster(  # type: ignore[no-untyped-call]
-                            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+                            n_workers=workers,
+                            threads_per_worker=1,
+                            processes=True,
+                            dashboard_address="127.0.0.1:0",
                             scheduler_kwargs={"dashboard": False},
                             silence_logs=logging.CRITICAL,
                             security=Security.temporary(),  # type: ignore[no-untyped-call]
                         )
-                    )  # fmt: skip
+                    )
                     client = open_ones.enter_context(distributed.Client(cluster))  # type: ignore[no-untyped-call]
                 yield client
             return

@@ -76,9 +76,14 @@ def draw_responses(results: Results, metrics: Sequence[str], found: dict[str, li
             places = _places(item.parameter)
             line = "o-" if item.parameter.numeric else "o"
             axes.errorbar(
-                places, item.mean, yerr=[item.mean - item.low, item.high - item.mean], fmt="none", color="tab:blue",
-                capsize=2, lw=1.0,
-            )  # fmt: skip
+                places,
+                item.mean,
+                yerr=[item.mean - item.low, item.high - item.mean],
+                fmt="none",
+                color="tab:blue",
+                capsize=2,
+                lw=1.0,
+            )
             if item.parameter.numeric:
                 axes.fill_between(places, item.low, item.high, color="tab:blue", alpha=0.2, lw=0)
             axes.plot(places, item.mean, line, color="tab:blue", ms=4)
@@ -139,8 +144,7 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
     grid[..., which[0]], grid[..., which[1]] = np.meshgrid(*lines)
     shown = [parameter.uneven(line) for parameter, line in zip(pair, lines, strict=True)]
     chances = np.where(_is_flown(pair, shown, shares), found.probability(grid), np.nan)
-    curves = axes.contour(*shown, chances, [0.1, 0.5, 0.9], colors="black",
-                          linestyles=["dotted", "solid", "dashed"])  # fmt: skip
+    curves = axes.contour(*shown, chances, [0.1, 0.5, 0.9], colors="black", linestyles=["dotted", "solid", "dashed"])
     axes.clabel(curves, fmt=lambda part: f"{100 * part:.0f} %")
     others = " (the others at their middle)" if len(found.parameters) > 2 else ""
     _name(figure, results, f"failed: {results.failure}\nlines: logistic fit{others}")
@@ -165,9 +169,14 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
             parameter, results.failed, results.points if parameter.sampled else results.seeds
         )
         axes.errorbar(
-            _places(parameter), middle, yerr=[middle - low, high - middle], fmt="o", color="tab:red", capsize=3,
+            _places(parameter),
+            middle,
+            yerr=[middle - low, high - middle],
+            fmt="o",
+            color="tab:red",
+            capsize=3,
             label=f"part that failed, {BAND}",
-        )  # fmt: skip
+        )
         line = found.line(i, 200)
         shown = parameter.uneven(line[:, i])
         axes.plot(shown, found.probability(line), "k-", label="logistic fit")
@@ -205,8 +214,10 @@ def draw_sensitivity(results: Results, found: Sensitivity, metric: str) -> Figur
     figure = new_figure(7.0, 1.8 + 0.7 * len(found.names))
     axes = figure.subplots()
     places = np.arange(len(found.names))
-    pairs = ((found.total, found.total_half, "with others (total)", 0.2, "tab:orange"),
-             (found.first, found.first_half, "alone (first order)", -0.2, "tab:blue"))  # fmt: skip
+    pairs = (
+        (found.total, found.total_half, "with others (total)", 0.2, "tab:orange"),
+        (found.first, found.first_half, "alone (first order)", -0.2, "tab:blue"),
+    )
     for values, half, label, shift, colour in pairs:
         axes.barh(places + shift, values, 0.38, xerr=half, label=label, color=colour, capsize=3)
     axes.set_yticks(places, found.names)

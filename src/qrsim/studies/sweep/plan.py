@@ -60,9 +60,8 @@ class Plan:
     """
 
     def __init__(
-        self, study: Study, axes: tuple[Axis, ...], structural: tuple[str, ...],
-        groups: Mapping[tuple[int, ...], Group],
-    ):  # fmt: skip
+        self, study: Study, axes: tuple[Axis, ...], structural: tuple[str, ...], groups: Mapping[tuple[int, ...], Group]
+    ):
         self.study, self.axes, self.groups = study, axes, groups
         self.structural = structural
         sampling = study.spec.sampling

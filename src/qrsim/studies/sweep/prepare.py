@@ -187,8 +187,9 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
             groups[key] = _group(study, chosen, numbers)
     if wrong:
         more = [f"... and {len(wrong) - MOST_LISTED} more"] if len(wrong) > MOST_LISTED else []
-        raise ScenarioError(f"{study.spec.name}: values that do not go together, nothing was flown",
-                            wrong[:MOST_LISTED] + more)  # fmt: skip
+        raise ScenarioError(
+            f"{study.spec.name}: values that do not go together, nothing was flown", wrong[:MOST_LISTED] + more
+        )
     return groups
 
 

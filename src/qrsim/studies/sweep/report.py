@@ -74,9 +74,15 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         for name in metrics
     }
     return Report(
-        results, chosen, metrics, responses, _pair(results, pair), analysis.boundary(results),
-        analysis.sensitivity(results, values), analysis.worst(results, chosen, WORST),
-    )  # fmt: skip
+        results,
+        chosen,
+        metrics,
+        responses,
+        _pair(results, pair),
+        analysis.boundary(results),
+        analysis.sensitivity(results, values),
+        analysis.worst(results, chosen, WORST),
+    )
 
 
 def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | None:

@@ -102,9 +102,11 @@ class Store:
         for name in self.metrics:
             metric = plan.study.metric(name)
             about = {
-                "units": metric.unit, "long_name": metric.doc, "low_is_bad": metric.low_is_bad,
+                "units": metric.unit,
+                "long_name": metric.doc,
+                "low_is_bad": metric.low_is_bad,
                 "coordinates": " ".join(coordinates),
-            }  # fmt: skip
+            }
             self._array(group, name, "float32", math.nan, about if coordinates else _without(about, "coordinates"))
         about = {"long_name": "whether the episode is in the store", "coordinates": " ".join(coordinates)}
         self._array(group, FLOWN, "bool", False, about if coordinates else _without(about, "coordinates"))
@@ -125,11 +127,16 @@ class Store:
             return
         arrays = {
             axis.path: group.create_array(
-                axis.name, shape=(count,), chunks=(min(count, ROWS),), dtype="float64", fill_value=math.nan,
-                dimension_names=(POINT,), attributes=_about(axis),
+                axis.name,
+                shape=(count,),
+                chunks=(min(count, ROWS),),
+                dtype="float64",
+                fill_value=math.nan,
+                dimension_names=(POINT,),
+                attributes=_about(axis),
             )
             for axis in plan.sampled
-        }  # fmt: skip
+        }
         for start in range(0, count, ROWS):
             stop = min(count, start + ROWS)
             for path, values in plan.rows(start, stop).items():
@@ -137,9 +144,14 @@ class Store:
 
     def _array(self, group: Any, name: str, dtype: str, fill: Any, attributes: dict[str, Any]) -> None:
         group.create_array(
-            name, shape=self.plan.shape, chunks=self.plan.chunks, dtype=dtype, fill_value=fill,
-            dimension_names=self.plan.dims, attributes=attributes,
-        )  # fmt: skip
+            name,
+            shape=self.plan.shape,
+            chunks=self.plan.chunks,
+            dtype=dtype,
+            fill_value=fill,
+            dimension_names=self.plan.dims,
+            attributes=attributes,
+        )
 
     def _done(self) -> Array:
         """Return which batches are in the store."""

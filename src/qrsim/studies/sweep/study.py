@@ -227,9 +227,12 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
     code = {what: _code(what, name, folder) for what in ("policy", "estimator", OWN) if (name := getattr(spec, what))}
     updates = {what: named for what, (named, _) in code.items()}
     return Study(
-        spec.model_copy(update=updates), scenario, given if isinstance(given, str) else None,
-        {what: digest for what, (_, digest) in code.items()}, _own_metrics(spec, code[OWN][0]) if OWN in code else {},
-    )  # fmt: skip
+        spec.model_copy(update=updates),
+        scenario,
+        given if isinstance(given, str) else None,
+        {what: digest for what, (_, digest) in code.items()},
+        _own_metrics(spec, code[OWN][0]) if OWN in code else {},
+    )
 
 
 def _as_mapping(overrides: Iterable[str]) -> Content:

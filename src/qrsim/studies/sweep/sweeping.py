@@ -74,9 +74,17 @@ class Jobs:
         """Return a batch in the form sent to a worker."""
         spec = self._spec
         return Job(
-            self._groups[batch.group], batch.numbers, batch.seeds, self._metrics, spec.policy, spec.estimator,
-            spec.policy_ticks, self._code, spec.precision, spec.own_metrics,
-        )  # fmt: skip
+            self._groups[batch.group],
+            batch.numbers,
+            batch.seeds,
+            self._metrics,
+            spec.policy,
+            spec.estimator,
+            spec.policy_ticks,
+            self._code,
+            spec.precision,
+            spec.own_metrics,
+        )
 
 
 def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:

@@ -40,10 +40,12 @@ class TeamErrors:
     numbers: ClassVar[dict[str, dict[str, Any]]] = {
         "relative_error_rms_m": {"unit": "m", "doc": "of neighbours' places to each other, horizontal", "over": "rms"},
         "relative_estimate_rms_m": {
-            "unit": "m", "doc": "of what estimates say of these places, horizontal", "over": "rms",
+            "unit": "m",
+            "doc": "of what estimates say of these places, horizontal",
+            "over": "rms",
         },
         "missed_share": {"unit": "1", "doc": "part of the strip between the outer vehicles that none came near enough"},
-    }  # fmt: skip
+    }
 
     def init(self, world: Any, state: Any) -> TeamMemory:
         """Start with nothing."""

@@ -95,8 +95,12 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
         return {"along": _part(gust, ahead), "across": _part(gust, aside), "vertical": gust[:, :, 2]}
 
     first = parts_of(every[:, 0])
-    found = {"0": {name: _ratio(value**2, np.full_like(value, size**2)) for (name, value), size in
-                   zip(first.items(), sigma, strict=True)}}  # fmt: skip
+    found = {
+        "0": {
+            name: _ratio(value**2, np.full_like(value, size**2))
+            for (name, value), size in zip(first.items(), sigma, strict=True)
+        }
+    }
     for i, r in enumerate(SEPARATIONS, start=1):
         other = parts_of(every[:, i])
         found[f"{r:g}"] = {
@@ -154,25 +158,40 @@ def _checks(
             what = "variance" if r == "0" else f"correlation at {r} m"
             checks.append(
                 Check(
-                    f"{what}, {name}", value, expected[name], z * error + left_out, "",
+                    f"{what}, {name}",
+                    value,
+                    expected[name],
+                    z * error + left_out,
+                    "",
                     f"closed form; {z:.1f} standard errors of the mean of {worlds} worlds, {100 * CONFIDENCE:g} % for"
                     f" all together, and {100 * left_out:g} % of the variance in waves that the field leaves out",
                 )
-            )  # fmt: skip
-    return checks + [
-        Check(
-            f"travel: correlation of gusts with those {lag} s before and as far upwind as the wind at 20 m, frozen",
-            value, 1.0, 1e-3, "", "Taylor's hypothesis; single precision",
-        )
-        for lag, (value, _) in frozen.items()
-    ] + [
-        Check(
-            f"travel: the same of waves with a lifetime, {lag} s",
-            value, float(kept(float(lag) / LIFETIME)), z * error, "",
-            f"closed form; {z:.1f} standard errors of the mean of {worlds} worlds",
-        )
-        for lag, (value, error) in carried.items()
-    ]  # fmt: skip
+            )
+    return (
+        checks
+        + [
+            Check(
+                f"travel: correlation of gusts with those {lag} s before and as far upwind as the wind at 20 m, frozen",
+                value,
+                1.0,
+                1e-3,
+                "",
+                "Taylor's hypothesis; single precision",
+            )
+            for lag, (value, _) in frozen.items()
+        ]
+        + [
+            Check(
+                f"travel: the same of waves with a lifetime, {lag} s",
+                value,
+                float(kept(float(lag) / LIFETIME)),
+                z * error,
+                "",
+                f"closed form; {z:.1f} standard errors of the mean of {worlds} worlds",
+            )
+            for lag, (value, error) in carried.items()
+        ]
+    )
 
 
 def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
@@ -190,8 +209,10 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         pictures=[_picture(points)],
         numbers={
             "two_points": {
-                r: {name: {"value": value, "standard_error": error, "closed_form": closed(float(r))[name]}
-                    for name, (value, error) in each.items()}
+                r: {
+                    name: {"value": value, "standard_error": error, "closed_form": closed(float(r))[name]}
+                    for name, (value, error) in each.items()
+                }
                 for r, each in points.items()
             },
             "travel": {
@@ -199,7 +220,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
                 for name, each in (("frozen", frozen), ("lifetime", carried))
             },
         },
-    )  # fmt: skip
+    )
 
 
 def _picture(points: dict[str, dict[str, tuple[float, float]]]) -> Picture:

@@ -116,8 +116,9 @@ class BaselinePolicy:
         if len(sides) > 1:
             by_fleet(done, [side.fleet for side in sides], "policy baseline: actions")
         each = {side.fleet: done if len(sides) == 1 else done[side.fleet] for side in sides}
-        parts = {name: (part[ACT], part.get(SAY)) if isinstance(part, dict) else (part, None)
-                 for name, part in each.items()}  # fmt: skip
+        parts = {
+            name: (part[ACT], part.get(SAY)) if isinstance(part, dict) else (part, None) for name, part in each.items()
+        }
         acts = {name: np.asarray(act, self._like.dtype) for name, (act, _) in parts.items()}
         wanted = apart(sides, jnp.asarray(self.play.scaled(together(sides, acts, "policy baseline: actions"))))
         actions = self.play.task.commands(self._memory, self.play.world, wanted)

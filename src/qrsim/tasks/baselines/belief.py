@@ -58,8 +58,9 @@ def view(corners: Array, grid: Array, camera: Camera) -> View:
     focal = float(camera.focal_length)
     scales = []
     for length, count, principal in (
-        (camera.width, columns, float(camera.principal_x)), (camera.height, rows, float(camera.principal_y)),
-    ):  # fmt: skip
+        (camera.width, columns, float(camera.principal_x)),
+        (camera.height, rows, float(camera.principal_y)),
+    ):
         side = np.floor(length / count)
         first = np.floor(0.5 * (length - side * np.floor(length / side)))
         scales.append((side / focal, (first - principal) / focal))

@@ -146,9 +146,13 @@ class Particles:
         along = np.exp(random.uniform(np.log(5.0), np.log(90.0), count))
         side = random.normal(0.0, 0.7, (2, count)) * np.sqrt(self.plume.spread(along))
         return source + np.stack(
-            [np.cos(bearing) * along - np.sin(bearing) * side[0], np.sin(bearing) * along + np.cos(bearing) * side[0],
-             side[1]], axis=1,
-        )  # fmt: skip
+            [
+                np.cos(bearing) * along - np.sin(bearing) * side[0],
+                np.sin(bearing) * along + np.cos(bearing) * side[0],
+                side[1],
+            ],
+            axis=1,
+        )
 
     def _begun(self, count: int) -> Guess:
         """Return particles with sources upwind of locations, in winds along which locations are in line."""

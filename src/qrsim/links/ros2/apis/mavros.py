@@ -78,16 +78,18 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     yield told("extended_state", kind, "static", 5.0, landed, lambda view: view.stack.heartbeat().landed)
     yield told("statustext/recv", "mavros_msgs/msg/StatusText", "sensor", EACH, _text(types, texts))
     yield told(
-        "home_position/home", "mavros_msgs/msg/HomePosition", "static", 0.5,
+        "home_position/home",
+        "mavros_msgs/msg/HomePosition",
+        "static",
+        0.5,
         f.form(
-            types, "mavros_msgs/msg/HomePosition",
-            (
-                "geo.latitude", "geo.longitude", "geo.altitude", *_axes("position"), *_axes("orientation", "xyzw"),
-            ),
+            types,
+            "mavros_msgs/msg/HomePosition",
+            ("geo.latitude", "geo.longitude", "geo.altitude", *_axes("position"), *_axes("orientation", "xyzw")),
             _home,
         ),
         lambda view: view.stack.home,
-    )  # fmt: skip
+    )
     yield from _local(types, told)
     yield from _global(types, told)
     yield from _sensors(types, told)
@@ -172,9 +174,15 @@ def _global(types: Types, told: Maker) -> Iterator[Told]:
 
     kind = "sensor_msgs/msg/NavSatFix"
     paths = (
-        "status.status", "latitude", "longitude", "altitude", "position_covariance[0]", "position_covariance[4]",
-        "position_covariance[8]", "position_covariance_type",
-    )  # fmt: skip
+        "status.status",
+        "latitude",
+        "longitude",
+        "altitude",
+        "position_covariance[0]",
+        "position_covariance[4]",
+        "position_covariance[8]",
+        "position_covariance_type",
+    )
     yield told(
         "global_position/global", kind, "sensor", 50.0, f.form(types, kind, paths, place, BASE, status__service=_GPS)
     )
@@ -230,9 +238,11 @@ def _sensors(types: Types, told: Maker) -> Iterator[Told]:
     spreads = {
         f"{name}_covariance": _diagonal(std)
         for name, std in (
-            ("orientation", _ORIENTATION_STD), ("angular_velocity", _RATES_STD), ("linear_acceleration", _FORCE_STD),
+            ("orientation", _ORIENTATION_STD),
+            ("angular_velocity", _RATES_STD),
+            ("linear_acceleration", _FORCE_STD),
         )
-    }  # fmt: skip
+    }
     yield told("imu/data", kind, "sensor", 50.0, f.form(types, kind, paths, inertial, BASE, **spreads))
 
     def battery(view: View) -> tuple[float, ...] | None:
@@ -240,7 +250,23 @@ def _sensors(types: Types, told: Maker) -> Iterator[Told]:
         return None if charge != charge else (view.seen.voltage, charge)
 
     kind = "sensor_msgs/msg/BatteryState"
-    yield told("battery", kind, "sensor", 2.0, f.form(
-        types, kind, ("voltage", "percentage"), battery, temperature=_NAN, current=_NAN, charge=_NAN, capacity=_NAN,
-        design_capacity=_NAN, power_supply_status=2, power_supply_technology=3, present=True,
-    ))  # fmt: skip
+    yield told(
+        "battery",
+        kind,
+        "sensor",
+        2.0,
+        f.form(
+            types,
+            kind,
+            ("voltage", "percentage"),
+            battery,
+            temperature=_NAN,
+            current=_NAN,
+            charge=_NAN,
+            capacity=_NAN,
+            design_capacity=_NAN,
+            power_supply_status=2,
+            power_supply_technology=3,
+            present=True,
+        ),
+    )

@@ -136,10 +136,14 @@ class Asked:
 
     def _raw_place(self, message: Any) -> None:
         self._global(
-            message.type_mask, message.coordinate_frame, message, velocity=f.enu(_vector(message.velocity)),
-            acceleration=f.enu(_vector(message.acceleration_or_force)), yaw=0.5 * math.pi - message.yaw,
+            message.type_mask,
+            message.coordinate_frame,
+            message,
+            velocity=f.enu(_vector(message.velocity)),
+            acceleration=f.enu(_vector(message.acceleration_or_force)),
+            yaw=0.5 * math.pi - message.yaw,
             yaw_rate=-message.yaw_rate,
-        )  # fmt: skip
+        )
 
     def _raw_attitude(self, message: Any) -> None:
         thrust = min(max(message.thrust, 0.0), 1.0)

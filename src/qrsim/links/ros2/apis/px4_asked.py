@@ -138,9 +138,14 @@ class Asked:
             return (x, y, z) if counts else _UNKNOWN
 
         return LocalTarget(
-            _LOCAL, 0, part("position", mode.position), part("velocity", mode.position or mode.velocity),
-            part("acceleration", True), float(motion.yaw), float(motion.yawspeed),
-        )  # fmt: skip
+            _LOCAL,
+            0,
+            part("position", mode.position),
+            part("velocity", mode.position or mode.velocity),
+            part("acceleration", True),
+            float(motion.yaw),
+            float(motion.yawspeed),
+        )
 
     # ---- commands ----
 

@@ -25,8 +25,15 @@ def leaning(vehicle: Airframe, tilt: Any) -> tuple[Floats, Floats] | None:
     if any(rotor.axis != (0.0, 0.0, -1.0) for rotor in vehicle.rotors):
         return None
     names = (
-        "mass", "gravity", "thrust_coefficient", "rotor_drag", "inflow_loss", "translational_lift", "drag_x", "drag_z",
-    )  # fmt: skip
+        "mass",
+        "gravity",
+        "thrust_coefficient",
+        "rotor_drag",
+        "inflow_loss",
+        "translational_lift",
+        "drag_x",
+        "drag_z",
+    )
     of = vehicle.in_density(vehicle.site_share)
     values = [np.asarray(getattr(of, name), np.float64) for name in names]
     mass, gravity, k_t, k_d, k_z, k_h, c_x, c_z = values

@@ -130,9 +130,11 @@ class MotorTable:
             "thrust_coefficient": coefficient,
             "thrust_to_weight": most / each,
             "speed_max": math.sqrt(most / coefficient),
-            "throttle_curve": curve, "hover_throttle": float(np.interp(each, self.thrust, self.throttle)),
-            "hover_power": power, "hover_speed": speed,
-        }  # fmt: skip
+            "throttle_curve": curve,
+            "hover_throttle": float(np.interp(each, self.thrust, self.throttle)),
+            "hover_power": power,
+            "hover_speed": speed,
+        }
 
     def oddities(self, radius: float) -> Iterator[str]:
         """Yield what no motor with a propeller of a radius [m] does, though the table may have it.

@@ -137,9 +137,12 @@ def own_parameters(
         UsageError: a number out of its range, or numbers that contradict each other.
     """
     given = {
-        "mass": mass, "arm": arm, "hover_throttle": hover_throttle, "thrust_to_weight": thrust_to_weight,
+        "mass": mass,
+        "arm": arm,
+        "hover_throttle": hover_throttle,
+        "thrust_to_weight": thrust_to_weight,
         "attitude_bandwidth": attitude_bandwidth,
-    }  # fmt: skip
+    }
     _check(given)
     kind = _geometry(rotors, geometry)
     known = known_numbers(known or {})
@@ -159,9 +162,7 @@ def own_parameters(
     # Of T/(rho A (W R)^2), with what two rotors on one axis lose made good; C_Q = C_T^1.5/(sqrt(2) FM).
     loading = thrust / (pairs * AIR_DENSITY * math.pi * radius**4)
     drag = 0.5 * AIR_DENSITY * BODY_DRAG * arm**2
-    gains: dict[str, Any] = {
-        "attitude_gain": attitude_bandwidth, "rate_gain": RATE_OVER_ATTITUDE * attitude_bandwidth,
-    }  # fmt: skip
+    gains: dict[str, Any] = {"attitude_gain": attitude_bandwidth, "rate_gain": RATE_OVER_ATTITUDE * attitude_bandwidth}
     return {
         "mass": mass,
         "inertia_x": INERTIA * mass * arm**2,
@@ -236,9 +237,16 @@ def own_multirotor(
         raise UsageError(f"own_multirotor: give hover_throttle and thrust_to_weight, or {TABLE}")
     of_table = {name: table[name] for name in ("thrust_coefficient", "speed_max") if table}
     derived = own_parameters(
-        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry, of_table | parameters,
+        mass,
+        arm,
+        rotors,
+        hover_throttle,
+        thrust_to_weight,
+        attitude_bandwidth,
+        geometry,
+        of_table | parameters,
         curve=table.get("throttle_curve"),
-    )  # fmt: skip
+    )
     if table:
         derived |= _powered(derived, table)
         for words in columns.oddities(float(derived["rotor_radius"])):
