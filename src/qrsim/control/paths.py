@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 
 from qrsim.control.mission import Facing, Mission, Orbits
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
 
-Floats = np.ndarray[Any, Any]
 # A duration that no flight reaches, and yet no infinity, so that no difference of two is NaN.
 FOREVER = 1e9
 # Shorter lines have no direction.

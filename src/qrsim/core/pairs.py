@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
-
-Floats = np.ndarray[Any, Any]
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:

@@ -12,12 +12,12 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.forked import refuse
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import WORLDS, quick_to_compile
 
-Array = np.ndarray[Any, Any]
 _Layouts = tuple[Packer, Packer]
 # So many functions keep what was compiled of them; there are a start and a tick for each kind of worlds.
 KEPT = 16
@@ -193,14 +193,14 @@ class Arrays:
         """Return a part of the tree."""
         return select(self.tree)
 
-    def put(self, worlds: Array, tree: Any) -> None:
+    def put(self, worlds: NumpyArray, tree: Any) -> None:
         """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
         count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
         # What goes beyond the end is dropped, so that parts of one length share a program.
         target = np.concatenate([worlds, np.full(rows - len(worlds), count)])
         self.tree = _replace_rows()(self.tree, tree, target)
 
-    def take(self, worlds: Array, other: Any) -> None:
+    def take(self, worlds: NumpyArray, other: Any) -> None:
         """Take the first len(worlds) of other states."""
         self.put(worlds, other.get(lambda tree: tree))
 

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.vector import VectorTask
 from qrsim.errors import UsageError
 
@@ -20,8 +21,6 @@ except ModuleNotFoundError:
     raise UsageError(
         "qrsim.envs.sb3 needs Stable-Baselines3: python -m pip install stable-baselines3 (with torch, which is large)"
     ) from None
-
-Array = np.ndarray[Any, Any]
 
 
 class VecTask(VecEnv):  # type: ignore[misc]
@@ -69,7 +68,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """Keep actions (num_envs, A) for ``step_wait``."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Any, Array, Array, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, NumpyArray, NumpyArray, list[dict[str, Any]]]:
         """Advance by a step; return what is seen, rewards, ends and infos.
 
         Raises:
@@ -95,7 +94,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self._returns[ended], self._lengths[ended] = 0.0, 0
         return seen, rewards.astype(np.float32), ended, told
 
-    def get_images(self) -> Sequence[Array | None]:
+    def get_images(self) -> Sequence[NumpyArray | None]:
         """Return a picture of each environment; None of each without a render mode."""
         return self.tasks.render() or [None] * self.num_envs
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch, numbers, one_line
 from qrsim.envs.dataset import Recording
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
@@ -21,7 +22,6 @@ from qrsim.tasks.simple import Commanded
 from qrsim.tasks.speaking import ACT, SAY
 from qrsim.tasks.teams import apart, axes_of_agents, by_fleet
 
-Floats = np.ndarray[Any, Any]
 BASELINE, HOVER, RANDOM, ORACLE = "baseline", "hover", "random", "oracle"
 BUILT_IN = (BASELINE, HOVER, RANDOM, ORACLE)
 CONFIDENCE, RESAMPLES, RESAMPLE_SEED = 0.95, 2000, 20261123

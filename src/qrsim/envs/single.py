@@ -10,6 +10,7 @@ import gymnasium
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch, checked_seed, numbers
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
@@ -30,7 +31,7 @@ def only_one(batch: Batch) -> None:
         )
 
 
-def shaped(batch: Batch, flight: Any, who: str, *lead: int, agent: int = 0) -> np.ndarray[Any, Any]:
+def shaped(batch: Batch, flight: Any, who: str, *lead: int, agent: int = 0) -> NumpyArray:
     """Check the flight part of an agent's actions, (*lead, A), and return it as an array (*lead, W).
 
     Raises:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.tasks import Play
@@ -55,7 +56,7 @@ def observation_space(play: Play, seen: Any, agent: int = 0) -> spaces.Space[Any
     )
 
 
-def split_say(batch: Batch, action: Any, who: str, *lead: int) -> tuple[Any, np.ndarray[Any, Any]]:
+def split_say(batch: Batch, action: Any, who: str, *lead: int) -> tuple[Any, NumpyArray]:
     """Split an action into what is done and what is said, (*lead, D); NaN for who says nothing, D = 0 without a radio.
 
     Raises:

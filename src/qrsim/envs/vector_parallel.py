@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.series import Series
@@ -18,7 +19,6 @@ from qrsim.envs.single import shaped
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError, did_you_mean
 
-Array = np.ndarray[Any, Any]
 Spaces = dict[str, spaces.Space[Any]]
 
 
@@ -143,7 +143,7 @@ class VectorParallelTask:
                 )
             self.batch.hand_in(array[rows][:, None], rows, np.array([self.possible_agents.index(agent)]))
 
-    def state(self) -> Array:
+    def state(self) -> NumpyArray:
         """Return what is really the case, for a critic that may know it: (num_envs, S), see ``Batch.state``.
 
         Raises:
@@ -172,7 +172,7 @@ class VectorParallelTask:
         if agent not in self.possible_agents:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
-    def _checked(self, actions: Any) -> tuple[Array, Array]:
+    def _checked(self, actions: Any) -> tuple[NumpyArray, NumpyArray]:
         """Return what agents do (num_envs, n, W) and what they say (num_envs, n, D)."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")

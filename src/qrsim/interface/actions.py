@@ -21,6 +21,7 @@ from qrsim.control import (
     VelocityHeightSetpoint,
     WaypointSetpoint,
 )
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import map_tree, walk
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
@@ -30,9 +31,8 @@ from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.world.state import Action, Fleet, Piloted, Saying, Some, World
 
 T = TypeVar("T")
-FloatArray = np.ndarray[Any, Any]
 # Says which vehicles (n,) fly; called only where something is not finite.
-Flying = Callable[[], FloatArray]
+Flying = Callable[[], Floats]
 _NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
 
 
@@ -272,7 +272,7 @@ class ActionChecker:
         if not self.traced and all(_is_row(leaf, size) for leaf in leaves):
             return jax.tree.unflatten(structure, [np.ascontiguousarray(leaf, self.dtype) for leaf in leaves])
 
-        def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> FloatArray | Array:
+        def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> Floats | Array:
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
@@ -286,7 +286,7 @@ class ActionChecker:
     def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
         shape = (len(names), len(kind.fields))
         try:
-            array: FloatArray = (jnp if self.traced else np).asarray(command, self.dtype)
+            array: Floats = (jnp if self.traced else np).asarray(command, self.dtype)
         except (TypeError, ValueError, OverflowError):
             array = np.zeros(0)
         if array.shape != shape:
@@ -298,20 +298,18 @@ class ActionChecker:
             return kind.kind(*np.ascontiguousarray(array.T))
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
-    def _all_fine(self, kind: CommandKind, array: FloatArray) -> bool:
+    def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
         """Return whether nothing in commands (n, C) is to be said."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.
         return bool((np.isfinite(array) & (array >= kind.lowest) & (array <= kind.highest)).all())
 
-    def _in_range(
-        self, kind: CommandKind, columns: list[FloatArray], names: list[str], flying: Flying | None
-    ) -> object:
+    def _in_range(self, kind: CommandKind, columns: list[Floats], names: list[str], flying: Flying | None) -> object:
         """Return the command of columns (n,); a traced one is clipped by the tick itself."""
         if self.traced:
             return kind.kind(*columns)
-        checked: list[FloatArray] = []
+        checked: list[Floats] = []
         for field, values in zip(kind.fields, columns, strict=True):
             low, high = kind.limits[field]
             column = np.ascontiguousarray(values)
@@ -326,7 +324,7 @@ class ActionChecker:
             checked.append(column)
         return kind.kind(*checked)
 
-    def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Floats:
         """Return numbers of a shape, or one for all."""
         try:
             array = np.asarray(values, self.dtype)
@@ -364,13 +362,13 @@ def _arrays(record: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 
 
-def _part(flying: Flying, own: slice) -> FloatArray:
+def _part(flying: Flying, own: slice) -> Floats:
     return flying()[own]
 
 
-def _missing(values: FloatArray, flying: Flying | None) -> FloatArray:
+def _missing(values: Floats, flying: Flying | None) -> Floats:
     """Return which of the numbers (n,) for vehicles that fly are not finite."""
-    missing: FloatArray = ~np.isfinite(values)
+    missing: Floats = ~np.isfinite(values)
     return missing & flying() if flying is not None and missing.any() else missing
 
 

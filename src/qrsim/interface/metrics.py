@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from jax import Array
 
 from qrsim.control import Mission, MissionState, OffboardSetpoint, PathSetpoint, TrackSetpoint, WaypointSetpoint
+from qrsim.core.arrays import Floats
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3, root
@@ -24,7 +25,6 @@ from qrsim.models.vehicles.commands import fields_of
 from qrsim.world.state import FleetState, State, World
 
 T = TypeVar("T")
-Floats = np.ndarray[Any, Any]
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
 # A set-point so far below the ground [m] is one of a landing.

@@ -15,10 +15,10 @@ import jax
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import Record
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.layout import Buffers, Packer
-from qrsim.interface.arrays import Floats
 from qrsim.world.state import FleetState, State, World
 
 Offsets = npt.NDArray[np.intp]

@@ -8,8 +8,9 @@ from typing import cast
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tables import Table, Tabled, cells_of, columns_of
-from qrsim.interface.arrays import Floats, as_array
+from qrsim.interface.arrays import as_array
 from qrsim.interface.seen import Seen
 from qrsim.models.vehicles.contracts import Pose, velocity_of
 from qrsim.world.standing import on_ground

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-Floats = np.ndarray[Any, Any]
+from qrsim.core.arrays import Floats
+
 Colour = tuple[int, int, int]
 
 # Vehicles, in their order, while they are few; else fleets.

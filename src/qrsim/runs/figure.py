@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError
 from qrsim.runs.layout import Event
 from qrsim.runs.picture import (
     MOST_NAMED,
-    Floats,
     binned_text,
     colours_of,
     from_zero,

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.geometry import LOST
 from qrsim.models.gnss.interference import strength
 from qrsim.models.gnss.slots import SlottedSky
-from qrsim.runs.colours import Floats
 
 # What has no end ends here or later [s], and what is heard everywhere is heard within this or more [m].
 _FOREVER, _EVERYWHERE = 1e8, 1e8

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.runs.layout import Event
 from qrsim.runs.picture import (
     MOST_NAMED,
-    Floats,
     binned_text,
     colours_of,
     is_long,

@@ -13,9 +13,10 @@ from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import ScaledTranslation
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import FOUND, MISSING, PLUME, share
 from qrsim.runs.interferers import Interferer
-from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, Floats, path_rows
+from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, path_rows
 from qrsim.runs.surroundings import Surroundings
 from qrsim.runs.terrain import Terrain
 

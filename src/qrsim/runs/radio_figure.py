@@ -11,8 +11,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError
-from qrsim.runs.picture import Floats, colours_of, new_figure, time_limits, title_of
+from qrsim.runs.picture import colours_of, new_figure, time_limits, title_of
 from qrsim.runs.radio_columns import LOGGED_LINKS
 from qrsim.runs.radio_links import Connectivity, Packets, connectivity, packets_of
 from qrsim.runs.reader import Run

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
 from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
@@ -21,7 +22,6 @@ from qrsim.runs.summary import vectors
 if TYPE_CHECKING:
     from qrsim.tasks.places import Places
 
-Floats = np.ndarray[Any, Any]
 # Of the picture of a plume: cells along north and east, and heights of which the strongest counts.
 CELLS, HEIGHTS = 100, 12
 ABSENT = ("none", "clear")

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.sharding import Mesh
 
@@ -23,7 +22,6 @@ from qrsim.world import tick as ticks_of
 from qrsim.world.radio import parted
 from qrsim.world.state import Some, State, World, WorldKeys
 
-Array = np.ndarray[Any, Any]
 # What JAX raises where a program that is being compiled would have to know a number.
 NEEDS_VALUES = (
     jax.errors.ConcretizationTypeError,

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
 from qrsim.core.tables import Table, Tabled, number_text
@@ -27,7 +28,6 @@ from qrsim.simulation.block_parts import Setup
 from qrsim.simulation.blocks import Engine, Schedule
 from qrsim.world.state import State, World
 
-Array = np.ndarray[Any, Any]
 # Vehicles of a block on one device: their states and the noise of a tick then stay in a core's own cache.
 VEHICLES_PER_BLOCK = 4096
 # Of the states of a block, with all that a tick makes of them.
@@ -53,11 +53,11 @@ class Rollout(Tabled):
         vehicles: names, in the order of the arrays.
     """
 
-    metrics: dict[str, Array]
+    metrics: dict[str, NumpyArray]
     recorded: Any
-    record_ticks: Array
-    seeds: Array
-    numbers: Array
+    record_ticks: NumpyArray
+    seeds: NumpyArray
+    numbers: NumpyArray
     vehicles: tuple[str, ...]
 
     __repr__ = Tabled.__repr__
@@ -77,7 +77,7 @@ class Rollout(Tabled):
         """Return the names of the metrics, one after the other."""
         return iter(self.metrics)
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> NumpyArray:
         """Return a metric, (W, n).
 
         Raises:
@@ -107,7 +107,7 @@ class Rollout(Tabled):
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 
 
-def _metric_row(name: str, values: Array) -> tuple[str, ...]:
+def _metric_row(name: str, values: NumpyArray) -> tuple[str, ...]:
     """Return name, unit, shape, and three numbers of a metric; these only where each value is one number."""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
     numbers = values[np.isfinite(values)] if values.ndim == 2 and values.dtype.kind in "fiub" else values[:0]
@@ -128,7 +128,7 @@ def rollout(
     metrics: Any = None,
     record: Callable[[State], Any] | None = None,
     record_every: int = 50,
-    sink: Callable[[Array, int, Any], None] | None = None,
+    sink: Callable[[NumpyArray, int, Any], None] | None = None,
     progress: Callable[[int], None] | None = None,
     site: Site | None = None,
 ) -> Rollout:
@@ -198,7 +198,7 @@ def setup_of(
 
 def _which(
     several: list[World], alike: bool, worlds: int, seed: Any, seeds: Sequence[int] | None
-) -> tuple[Array, Array]:
+) -> tuple[NumpyArray, NumpyArray]:
     """Return seed and number (W,) of each world."""
     if not several:
         raise UsageError("world: an empty list has no world to fly")
@@ -259,7 +259,7 @@ def _other_arrays(one: World, other: World) -> str:
     return ""
 
 
-def _blocks(engine: Engine, count: int) -> Iterator[Array]:
+def _blocks(engine: Engine, count: int) -> Iterator[NumpyArray]:
     """Yield the numbers of the worlds of each block, all of one length; the last is filled up with its last world."""
     size, devices = len(engine.names), engine.devices
     in_memory = MEMORY_BYTES // (COPIES * engine.bytes_per_world() * devices)

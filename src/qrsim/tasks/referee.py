@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Key
 from qrsim.core.tree import cast
 from qrsim.engine.settings import quick_jit
@@ -19,7 +20,6 @@ from qrsim.tasks.episodes import score
 from qrsim.tasks.places import Places, places_of
 from qrsim.tasks.play import Episode, Judged, Play
 
-Floats = np.ndarray[Any, Any]
 # Ticks that are judged at once.
 CHUNK = 50
 FLOWN, CRASHED, UNFINISHED, SPOILT = "flown_to_the_end", "crashed", "unfinished", "not_finite"

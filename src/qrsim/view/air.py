@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.clock import split_time
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import replace
@@ -22,7 +23,6 @@ from qrsim.view.layers import GUST_COLOUR, STRONG_WIND, Layer, Stage
 from qrsim.world.air import gust_at
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 AIR = "air in a plane"
 # What its arrows show, and the speed [m/s] of one that is as long as two are apart.
 GUST, WHOLE = "gust", "gust and mean wind"

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
@@ -17,7 +18,6 @@ from qrsim.view.layers import Layer, Stage
 from qrsim.world.episode import develop
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # While nobody is chosen, of so many cameras.
 MOST_SHOWN = 4
 # The strongest colours stand for a ratio of this and more, and of minus this and less.

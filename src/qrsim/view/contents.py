@@ -7,13 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import FOUND, MISSING, PLUME
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
 from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # Of the classes of the ground, from the second on: clutter and occlusion.
 COVER_COLOURS = np.array([(190, 170, 90), (70, 110, 50)], np.uint8)
 MISSING_COLOUR, FOUND_COLOUR, PLUME_COLOUR = MISSING, FOUND, PLUME

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
@@ -18,7 +19,6 @@ from qrsim.view.frame import Cast
 from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = GREY, (150, 140, 130), GREY
 GROUND_COLOUR = (205, 214, 186)
 # Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.

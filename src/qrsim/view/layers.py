@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from viser import SceneApi
 
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
 from qrsim.interface.arrays import quaternion_of
 from qrsim.models.scene.contracts import Ground
@@ -17,7 +18,6 @@ from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
 
-Floats = np.ndarray[Any, Any]
 STOPPED_COLOUR, GUST_COLOUR, GHOST_COLOUR, POLE_COLOUR = STOPPED, GUST, GREY, GREY
 # More labels than this cannot be read.
 MOST_LABELS = 20

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from viser import ClientHandle, ViserServer
 
+from qrsim.core.arrays import Floats
 from qrsim.view.air import REACHES
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
@@ -23,7 +24,6 @@ from qrsim.view.sky import Satellite
 from qrsim.view.viewers import Choice, Plotted, Viewer
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # Status and plots are renewed at every so-many-th frame.
 STATUS_FRAMES, PLOT_FRAMES = 6, 15
 MOST_STOPPED = 5

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.frame import Frame
 from qrsim.view.layers import MANY, MOST_LABELS, Layer
 
-Floats = np.ndarray[Any, Any]
 LENGTH_S = 60.0
 # Corners of the paths of all vehicles together; of each path the fewest and most pieces, and the most corners of one.
 SEGMENTS, FEWEST_PIECES, MOST_PIECES, MOST_CORNERS = 20_000, 8, 40, 15

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.radio.links import Outcome
 from qrsim.runs.colours import WIND, on_scale
 from qrsim.view import shapes
@@ -13,7 +14,6 @@ from qrsim.view.frame import Frame, Links
 from qrsim.view.layers import Layer, Stage
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 LINKS = "radio links"
 # Packets that are lost with more than this chance are not drawn: nobody counts on them.
 FAINTEST = 0.02

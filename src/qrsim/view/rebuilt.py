@@ -31,8 +31,6 @@ from qrsim.world.draws import keys_of
 from qrsim.world.episode import draw_field, episode_draws
 from qrsim.world.state import World, period_ticks
 
-Floats = np.ndarray[Any, Any]
-
 
 class Rebuilt:
     """Contents of a recorded world at any time.

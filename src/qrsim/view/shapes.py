@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.runs.colours import RATIO, VEHICLES, WIND, on_scale
 
-Floats = np.ndarray[Any, Any]
 Mesh = tuple[Floats, Floats]
 
 PALETTE = VEHICLES

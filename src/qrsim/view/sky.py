@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
 from qrsim.world.state import State
 
-Floats = np.ndarray[Any, Any]
 # Of a satellite: its name, azimuth and elevation [deg], C/N0 [dB-Hz], state.
 Satellite = tuple[str, int, int, int, int]
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import GREY, PLUME, Colour
 from qrsim.tasks.places import Places
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage
 
-Floats = np.ndarray[Any, Any]
 # More goals than these have no words: they would hide each other.
 MOST_NAMED = 3
 GOALS, SOURCES, LOCATIONS = "goals", "sources", "places asked for"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from qrsim.models.site import Site
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.simulation import Simulation
 
-Array = np.ndarray[Any, Any]
 # A stack for a vehicle at a site.
 MakeStack = Callable[[Facts, Site], Stack]
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.links.reference.protocol.framing import HEAD_SIZE, frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, State
@@ -22,7 +23,6 @@ from qrsim.models.sensors.pressure import PressureReading
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.world.state import FleetState, World
 
-Array = np.ndarray[Any, Any]
 STATE_SIZE, MEASURED_SIZE = 13, 20
 # Of the state vector, before the thrust.
 POSE = ("position_ned", "attitude", "velocity_body", "rates_body")
@@ -160,7 +160,7 @@ class Readout:
             return self._explained()
         return bytes(self._buffer)
 
-    def vectors(self) -> Array:
+    def vectors(self) -> NumpyArray:
         """Write the present state vectors (n, 13) and return them."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._x[...] = floats.take(self._x_places)
@@ -203,7 +203,7 @@ class States:
         """Write the present STATE with its length message."""
         return (self._with_reasons() if reasons else self._plain).frame()
 
-    def vectors(self) -> Array:
+    def vectors(self) -> NumpyArray:
         """Return the present state vectors (n, 13)."""
         return self._plain.vectors()
 
@@ -233,7 +233,7 @@ class _Posed:
         self._vehicle, self._number, self.rows = vehicle, number, rows
         self._compiled = jax.jit(_vectors)
 
-    def vectors(self, layout: Packer, buffers: Buffers) -> Array:
+    def vectors(self, layout: Packer, buffers: Buffers) -> NumpyArray:
         """Return the state vectors (n, 13) of the vehicles of a packed state, the first parts of positions in them."""
         part = layout.numbers.fleets[self._number].vehicle
         state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
@@ -258,7 +258,7 @@ def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
     return found
 
 
-def _state_places(fleet: FleetState) -> Array:
+def _state_places(fleet: FleetState) -> NumpyArray:
     """Return the places (n, 13) of the state vector of vehicles; -1 for what their own state has not."""
     own = vars(fleet.vehicle)
     nothing = np.full(len(fleet.violation.code), -1)
@@ -268,7 +268,7 @@ def _state_places(fleet: FleetState) -> Array:
     return np.stack([*columns, own.get("thrust", nothing)], axis=1)
 
 
-def _low_places(fleets: Sequence[FleetState]) -> Array | None:
+def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
     """Return the places (n, 3) of what single precision leaves out of the positions, None in double precision."""
     lows = [fleet.position_low_ned for fleet in fleets]
     if any(low is None for low in lows):

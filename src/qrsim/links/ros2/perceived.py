@@ -23,7 +23,6 @@ from qrsim.models.sensors.scan import FARTHEST, Scan, ray_angles
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 SCAN, RANGE, POSES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range", "geometry_msgs/msg/PoseArray"
 
 

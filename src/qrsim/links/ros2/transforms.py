@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.blank import empty
@@ -20,7 +21,6 @@ from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
 from qrsim.models.site import Site
 from qrsim.world.state import Fleet, World
 
-Array = np.ndarray[Any, Any]
 TYPE, ONE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
 _H = 0.5**0.5
 _LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -60,7 +60,7 @@ class Transforms:
         # By which vehicles know.
         self._templates: dict[bytes, tuple[Template, list[Put]]] = {}
 
-    def message(self, numbers: Array, stamps: Sequence[tuple[int, int]]) -> bytes:
+    def message(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> bytes:
         """Return the message for numbers (n, WIDTH), with the stamps of the n vehicles."""
         poses = numbers[:, _COLUMNS]
         known = np.isfinite(poses).all(axis=1)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.kalman_state import KalmanState
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.site import Site
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 # Columns of ``Sight.rows``. Vectors are NED or body axes, x y z, in SI units.
 POSITION, VELOCITY, ATTITUDE, RATES, FORCE, FIELD = 0, 3, 6, 9, 12, 15
 FIX_POSITION, FIX_VELOCITY = 18, 21
@@ -71,7 +71,7 @@ class Sight:
 
     def __init__(self, simulation: Simulation):
         self._simulation = simulation
-        self.values: Array = np.full((simulation.size, WIDTH), math.nan)
+        self.values: NumpyArray = np.full((simulation.size, WIDTH), math.nan)
         layout, _ = simulation.packed
         numbers = layout.numbers
         sources, targets, codes, self._receivers = [], [], [], []
@@ -105,7 +105,7 @@ class Sight:
         """Return whether a vehicle has a number in a column."""
         return bool(self._has(column)[row])
 
-    def _has(self, column: int) -> Array:
+    def _has(self, column: int) -> NumpyArray:
         """Return which vehicles (n,) have a number of the packed state in a column."""
         found = np.zeros(len(self.values), bool)
         found[self._targets[self._targets % WIDTH == column] // WIDTH] = True
@@ -170,7 +170,7 @@ class Sight:
             first += fleet.size
 
 
-def complete(values: Array, site: Site, plain: Array) -> None:
+def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
     """Compute the columns that follow from others: places on the Earth, quaternions, types of fixes.
 
     Args:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
@@ -16,7 +17,6 @@ from qrsim.models.scene.contracts import Ground, upward
 from qrsim.models.scene.elevation import EARTH_RADIUS, Bounds, Landscape, landscape
 from qrsim.models.site import Site
 
-Floats = np.ndarray[Any, Any]
 # What a grid may have after it was cut to the area: 16 MB in single precision.
 MOST_POINTS = 4_000_000
 # The table of the horizon: heights of the eye and bearings, and how far it looks [m], in steps of a part of the way.

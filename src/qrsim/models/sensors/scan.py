@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
@@ -168,7 +169,7 @@ class IdealScan(Sensor):
         return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
 
 
-def ray_angles(rays: int, field_of_view_rad: float) -> np.ndarray[Any, Any]:
+def ray_angles(rays: int, field_of_view_rad: float) -> NumpyArray:
     """Return the angles (R,) [rad] of rays against forward, to the right positive: the middles of even sectors."""
     return (np.arange(rays) + 0.5 - 0.5 * rays) * (field_of_view_rad / rays)
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.runs.picture import new_figure
 from qrsim.studies.sweep.analysis import CONFIDENCE, Boundary, Response, Sensitivity, heat_map, share_interval
 from qrsim.studies.sweep.results import Parameter, Results
 
-Array = np.ndarray[Any, Any]
 NOT_FLOWN = "0.85"
 BAND = f"{100 * CONFIDENCE:.0f} % interval"
 
@@ -35,12 +35,12 @@ def _metric(results: Results, name: str) -> str:
     return f"{name} [{unit}]" if unit != "1" else name
 
 
-def _places(parameter: Parameter) -> Array:
+def _places(parameter: Parameter) -> NumpyArray:
     """Return where the levels of a parameter are on an axis."""
     return np.asarray(parameter.levels, float) if parameter.numeric else np.arange(len(parameter.levels), dtype=float)
 
 
-def edges(parameter: Parameter) -> Array:
+def edges(parameter: Parameter) -> NumpyArray:
     """Return the limits (L + 1,) of the levels of a parameter on an axis.
 
     Of numbers the outermost are the lowest and the highest that were flown: a map says nothing beyond them.
@@ -107,7 +107,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
     return figure
 
 
-def _mesh(axes: Any, pair: tuple[Parameter, Parameter], values: Array, colours: str, **limits: Any) -> Any:
+def _mesh(axes: Any, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, **limits: Any) -> Any:
     """Draw a map, the first parameter to the right."""
     one, other = pair
     image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, **limits)
@@ -151,7 +151,7 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
     return figure
 
 
-def _is_flown(pair: tuple[Parameter, Parameter], lines: list[Array], values: Array) -> Array:
+def _is_flown(pair: tuple[Parameter, Parameter], lines: list[NumpyArray], values: NumpyArray) -> NumpyArray:
     """Return for places (Y, X) whether they are in a cell of a map (L1, L2) that has episodes."""
     cells = [
         np.clip(np.searchsorted(edges(parameter), line, side="right") - 1, 0, len(parameter.levels) - 1)
@@ -193,7 +193,9 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
     return figure
 
 
-def failure_parts(parameter: Parameter, failed: Array, groups: Array) -> tuple[Array, Array, Array]:
+def failure_parts(
+    parameter: Parameter, failed: NumpyArray, groups: NumpyArray
+) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
     """Return low end, share and high end of the failed share at each level (L,), with its exact interval.
 
     ``groups`` (E,) are what is independent; see ``share_interval``.

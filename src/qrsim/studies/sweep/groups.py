@@ -12,13 +12,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.sweep.axes import Axis, apply
 from qrsim.studies.sweep.study import Content
 from qrsim.world.state import World
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,9 @@ class Place:
 
     path: str
     in_degrees: bool
-    parts: tuple[tuple[int, Array], ...]
+    parts: tuple[tuple[int, NumpyArray], ...]
 
-    def values(self, given: Array) -> Array:
+    def values(self, given: NumpyArray) -> NumpyArray:
         """Convert scenario values to the World's units, in double precision."""
         return np.array([math.radians(value) for value in given]) if self.in_degrees else np.asarray(given, np.float64)
 
@@ -66,15 +65,17 @@ class Group:
         return sum(fleet.size for fleet in self.world.fleets)
 
     @cached_property
-    def _leaves(self) -> tuple[list[Array], Any]:
+    def _leaves(self) -> tuple[list[NumpyArray], Any]:
         leaves, structure = jax.tree.flatten(self.world)
         return [np.asarray(leaf) for leaf in leaves], structure
 
-    def varied(self, numbers: Mapping[str, Array]) -> tuple[Any, list[Array], list[Array], tuple[bool, ...]]:
+    def varied(
+        self, numbers: Mapping[str, NumpyArray]
+    ) -> tuple[Any, list[NumpyArray], list[NumpyArray], tuple[bool, ...]]:
         """Return structure, shared leaves, varied leaves (W, ...), and the flags that tell them apart."""
         assert self.places is not None
         leaves, structure = self._leaves
-        own: dict[int, Array] = {}
+        own: dict[int, NumpyArray] = {}
         for place in self.places:
             values = place.values(numbers[place.path])
             for leaf, elements in place.parts:
@@ -85,7 +86,7 @@ class Group:
         fixed = [leaf for leaf, varies in zip(leaves, which, strict=True) if not varies]
         return structure, fixed, [own[i] for i in sorted(own)], which
 
-    def loaded(self, numbers: Mapping[str, Array], precision: str) -> list[World]:
+    def loaded(self, numbers: Mapping[str, NumpyArray], precision: str) -> list[World]:
         """Return the world of each point, loaded one by one."""
         found: dict[tuple[Any, ...], World] = {}
         rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
@@ -185,7 +186,7 @@ def _places(
 ) -> tuple[Place, ...] | None:
     """Return where the World has each number, None where one of them is not simply there."""
     found = []
-    taken: dict[int, Array] = {}
+    taken: dict[int, NumpyArray] = {}
     for axis in axes:
         place = _place(base, axis, lowest, world, precision)
         if place is None:
@@ -216,7 +217,7 @@ def _middle(axis: Axis) -> Any:
     return sorted(axis.values)[len(axis.values) // 2]
 
 
-def _parts(leaves: list[list[Array]], values: list[float]) -> tuple[tuple[int, Array], ...]:
+def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[int, NumpyArray], ...]:
     """Return the elements of leaves that are these values; none where one changes in another way."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 import zarr
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
 
-Array = np.ndarray[Any, Any]
 FLOWN, KIND = "flown", "qrsim sweep"
 # Points of a sample whose values are computed and written at once.
 ROWS = 65_536
@@ -153,7 +153,7 @@ class Store:
             attributes=attributes,
         )
 
-    def _done(self) -> Array:
+    def _done(self) -> NumpyArray:
         """Return which batches are in the store."""
         flown = self._group[FLOWN]
         found = np.zeros(self.plan.batches, bool)
@@ -165,7 +165,7 @@ class Store:
                 found[index] = bool(np.all(flown[self.plan.region(index)]))
         return found
 
-    def write(self, batch: Batch, results: Mapping[str, Array]) -> None:
+    def write(self, batch: Batch, results: Mapping[str, NumpyArray]) -> None:
         """Write the results (W,) of a batch.
 
         Raises:
@@ -206,7 +206,7 @@ def _about(axis: Any) -> dict[str, Any]:
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
-def _coordinate(group: Any, name: str, dimension: str, values: Array, attributes: dict[str, Any]) -> None:
+def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: dict[str, Any]) -> None:
     if values.dtype == object:
         array = group.create_array(
             name, shape=values.shape, dtype=str, dimension_names=(dimension,), attributes=attributes

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
 from qrsim.interface.messages import Say
@@ -129,13 +130,13 @@ class BaselinePolicy:
                 given[name] = Say(words, given[name])
         return given
 
-    def answer(self) -> np.ndarray[Any, Any] | None:
+    def answer(self) -> NumpyArray | None:
         """Return what the baseline hands in at the end, (n, ...); None if it hands in nothing."""
         policy: Any = self._baseline
         return np.asarray(policy.answer(), self._like.dtype) if isinstance(policy, Answering) else None
 
     @property
-    def _like(self) -> np.ndarray[Any, Any]:
+    def _like(self) -> NumpyArray:
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
     def _init(self, state: Any) -> Any:

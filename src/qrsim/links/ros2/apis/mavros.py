@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.codes import Sensor
 from qrsim.links.mavlink.stack.modes import ARMED_FLAG
@@ -25,7 +25,6 @@ from qrsim.links.ros2.topics import Quality, Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.shared import sight as s
 
-Array = np.ndarray[Any, Any]
 PACKAGES = ("mavros_msgs", "geographic_msgs", "std_srvs")
 MAP, BASE = "map", "base_link"
 # MAV_MODE_FLAG: remote control, guided.
@@ -37,7 +36,7 @@ _ORIENTATION_STD, _RATES_STD, _FORCE_STD = 1.0, 0.0003490659, 0.0003
 _GPS, _NO_FIX, _UNKNOWN, _DIAGONAL = 1, -1, 0, 2
 
 
-def _diagonal(std: float) -> Array:
+def _diagonal(std: float) -> NumpyArray:
     """Return the covariance (9,) of three alike and independent numbers."""
     return np.diag([std * std] * 3).reshape(9)
 

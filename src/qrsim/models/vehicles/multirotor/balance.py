@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.vehicles.multirotor.parameters import Airframe
 
-Floats = np.ndarray[Any, Any]
 # Nothing of this kind is that fast [m/s].
 FASTEST = 100.0
 HALVINGS = 40

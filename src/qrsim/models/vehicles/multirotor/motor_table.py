@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.files.csv_rows import CsvRows, name_and_unit
 from qrsim.files.user_files import LARGEST_TEXT, open_text
 
-Floats = np.ndarray[Any, Any]
 STANDARD_GRAVITY = 9.80665
 # Column -> quantity, and the factor to its unit: throttle 0 to 1, N, rad/s, W.
 COLUMNS = {
