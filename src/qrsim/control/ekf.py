@@ -51,7 +51,7 @@ from qrsim.control.reading_fields import AIRSPEED, FIELD, field_of, known, sourc
 from qrsim.control.setpoints import Estimate
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
-from qrsim.core.tree import record, replace, select
+from qrsim.core.tree import computed, record, replace, select
 from qrsim.core.vectors import Euler, Vec3
 
 # Share of turns about the level axes that is not turned back.
@@ -73,8 +73,8 @@ class ErrorStateKalmanFilter(KalmanParameters):
         """Return how late a fix is [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
-    @property
-    def first_normals(self) -> int:  # type: ignore[override]
+    @computed
+    def first_normals(self) -> int:
         """Standard normals of a start."""
         return NORMALS if self.start == "aligned" or self.calibration_time > 0.0 else 0
 

@@ -19,8 +19,8 @@ Filter = TypeVar("Filter", bound="KalmanParameters")
 
 def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Any:
     """Declare a number that is that of the sensors where a scenario leaves it out."""
-    bound = {"above": 0.0} if positive else {"minimum": 0.0}
-    return parameter(default=default, unit=unit, doc=doc, of_sensors=True, **bound)  # type: ignore[arg-type]
+    least, above = (None, 0.0) if positive else (0.0, None)
+    return parameter(default=default, unit=unit, doc=doc, of_sensors=True, minimum=least, above=above)
 
 
 @record

@@ -37,7 +37,7 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
         return jax.vmap(function, in_axes=tuple(axes))(*arguments), 0
 
     def differentiated(primals: Any, tangents: Any, **parameters: Any) -> Any:
-        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)  # type: ignore[no-untyped-call]
+        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         return primitive.bind(*primals), jax.jvp(function, tuple(primals), given)[1]
 
     batching.primitive_batchers[primitive] = batched
@@ -102,7 +102,7 @@ class Kernel:
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
     def _differentiated(self, primals: Any, tangents: Any) -> tuple[Any, Any]:
-        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)  # type: ignore[no-untyped-call]
+        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         found = self.primitive.bind(*primals)
         if self.jvp is None:
             return found, jax.jvp(self.body, tuple(primals), given)[1]

@@ -11,7 +11,7 @@ import dataclasses
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
-from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform, overload
+from typing import Any, ClassVar, Protocol, TypedDict, TypeVar, dataclass_transform, overload
 
 import jax
 import numpy as np
@@ -71,7 +71,7 @@ def parameter(
     length: int = 0,
     nullable: bool = False,
     of_sensors: bool = False,
-) -> T:  # type: ignore[type-var]
+) -> Any:
     """Declare a number of a component: a leaf, so that changing it does not recompile.
 
     Each has a unit and a doc; one without is refused where its class becomes a component, which can name it. With a
@@ -92,7 +92,7 @@ def setting(
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
-) -> T:  # type: ignore[type-var]
+) -> Any:
     """Declare a structural choice of a component (a period, an option): static under jit."""
     info = FieldInfo(unit, doc, minimum, maximum, above, True)
     return dataclasses.field(default=default, metadata={INFO: info})
@@ -100,7 +100,7 @@ def setting(
 
 def quantity(
     default: Any = MISSING, *, unit: str = "", doc: str = "", minimum: float | None = None, maximum: float | None = None
-) -> T:  # type: ignore[type-var]
+) -> Any:
     """Declare an array, or a record of arrays, of a state, a reading or a command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
@@ -116,11 +116,11 @@ def record(cls: type[T]) -> type[T]:
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
-    cls = with_presets(dataclasses.dataclass(frozen=True)(cls))
-    static = [f.name for f in dataclasses.fields(cls) if field_info(f).static]  # type: ignore[arg-type]
-    data = [f.name for f in dataclasses.fields(cls) if f.name not in static]  # type: ignore[arg-type]
-    _register(cls, data, static)
-    return cls
+    made: Any = with_presets(dataclasses.dataclass(frozen=True)(cls))
+    static = [f.name for f in dataclasses.fields(made) if field_info(f).static]
+    data = [f.name for f in dataclasses.fields(made) if f.name not in static]
+    _register(made, data, static)
+    return made
 
 
 def _register(cls: Any, data: list[str], static: list[str]) -> None:
@@ -164,9 +164,29 @@ def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
     return field.metadata.get(INFO, FieldInfo())
 
 
+class Bounds(TypedDict, total=False):
+    """Bounds of a parameter, as ``parameter`` takes them."""
+
+    minimum: float | None
+    maximum: float | None
+    above: float | None
+
+
+def computed(function: Callable[[Any], T]) -> T:
+    """Declare a property in the place of a class attribute of a contract, where it depends on settings."""
+    attribute: Any = property(function)
+    return attribute
+
+
+def record_of(kind: Callable[..., T], *parts: object, **named: object) -> T:
+    """Return a record of NumPy arrays or Python numbers, where its fields are declared as arrays of JAX."""
+    return kind(*parts, **named)
+
+
 def replace(item: T, **changes: Any) -> T:
     """Return a copy of a record with some fields changed."""
-    return dataclasses.replace(item, **changes)  # type: ignore[type-var]
+    original: Any = item
+    return dataclasses.replace(original, **changes)
 
 
 def cast(item: T, dtype: Any) -> T:

@@ -169,7 +169,7 @@ def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | Non
     """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
-        cut, same = PartitionSpec(WORLDS), PartitionSpec()  # type: ignore[no-untyped-call]
+        cut, same = PartitionSpec(WORLDS), PartitionSpec()
         specs = tuple(cut if kind == "r" else same for kind in arguments)
         function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
     return _jit(function, few, **more)

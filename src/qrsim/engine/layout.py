@@ -108,7 +108,7 @@ class Packer:
 
 def struct(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
     """Make a placeholder of an array of a shape and type."""
-    return jax.ShapeDtypeStruct(shape, dtype)  # type: ignore[no-untyped-call]
+    return jax.ShapeDtypeStruct(shape, dtype)
 
 
 def layout_of_each(tree: Any) -> Packer:

@@ -50,7 +50,7 @@ def _order_problems(path: str, part: Any) -> Iterator[str]:
 
 def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
     plume, wind = scenario.world.plume, scenario.world.wind
-    if not known.PLUMES[plume.type].needs_wind:  # type: ignore[attr-defined]
+    if not known.PLUMES[plume.type].needs_wind:
         return
     speed = vars(wind).get("speed_20ft", 0.0)
     if not speed > 0.0:

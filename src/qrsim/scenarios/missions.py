@@ -11,6 +11,7 @@ import numpy as np
 
 from qrsim.control.mission import Mission
 from qrsim.control.paths import Leg, Limits, circle_speed, mission_of, plan, ramp_time, renumbered
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import down_at
 from qrsim.scenarios.checks import outside
@@ -56,7 +57,7 @@ class _Author:
 
     def ground_down(self, north: float, east: float) -> float:
         """Return the down coordinate of the ground at a place [m]."""
-        place = Vec3(*(np.array([value], np.float64) for value in (north, east, 0.0)))  # type: ignore[arg-type]
+        place = record_of(Vec3, *(np.array([value], np.float64) for value in (north, east, 0.0)))
         return float(down_at(self.ground, place)[0])
 
     def legs(self, specs: list[Any], first: int = 0) -> list[list[Leg]]:

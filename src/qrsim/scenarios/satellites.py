@@ -78,7 +78,7 @@ def warn_of_systems(scenario: ScenarioSpec, ephemeris: Any) -> None:
 def _others_read(scenario: ScenarioSpec) -> bool:
     """Return whether a sensor of another type reads the sky."""
     return any(
-        sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads  # type: ignore[attr-defined]
+        sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads
         for fleet in scenario.fleets.values()
         for sensor in fleet.sensors.values()
     )

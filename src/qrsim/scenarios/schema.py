@@ -356,7 +356,7 @@ def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES or not isinstance(limits, dict):
         return fleet
-    own = known.VEHICLES[name].default_limits  # type: ignore[attr-defined]
+    own = known.VEHICLES[name].default_limits
     return {**fleet, "limits": {**own, **limits}} if own else fleet
 
 
@@ -368,7 +368,7 @@ def _with_controller(fleet: dict[str, Any]) -> dict[str, Any]:
         return fleet
     if not isinstance(controller, dict) or "type" in controller:
         return fleet
-    own = known.VEHICLES[name].default_controller  # type: ignore[attr-defined]
+    own = known.VEHICLES[name].default_controller
     return {**fleet, "controller": {"type": own, **controller}}
 
 

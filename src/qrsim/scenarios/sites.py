@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.standard import SiteAir, temperature
 from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
@@ -65,7 +65,7 @@ def _steel(scenario: ScenarioSpec) -> Steel | None:
     if not solid:
         return None
     centres = [_centre(each) for each in solid]
-    return Steel(columns(centres), np.array([each.steel_radius for each in solid]))  # type: ignore[arg-type]
+    return record_of(Steel, columns(centres), np.array([each.steel_radius for each in solid]))
 
 
 def _centre(obstacle: Any) -> list[float]:

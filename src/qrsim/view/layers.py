@@ -11,6 +11,7 @@ import numpy as np
 from viser import SceneApi
 
 from qrsim.core.arrays import Floats
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.interface.arrays import quaternion_of
 from qrsim.models.scene.contracts import Ground
@@ -69,7 +70,7 @@ class Stage:
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
     """Return the down coordinate [m] of a ground at places of any shape."""
-    places: Any = Vec3(np.float32(north), np.float32(east), np.zeros_like(north, np.float32))  # type: ignore[arg-type]
+    places: Any = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
     return np.asarray(ground.down(places))
 
 

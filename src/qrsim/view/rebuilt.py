@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from qrsim.core.noise import Draw, Key
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs import Run
@@ -136,7 +136,7 @@ class _Camera:
             self._columns.at(name, time)[self._vehicles].astype(self._dtype)
             for name in ("taken_at_ned", "taken_attitude", "picture")
         )
-        return CameraReading(Vec3(*where.T), Euler(*attitude.T), number[:, 0])  # type: ignore[arg-type]
+        return record_of(CameraReading, Vec3(*where.T), Euler(*attitude.T), number[:, 0])
 
 
 def _cameras(run: Run, world: World) -> dict[tuple[int, int], _Camera]:

@@ -181,7 +181,7 @@ class Tracer(Indexing):
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
         if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
-            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
             return self.run(pairs.jaxpr, pairs.consts, inputs)[0]
         accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
@@ -353,7 +353,7 @@ class Tracer(Indexing):
             first = (jnp.int32(0), *given[constants:])
             return jax.lax.while_loop(lambda state: state[0] < length, body, first)[1:]
 
-        counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+        counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
         return self.run(counted.jaxpr, counted.consts, inputs)
 
     def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: Any) -> Any:

@@ -12,7 +12,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp, log, power, sincos
 from qrsim.core.noise import Draw
-from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
+from qrsim.core.tree import computed, derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import Bounds, Footprint, Updraft, Wind, horizontal_mean
@@ -63,8 +63,8 @@ class Thermals(Updraft):
 
     reads: ClassVar[tuple[str, ...]] = ("wind", "drawn")
 
-    @property
-    def drawn_ids(self) -> int:  # type: ignore[override]
+    @computed
+    def drawn_ids(self) -> int:
         """One for each thermal without a place."""
         return 0 if np.size(self.places_ned) else self.number
 

@@ -11,7 +11,7 @@ from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.series import interval_at, split_seconds
-from qrsim.core.tree import quantity, record, replace, setting
+from qrsim.core.tree import quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.files.time_series import check_covers
@@ -224,7 +224,7 @@ class WindGridFile:
         u, v, w = grid.air
         seconds, fraction = split_seconds(times)
         measures: Any = {
-            "air_ned": Vec3(v, u, -w),  # type: ignore[arg-type]
+            "air_ned": record_of(Vec3, v, u, -w),
             "corner": (grid.y[0] - self.origin_north, grid.x[0] - self.origin_east),
             "spacing": (_step(grid.y), _step(grid.x)),
             "levels": grid.z,

@@ -48,8 +48,8 @@ _BIAS_PAIR = 8
 
 
 def _number(name: str, unit: str, doc: str, *, positive: bool = False, most: float | None = None) -> Any:
-    bound = {"above": 0.0} if positive else {"minimum": 0.0}
-    return parameter(default=default(name), unit=unit, doc=doc, maximum=most, **bound)  # type: ignore[arg-type]
+    least, above = (None, 0.0) if positive else (0.0, None)
+    return parameter(default=default(name), unit=unit, doc=doc, minimum=least, maximum=most, above=above)
 
 
 @record

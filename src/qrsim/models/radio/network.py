@@ -12,7 +12,7 @@ from jax import Array, lax
 from qrsim.core.fastmath import exp
 from qrsim.core.neighbours import Neighbours, neighbours
 from qrsim.core.noise import Draw, Stream, StreamKeys
-from qrsim.core.tree import quantity, record, replace
+from qrsim.core.tree import quantity, record, record_of, replace
 from qrsim.models.radio.access import starts
 from qrsim.models.radio.channel import JITTER_SIGMA, Channel
 from qrsim.models.radio.contracts import STREAMS, Exchange, Inbox, Outbox, Radio
@@ -135,7 +135,7 @@ class Network(Channel, Radio):
             words[:-1, :, vehicle], receivers[:-1, vehicle] = words[1:, :, vehicle], receivers[1:, vehicle]
             since[:-1, vehicle] = since[1:, vehicle]
         words[length, :, vehicle], receivers[length, vehicle], since[length, vehicle] = payload, to, tick
-        waiting: Any = Waiting(words, receivers, since)  # type: ignore[arg-type]
+        waiting: Any = record_of(Waiting, words, receivers, since)
         return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from qrsim.core.arrays import Floats
-from qrsim.core.tree import quantity, record, setting
+from qrsim.core.tree import computed, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.contracts import Ground, upward
@@ -36,8 +36,8 @@ class FlatGround(Ground):
     height: float = setting(default=0.0, unit="m", doc="height over the origin of the local frame, positive up")
     flat: ClassVar[bool] = True
 
-    @property
-    def at_zero(self) -> bool:  # type: ignore[override]
+    @computed
+    def at_zero(self) -> bool:
         """Whether the ground is the plane z = 0."""
         return self.height == 0.0
 
@@ -192,7 +192,7 @@ class ElevationFile:
         highest = min(lowest, float(grid.min())) - 200.0
         corner, spacing = (rows[0], columns[0]), (rows[1] - rows[0], columns[1] - columns[0])
         horizon = _horizon(land, middle, np.linspace(lowest, highest, EYES), min(spacing))
-        return GridGround(grid, corner, spacing, horizon, (lowest, highest))  # type: ignore[arg-type]
+        return record_of(GridGround, grid, corner, spacing, horizon, (lowest, highest))
 
 
 def _points(file: str, land: Landscape, box: Bounds | None) -> tuple[Floats, Floats]:

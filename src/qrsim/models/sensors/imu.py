@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
-from qrsim.core.tree import parameter, quantity, record, replace, setting
+from qrsim.core.tree import computed, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.imu_presets import PRESETS, default
@@ -131,13 +131,13 @@ class Imu(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
 
-    @property
-    def normals(self) -> int:  # type: ignore[override]
+    @computed
+    def normals(self) -> int:
         """Standard normals of a step, for each vehicle: white noise, and the slow errors of one axis."""
         return AXES * self.subsamples + _SLOW
 
-    @property
-    def first_normals(self) -> int:  # type: ignore[override]
+    @computed
+    def first_normals(self) -> int:
         """Standard normals of a start."""
         return _START + AXES * self.subsamples
 

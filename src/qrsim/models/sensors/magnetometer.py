@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
-from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
+from qrsim.core.tree import derived, parameter, quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.magnetometer_presets import PRESETS, default
@@ -25,7 +25,7 @@ from qrsim.models.sensors.quantization import quantized
 from qrsim.models.vehicles.contracts import Load
 
 # Where no site is known: that of the default site in summer 2026, rounded.
-USUAL_FIELD = Vec3(19.4, 0.4, 45.2)  # type: ignore[arg-type]
+USUAL_FIELD = record_of(Vec3, 19.4, 0.4, 45.2)
 # Normals of a start: hard iron, soft iron, E of the chip, current, drift.
 _ONCE = 3 + 6 + 9 + 3 + 3
 _AXES = 3

@@ -5,13 +5,13 @@ Signs are those of MAVLink's OPTICAL_FLOW_RAD: a right-handed turn about an axis
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -33,8 +33,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)
 
 
 @record

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Draw, ou_step
-from qrsim.core.tree import derived, parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, derived, parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -29,8 +29,8 @@ EVERY = "all"
 _STEEPEST = 30.0
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=default(name), unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
 @record
@@ -271,7 +271,7 @@ def _partners(sensor: Any, position_ned: Vec3, traffic: Traffic | None) -> Partn
 
 def behind(obstacles: Obstacles, ground: Ground, position_ned: Vec3, partners: Partners) -> Array:
     """Return (P, n) bool: an obstacle or the ground stands between the antennas."""
-    up = Vec3(0.0, 0.0, -ANTENNA)  # type: ignore[arg-type]
+    up = record_of(Vec3, 0.0, 0.0, -ANTENNA)
     origin = (position_ned + up).map(lambda axis: axis[None, :])
     way = partners.place_ned.map(lambda axis: axis[:, None]) + up - origin
     inverse = 1.0 / jnp.where(partners.distance > 0.0, partners.distance, 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -26,8 +26,8 @@ FARTHEST = 100.0
 MOST_RAYS = 720
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
 def _rays(default: int) -> Any:

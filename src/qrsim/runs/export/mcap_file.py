@@ -68,7 +68,7 @@ def write(run: Run, place: Place, path: Path, every: int) -> Written:
         if not count:
             raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
         writer.add_metadata("qrsim", _origin(run, place))
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return Written(path, {"messages": count})
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.noise import Draw, Key
-from qrsim.core.tree import cast
+from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
 from qrsim.models.atmosphere.field import DrydenField
@@ -60,9 +60,9 @@ def _gusts(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax.Ar
 
 def gusts(place: Values, seconds: Values, worlds: int, evolution: Evolution = "lifetime") -> Values:
     """Return gusts (W, n, 3) [m/s] of a field in wind to the north, at places (n, 3) and seconds (n,)."""
-    given = DrydenField(speed_20ft=SPEED_20FT, evolution=evolution)  # type: ignore[arg-type]
+    given = record_of(DrydenField, speed_20ft=SPEED_20FT, evolution=evolution)
     field = jax.tree.map(jnp.asarray, cast(given, np.float32))
-    wind = cast(LogShear(SPEED_20FT, np.pi), np.float32)  # type: ignore[arg-type]
+    wind = cast(record_of(LogShear, SPEED_20FT, np.pi), np.float32)
     found = _gusts(field, wind, jnp.asarray(place, jnp.float32), jnp.asarray(seconds, jnp.int32), worlds)
     return np.asarray(found, np.float64)
 

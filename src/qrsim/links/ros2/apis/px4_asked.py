@@ -165,12 +165,12 @@ class Asked:
     def _acknowledged(self, message: Any) -> Any:
         """Obey or refuse a command, and return its acknowledgement."""
         command = int(message.command)
-        params = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
+        params: Any = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
         if command == _SET_NAV_STATE:
             state = int(params[0]) if math.isfinite(params[0]) else -1
             main, sub = NAV_STATES.get(state, (255, 0))
             params, command = (1.0, float(main), float(sub), *params[3:]), _SET_MODE
-        ack = self._system.stack.command(Command(command, params))  # type: ignore[arg-type]
+        ack = self._system.stack.command(Command(command, params))
         answer = empty(self._types, "px4_msgs/msg/VehicleCommandAck")
         answer.timestamp, answer.command = self._system.view.boot_us, message.command
         answer.result, answer.result_param1 = int(ack.result), ack.progress
