@@ -69,7 +69,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     are, and the filter begins there again. Slow errors of fixes are considered in what it reports, and not estimated.
     """
 
-    def _late(self, readings: Mapping[str, Any]) -> int:
+    def _late(self, readings: Mapping[str, object]) -> int:
         """Return how late a fix is [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
@@ -83,7 +83,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return self.begin(readings, start, None)
 
     def begin(
-        self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
+        self, readings: Mapping[str, object], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
         """Return state and estimate (n,) at the first readings, and of the start where they are missing (F7)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
@@ -119,7 +119,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return state, _estimate(state)
 
     def _first_attitude(
-        self, readings: Mapping[str, Any], true: Euler, zero: Array, preflight: Preflight | None
+        self, readings: Mapping[str, object], true: Euler, zero: Array, preflight: Preflight | None
     ) -> tuple[Quaternion, list[Array]]:
         """Return the attitude (n,) of a start in flight, and the variance of each axis of its error."""
         attitude = field_of(readings, "attitude")
@@ -137,7 +137,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return Vec3(level, level, self._as(zero, self.height_drift_std) if by_height else down)
 
     def _first_inner(
-        self, readings: Mapping[str, Any], turned: Quaternion, none: Vec3, preflight: Preflight | None
+        self, readings: Mapping[str, object], turned: Quaternion, none: Vec3, preflight: Preflight | None
     ) -> Inner:
         """Return the other estimates (n,) at the start; their structure is that of the filter's errors."""
         field, zero = field_of(readings, FIELD), none.x
@@ -211,7 +211,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return jnp.zeros_like(like) + std * std
 
     def _variances(
-        self, readings: Mapping[str, Any], what: str, like: Array, by_height: bool = False
+        self, readings: Mapping[str, object], what: str, like: Array, by_height: bool = False
     ) -> tuple[Array, Array, Array]:
         """Return the variance of each axis of a fix (n,): by the accuracy that it states, else by the parameters."""
         if what == "velocity_ned":
@@ -231,7 +231,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
             down = known(stated * stated, down)
         return level, level, down
 
-    def _predicted(self, state: KalmanState, readings: Mapping[str, Any], dt: float) -> KalmanState:
+    def _predicted(self, state: KalmanState, readings: Mapping[str, object], dt: float) -> KalmanState:
         """Return the state a tick later, by body rates and the mean specific force of the tick (F1)."""
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
@@ -282,7 +282,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         ]
 
     def _measured(
-        self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
         """Return the state corrected by what is new (F2)."""
         none = jnp.zeros((state.places.size // BLOCK, BLOCK, *state.since_fix.shape), state.since_fix.dtype)
@@ -325,7 +325,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return worst
 
     def _groups(
-        self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
         """Yield what is measured: the kind, its scalars, whether it is new (n,), and whether at all, () or (n,)."""
         one = jnp.ones_like(state.since_fix)
@@ -351,7 +351,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
             yield "airspeed", airspeeds(state, airspeed, self._as(one, self.airspeed_std)), fast, due
 
     def _by_fix(
-        self, state: KalmanState, readings: Mapping[str, Any], new: Callable[[str], tuple[Array, Array]], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], new: Callable[[str], tuple[Array, Array]], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
         """Yield what a fix measures: place and velocity of as many ticks ago as it is late (F2)."""
         one = jnp.ones_like(state.since_fix)
@@ -380,7 +380,7 @@ def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], wher
     return widened(covariance, {k: jump[k] for k in list(jump)[: len(stated)]}), Vec3(*after)
 
 
-def _shares(readings: Mapping[str, Any]) -> tuple[Any, Any]:
+def _shares(readings: Mapping[str, object]) -> tuple[Any, Any]:
     """Return the share of a fix's variance on each level axis and down, a third each where it has no dilutions."""
     level, down = field_of(readings, "hdop"), field_of(readings, "vdop")
     if level is None or down is None:

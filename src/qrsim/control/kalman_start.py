@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -43,7 +42,7 @@ def calibrated(kalman: KalmanParameters, preflight: Preflight | None) -> Vec3 | 
     return Vec3(*(bias + std * normal for bias, normal in normals))
 
 
-def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str, Any]) -> KalmanState:
+def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str, object]) -> KalmanState:
     """Return the state (n,) of vehicles at rest: level by the accelerometer, headed by the magnetometer."""
     force, field = field_of(readings, "specific_force"), field_of(readings, FIELD)
     if force is None:

@@ -36,7 +36,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
     traced: dict[Any, Any] = {}
 
     @functools.wraps(function)
-    def call(*trees: Any) -> Any:
+    def call(*trees: object) -> Any:
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
         # As text and by types too: to JAX, structures whose records differ in nothing but their type are equal.
@@ -65,7 +65,7 @@ def _run(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[Any]) -> list
     for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
         known[variable] = np.asarray(value)
 
-    def read(atom: Any) -> Any:
+    def read(atom: object) -> Any:
         if not isinstance(atom, jex.Literal):
             return known[atom]
         of: Any = atom.aval

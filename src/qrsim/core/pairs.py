@@ -38,7 +38,7 @@ def parts_of(values: Floats, dtype: Any) -> tuple[Floats, Floats]:
         return high, np.asarray(values - high.astype(np.float64), dtype)
 
 
-def joined(high: Any, low: Any) -> Any:
+def joined(high: object, low: object) -> Any:
     """Join arrays, or records of them, with their second parts (None: there are none), in double precision."""
     if low is None:
         return high

@@ -52,7 +52,7 @@ def to_plain(structure: Any) -> Any:
     }
 
 
-def from_plain(plain: Any, leaves: Iterator[Any]) -> Any:
+def from_plain(plain: object, leaves: Iterator[object]) -> Any:
     """Rebuild a tree from the result of ``to_plain`` and its leaves in order.
 
     Raises:
@@ -79,7 +79,7 @@ def from_plain(plain: Any, leaves: Iterator[Any]) -> Any:
     raise ValueError("no structure")
 
 
-def _is_record(kind: Any) -> bool:
+def _is_record(kind: object) -> bool:
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
@@ -90,7 +90,7 @@ def _fields(kind: type) -> tuple[list[str], list[str]]:
     return [field.name for field in fields if field.name not in static], static
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     if type(value) is tuple:
         return {"tuple": [_plain(part) for part in value]}
     if type(value) not in _PLAIN:
@@ -98,13 +98,13 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _unplain(value: Any) -> Any:
+def _unplain(value: object) -> Any:
     if isinstance(value, dict):
         return tuple(_unplain(part) for part in value["tuple"])
     return value
 
 
-def _found(name: Any) -> Any:
+def _found(name: object) -> Any:
     """Return a record by its name; of this package, nothing else is imported for it."""
     if not isinstance(name, str):
         raise ValueError("no name")

@@ -82,7 +82,7 @@ class Tabled:
         return self._table_or_fault().html()
 
 
-def number_text(value: Any, digits: int = 4) -> str:
+def number_text(value: object, digits: int = 4) -> str:
     """Return a number, or the first of several, in a few digits; of a traced one its type and shape."""
     if value is None:
         return ""
@@ -105,7 +105,7 @@ def cells_of(array: Any, columns: int, digits: int = 4) -> tuple[str, ...]:
     return (*cells, *["..."] * (columns - len(cells)))[:columns]
 
 
-def parameters_text(part: Any) -> str:
+def parameters_text(part: object) -> str:
     """Return the parameters of a component that are single numbers or words, with their units."""
     if not dataclasses.is_dataclass(part):
         return ""

@@ -60,7 +60,7 @@ class FieldInfo:
 
 
 def parameter(
-    default: Any = MISSING,
+    default: object = MISSING,
     *,
     unit: str = "",
     doc: str = "",
@@ -85,7 +85,7 @@ def parameter(
 
 
 def setting(
-    default: Any = MISSING,
+    default: object = MISSING,
     *,
     unit: str = "",
     doc: str = "",
@@ -105,7 +105,7 @@ def quantity(
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
-def derived(default: Any = None, *, doc: str, static: bool = False) -> Any:
+def derived(default: object = None, *, doc: str, static: bool = False) -> Any:
     """Declare a part of a component that is set while a world is built, None before; no scenario can give it."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True, static=static)})
 
@@ -132,10 +132,10 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     of_data, of_static = _getter(data), _getter(static)
     keys = [jax.tree_util.GetAttrKey(name) for name in data]
 
-    def flatten(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         return of_data(item), of_static(item)
 
-    def flatten_with_keys(item: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+    def flatten_with_keys(item: object) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
         return list(zip(keys, of_data(item), strict=True)), of_static(item)
 
     # By place, which is quicker, where a constructor takes parts and settings in this order.
@@ -234,7 +234,7 @@ def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
             yield from _walked(value, f"{prefix}{field.name}", info)
 
 
-def _walked(value: Any, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
+def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
     if isinstance(value, tuple):
         for number, part in enumerate(value):
             yield from _walked(part, f"{name}.{number}", info)

@@ -106,7 +106,7 @@ class XlaProgram:
         assert self._layout is not None
         return self._layout
 
-    def give(self, leaves: Sequence[Any]) -> None:
+    def give(self, leaves: Sequence[object]) -> None:
         """Take what the world has for itself."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
@@ -152,7 +152,7 @@ def _first_of_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
 def _advance_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
     one = jax.vmap(function.call, in_axes=(None, 0, 0, None))
 
-    def advance(shared: Any, own: Any, states: Any, tick: Any, count: Any) -> Any:
+    def advance(shared: object, own: object, states: object, tick: object, count: object) -> Any:
         # The tick is the same for all, so that slow sensors are really skipped.
         return lax.fori_loop(jnp.int32(0), count, lambda i, now: one(shared, own, now, tick + i), states)
 
@@ -165,7 +165,7 @@ def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
-def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: Any) -> Any:
+def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> Any:
     """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
@@ -219,7 +219,7 @@ class XlaWorldsProgram:
         self._own: Any = None
         self.part = max(1, extent.worlds // PARTS)
 
-    def give(self, leaves: Sequence[Any]) -> None:
+    def give(self, leaves: Sequence[object]) -> None:
         """Take what each world has for itself, leaves (B, ...)."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
@@ -242,6 +242,6 @@ class XlaWorldsProgram:
         # So that the next tick may overwrite it, which JAX does not do with arrays of NumPy.
         return Arrays(jax.device_put(tree))
 
-    def record(self, state: Any, tick: int, count: int, capacity: int) -> Any:
+    def record(self, state: object, tick: int, count: int, capacity: int) -> Any:
         """Refuse: only one world is recorded tick by tick."""
         raise TypeError("many worlds are not recorded tick by tick")

@@ -56,7 +56,7 @@ def numbers(given: Any, what: str, shape: tuple[int, ...]) -> Floats:
     return array
 
 
-def one_line(value: Any) -> str:
+def one_line(value: object) -> str:
     """Describe a value for a message."""
     return shortened(" ".join(repr(value).split()), 80)
 
@@ -108,7 +108,7 @@ class Batch:
     def _precision(self) -> Any:
         return jax.enable_x64(self.dtype == np.float64)
 
-    def reset(self, seeds: Iterable[Any], rows: Floats | None = None) -> None:
+    def reset(self, seeds: Iterable[object], rows: Floats | None = None) -> None:
         """Reset the episodes ``rows`` (None: all) with new seeds, one each.
 
         Raises:
@@ -196,7 +196,7 @@ class Batch:
         agents = self.functional.agents
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
-    def checked(self, action: Any, who: str) -> Floats:
+    def checked(self, action: object, who: str) -> Floats:
         """Check actions and return them as (B, n, W)."""
         agents = self.functional.agents
         shape = (self.size, len(agents), self.width)
@@ -222,7 +222,7 @@ class Batch:
         mine = self.axes[agent]
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
-    def of_agent(self, seen: Any, number: int) -> Any:
+    def of_agent(self, seen: object, number: int) -> Any:
         """Return what one agent sees, leaves (B, ...), of what all do (B, n, ...), of several fleets by fleet."""
         return part_of(self.sides, seen, number)
 
@@ -255,7 +255,7 @@ class Batch:
         """Shape of each agent's answer; () for a task in which nothing is handed in."""
         return tuple(self.functional.play.task.answer_shape(self.functional.play.world))
 
-    def hand_in(self, answers: Any, rows: Floats, agents: Floats) -> None:
+    def hand_in(self, answers: object, rows: Floats, agents: Floats) -> None:
         """Keep the answers (b, a, ...) of some agents of some episodes, in place of what they handed in before.
 
         Args:
@@ -299,7 +299,7 @@ class Batch:
             raise RunError(f"{self._place(row, agent)}: the score of what was handed in is {found[agent]:g}")
         return found
 
-    def _answer(self, answer: Any, lead: tuple[int, ...]) -> Floats:
+    def _answer(self, answer: object, lead: tuple[int, ...]) -> Floats:
         """Check answers and return them as (*lead, ...)."""
         try:
             array = np.asarray(answer, self.dtype)
@@ -314,9 +314,9 @@ class Batch:
         return array
 
 
-def _empty(tree: Any, size: int) -> Any:
+def _empty(tree: object, size: int) -> Any:
     return jax.tree.map(lambda leaf: np.zeros((size, *leaf.shape[1:]), leaf.dtype), tree)
 
 
-def _set(old: Floats, rows: Floats, new: Any) -> None:
+def _set(old: Floats, rows: Floats, new: object) -> None:
     old[rows] = new

@@ -203,7 +203,7 @@ class _Scene:
             self._levels += self._heights.plot([], [], "o", color=colour, ms=7, mec="white")
         self._heights.set_xlim(-0.7, len(names) - 0.3)
 
-    def _persons(self, episode: Any) -> list[Any]:
+    def _persons(self, episode: object) -> list[Any]:
         kinds = (("person not found", MISSING), ("person found", FOUND))
         look: dict[str, Any] = {"ms": 8, "mec": "black", "ls": "none"}
         return [

@@ -123,7 +123,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.agents = [] if ended or over else still
         return found
 
-    def _checked(self, actions: Any) -> tuple[NumpyArray, NumpyArray]:
+    def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
         """Return what all agents do (n, W) and say (n, D); of those that have left nobody looks at it."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")

@@ -64,7 +64,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self._reset_options()
         return seen
 
-    def step_async(self, actions: Any) -> None:
+    def step_async(self, actions: object) -> None:
         """Keep actions (num_envs, A) for ``step_wait``."""
         self._actions = actions
 
@@ -98,12 +98,12 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """Return a picture of each environment; None of each without a render mode."""
         return self.tasks.render() or [None] * self.num_envs
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: object = None) -> list[Any]:
         """Return an attribute of the batch, which all environments share."""
         found = getattr(self.tasks, attr_name)
         return [found for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+    def set_attr(self, attr_name: str, value: object, indices: object = None) -> None:
         """Refuse: all environments are one batch.
 
         Raises:
@@ -111,7 +111,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """
         raise UsageError(f"set_attr {attr_name}: all environments are one batch; give the scenario other numbers")
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **options: Any) -> list[Any]:
+    def env_method(self, method_name: str, *args: object, indices: object = None, **options: object) -> list[Any]:
         """Refuse: there are no single environments.
 
         Raises:
@@ -119,7 +119,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """
         raise UsageError(f"env_method {method_name}: all environments are one batch, .tasks")
 
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: object, indices: object = None) -> list[bool]:
         """Return that none is."""
         return [False for _ in self._get_indices(indices)]
 

@@ -56,7 +56,7 @@ def observation_space(play: Play, seen: Any, agent: int = 0) -> spaces.Space[Any
     )
 
 
-def split_say(batch: Batch, action: Any, who: str, *lead: int) -> tuple[Any, NumpyArray]:
+def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[Any, NumpyArray]:
     """Split an action into what is done and what is said, (*lead, D); NaN for who says nothing, D = 0 without a radio.
 
     Raises:

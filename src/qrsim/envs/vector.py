@@ -108,7 +108,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         infos |= self._truth(self.batch.truth, np.ones(self.num_envs, bool))
         return self._seen(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
 
-    def hand_in(self, samples: Any, mask: Any = None) -> None:
+    def hand_in(self, samples: object, mask: object = None) -> None:
         """Hand in the answers of all episodes, or of those of a mask; the last of an episode counts, at its end.
 
         Args:

@@ -127,7 +127,7 @@ class VectorParallelTask:
             infos,
         )
 
-    def hand_in(self, samples: dict[str, Any], mask: Any = None) -> None:
+    def hand_in(self, samples: dict[str, Any], mask: object = None) -> None:
         """Hand in answers by agent, (num_envs, ...) each of ``answer_space``; see ``VectorTask.hand_in``.
 
         Raises:
@@ -168,11 +168,11 @@ class VectorParallelTask:
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
 
-    def _known(self, agent: Any, what: str) -> None:
+    def _known(self, agent: object, what: str) -> None:
         if agent not in self.possible_agents:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
-    def _checked(self, actions: Any) -> tuple[NumpyArray, NumpyArray]:
+    def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
         """Return what agents do (num_envs, n, W) and what they say (num_envs, n, D)."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
@@ -189,11 +189,11 @@ class VectorParallelTask:
         flown, said = zip(*each, strict=True)
         return np.stack(flown, axis=1), np.stack(said, axis=1)
 
-    def _seen_by_each(self, seen: Any) -> dict[str, Any]:
+    def _seen_by_each(self, seen: object) -> dict[str, Any]:
         """Return what is seen by agent, (num_envs, ...)."""
         return {agent: self.batch.of_agent(seen, i) for i, agent in enumerate(self.possible_agents)}
 
-    def _of_each(self, tree: Any) -> dict[str, Any]:
+    def _of_each(self, tree: object) -> dict[str, Any]:
         """Return arrays (num_envs, n, ...) by agent, (num_envs, ...)."""
         return {
             agent: jax.tree.map(lambda leaf, i=i: leaf[:, i].copy(), tree)

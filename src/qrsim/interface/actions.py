@@ -187,7 +187,7 @@ class ActionChecker:
             return command
         return library_for(self.traced).asarray(command)[None] if flat else command
 
-    def _filled(self, size: int, asked: Mapping[int, Any]) -> tuple[Any, Any]:
+    def _filled(self, size: int, asked: Mapping[int, object]) -> tuple[Any, Any]:
         """Return which vehicles (n,) of a fleet something is asked of, and that as (n,) each."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
@@ -357,7 +357,7 @@ def _rows(own: slice, leaf: Array) -> Array:
     return leaf[own]
 
 
-def _arrays(record: Any) -> Any:
+def _arrays(record: object) -> Any:
     """Return a record with arrays in place of numbers."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 

@@ -100,5 +100,5 @@ def _limits(kind: CommandKind) -> list[tuple[float, float]]:
     return list(zip(kind.lowest.tolist(), kind.highest.tolist(), strict=True))
 
 
-def _columns(command: Any) -> Any:
+def _columns(command: object) -> Any:
     return np.asarray(command).T

@@ -293,7 +293,7 @@ def _gnss(panels: Any, data: _Data) -> None:
     panels[-1].set_xlabel("time [s]")
 
 
-def _wind(axes: Any, data: _Data) -> None:
+def _wind(axes: object, data: _Data) -> None:
     flying = data.flying("wind")
     mean = np.linalg.norm(data.mean, axis=-1) * flying
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
@@ -306,7 +306,7 @@ def _wind(axes: Any, data: _Data) -> None:
     from_zero(axes)
 
 
-def _lines(axes: Any, data: _Data, time: Floats, values: Floats, style: str = "-", colour: Any = FIRST) -> None:
+def _lines(axes: object, data: _Data, time: Floats, values: Floats, style: str = "-", colour: object = FIRST) -> None:
     """Draw a quantity (E, n): per vehicle, or its spread over many vehicles."""
     if not data.few:
         spread(axes, time, values, colour, style)

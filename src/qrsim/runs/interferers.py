@@ -97,7 +97,7 @@ def _interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
     return Interferer(kind, place, radius, number("start", 0.0), end if end < _FOREVER else math.inf, text)
 
 
-def _names(satellites: Any) -> list[str]:
+def _names(satellites: object) -> list[str]:
     """Return names of satellites, none where they are known by their numbers only."""
     return [name for name in satellites if isinstance(name, str)] if isinstance(satellites, list | tuple) else []
 

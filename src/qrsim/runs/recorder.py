@@ -90,8 +90,8 @@ def fly(
     precision: str,
     every: Mapping[str, int] | None = None,
     realtime: bool = False,
-    policy: Any = None,
-    estimator: Any = None,
+    policy: object = None,
+    estimator: object = None,
     policy_ticks: int = 1,
     progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
     command_line: Sequence[str] | None = None,
@@ -200,7 +200,7 @@ def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
 
 
 @contextmanager
-def _scored(referee: Referee | None, writer: RunWriter, policy: Any) -> Iterator[None]:
+def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Iterator[None]:
     """Note the score of what is flown meanwhile, also of a flight that is interrupted."""
     try:
         yield
@@ -215,7 +215,7 @@ def _scored(referee: Referee | None, writer: RunWriter, policy: Any) -> Iterator
         writer.note_score(referee.finish(answer).to_json())
 
 
-def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:
+def _pilot(simulation: Simulation, policy: object, estimator: object, policy_ticks: int) -> Pilot:
     # Imported here, because most runs have none.
     from qrsim.simulation.pilot import Pilot
 

@@ -220,7 +220,7 @@ def drawn_contents(world: Any, keys: Any) -> tuple[tuple[Any, ...], Any]:
     return drawn, start_contents(world.with_drawn(drawn), draws)
 
 
-def _edges(area: Any) -> tuple[Floats, Floats]:
+def _edges(area: object) -> tuple[Floats, Floats]:
     """Return the edges (CELLS + 1,) of the cells, north and east."""
     bounds = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
     north, east = (np.linspace(low, high, CELLS + 1) for low, high in bounds)

@@ -165,7 +165,7 @@ def wind_of(scenario: ScenarioSpec) -> Any:
     return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
 
 
-def updraft_of(scenario: ScenarioSpec, number: int, **changes: Any) -> Any:
+def updraft_of(scenario: ScenarioSpec, number: int, **changes: object) -> Any:
     """Build an updraft, with some parameters changed, for the area and its obstacles.
 
     Raises:
@@ -209,7 +209,7 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
         return None
 
 
-def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: Any) -> Any:
+def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: object) -> Any:
     guidance = component(spec.guidance, known.GUIDANCE, scenario)
     if isinstance(guidance, RouteFollower) and isinstance(controller, FixedWingController):
         # Who goes round a place has reached it on the circle, and never comes nearer.
@@ -218,7 +218,7 @@ def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: Any) -> Any:
     return guidance
 
 
-def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
+def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -> Fleet:
     vehicle = vehicle_of(spec, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
     built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]

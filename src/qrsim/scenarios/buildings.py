@@ -125,7 +125,7 @@ def _matters(building: Building, height: float, bounds: tuple[float, float, floa
     return math.hypot(*away) * _LOWEST <= height
 
 
-def _elsewhere(found: BuildingsFile, bounds: Any) -> str:
+def _elsewhere(found: BuildingsFile, bounds: object) -> str:
     corners = np.concatenate([np.array(building.rings[0]) for building in found.buildings])
     (south, west), (north, east) = corners.min(axis=0), corners.max(axis=0)
     return (

@@ -42,7 +42,7 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
     yield from _ring_problems(scenario)
 
 
-def _order_problems(path: str, part: Any) -> Iterator[str]:
+def _order_problems(path: str, part: object) -> Iterator[str]:
     for low, high in PAIRS:
         if low in vars(part) and getattr(part, low) > getattr(part, high):
             yield f"{path}.{low}: {getattr(part, low):g}; allowed: at most {high}, {getattr(part, high):g}"

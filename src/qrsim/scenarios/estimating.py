@@ -41,7 +41,7 @@ LEAST: Mapping[str, float] = {
 CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 
 
-def sensed(sensors: Sequence[Any], calibration_time: float, errors: Any = None) -> Stds:
+def sensed(sensors: Sequence[object], calibration_time: float, errors: object = None) -> Stds:
     """Return the parameters of the filter that sensors determine, by name: of each, the first sensor that does.
 
     Args:
@@ -58,7 +58,7 @@ def sensed(sensors: Sequence[Any], calibration_time: float, errors: Any = None) 
     return found
 
 
-def with_sensed(kalman: Any, spec: Any, sensors: Sequence[Any], errors: Any) -> Any:
+def with_sensed(kalman: object, spec: object, sensors: Sequence[object], errors: object) -> Any:
     """Return an estimator with the parameters that its spec leaves out taken from the sensors."""
     if not isinstance(kalman, KalmanParameters):
         return kalman
@@ -66,7 +66,7 @@ def with_sensed(kalman: Any, spec: Any, sensors: Sequence[Any], errors: Any) -> 
     return replace(kalman, **{name: found[name] for name in left_out(spec) if name in found})
 
 
-def left_out(spec: Any) -> Iterator[str]:
+def left_out(spec: object) -> Iterator[str]:
     """Yield the parameters of a filter that are those of the sensors, of which its spec gives none."""
     for field in dataclasses.fields(KalmanParameters):
         if field_info(field).of_sensors and getattr(spec, field.name) is None:

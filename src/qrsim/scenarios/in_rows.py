@@ -74,7 +74,7 @@ def _shifted(point: list[float], off: tuple[float, ...]) -> list[float]:
     return [axis + shift for axis, shift in zip(point, off, strict=False)]
 
 
-def one_by_one(value: Any) -> Any:
+def one_by_one(value: object) -> Any:
     """Return vehicles that are given in rows one by one, and anything else as it is.
 
     Raises:
@@ -93,7 +93,7 @@ def one_by_one(value: Any) -> Any:
     return rows.vehicles()
 
 
-def count_of(value: Any) -> int:
+def count_of(value: object) -> int:
     """Return how many vehicles the content of a scenario asks for, 0 where that cannot be read."""
     if isinstance(value, dict):
         value = value.get("count", 0)

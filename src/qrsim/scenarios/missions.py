@@ -82,7 +82,7 @@ class _Author:
         speed = spec.speed or self.guidance.speed
         return {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "accept_radius": self.guidance.accept_radius}
 
-    def _line(self, place: tuple[float, ...], spec: Any, **more: Any) -> Leg:
+    def _line(self, place: tuple[float, ...], spec: object, **more: object) -> Leg:
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
@@ -173,12 +173,12 @@ def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
     return 0 if vehicle.repeat_from is None and fleet.guidance.repeat else vehicle.repeat_from
 
 
-def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: Any, path: str) -> _Author:
+def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: object, path: str) -> _Author:
     north, east, down = vehicle.position_ned
     return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
 
 
-def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Iterator[str]:
+def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: object) -> Iterator[str]:
     """Yield what is wrong with the missions of a fleet; ``ground`` is the world's."""
     if fleet.guidance.type != MISSION:
         for i, vehicle in enumerate(fleet.vehicles):
@@ -229,7 +229,7 @@ def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Autho
                 yield below(path, point[2], down)
 
 
-def mission(fleet: FleetSpec, ground: Any) -> Mission:
+def mission(fleet: FleetSpec, ground: object) -> Mission:
     """Return the mission of a fleet without problems; a vehicle without legs holds its start."""
     limits = limits_of(fleet.guidance)
     plans, again = [], []

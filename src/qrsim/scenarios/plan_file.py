@@ -340,7 +340,7 @@ def _not_flown(asked: list[str]) -> str:
     return f"not flown: {', '.join(asked)}" if asked else ""
 
 
-def _name_of(command: Any) -> str:
+def _name_of(command: object) -> str:
     """Return the name of a command for messages."""
     names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY, **NOT_FLOWN, **_OTHERS}
     return names.get(command, str(command)) if isinstance(command, int) else "?"

@@ -47,7 +47,7 @@ SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
 FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
-def _time_of_day(value: Any) -> Any:
+def _time_of_day(value: object) -> Any:
     """Refuse numbers, which pydantic would take for seconds since 1970."""
     if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
         return value
@@ -260,7 +260,7 @@ class RotorFaultSpec(Strict):
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
 
 
-def _what_fails(fault: Any) -> str:
+def _what_fails(fault: object) -> str:
     """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
     if isinstance(fault, dict):
         fault_type = fault.get("type", "sensor")
@@ -322,7 +322,7 @@ class FleetSpec(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _guidance_of_the_controller(cls, data: Any) -> Any:
+    def _guidance_of_the_controller(cls, data: object) -> Any:
         if not isinstance(data, dict):
             return data
         data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})
@@ -380,7 +380,7 @@ class RangeSpec(Strict):
     high: Finite = Field(description="largest value, in the unit of the number")
 
 
-def _only_in_a_source(value: Any) -> Any:
+def _only_in_a_source(value: object) -> Any:
     """Whoever reads a scenario takes the key out; what arrives here comes too late."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 

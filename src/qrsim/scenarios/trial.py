@@ -224,7 +224,7 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]
     draws = name in _DRAWING.get(kind, ())
 
     @wraps(method)
-    def called(self: Any, *args: Any, **kwargs: Any) -> Any:
+    def called(self: object, *args: object, **kwargs: object) -> Any:
         if draws and not getattr(self, "draws_alone", False):
             args = tuple(_Counted(arg, (component, name)) if isinstance(arg, Draw | Drawn) else arg for arg in args)
         try:

@@ -154,7 +154,7 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
         return jax.tree.map(jnp.asarray, function.init(reading))
 
 
-def _answer(function: UserFunction, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
+def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[Any, Any]:
     """Return a compiled function's actions or estimates for each fleet, and its memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
@@ -164,7 +164,7 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: Any)
         return checker.estimates(result, needed=True), memory
 
 
-def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tuple[Any, Any]:
+def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[Any, Any]:
     """Call a user's function in a program that is being compiled."""
     try:
         result, after = function(reading, memory)
@@ -177,7 +177,7 @@ def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tupl
     return result, after
 
 
-def _check_memory(before: Any, after: Any) -> None:
+def _check_memory(before: object, after: object) -> None:
     """Refuse a memory that a loop cannot carry from tick to tick."""
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)

@@ -85,7 +85,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
     return tuple(checked)
 
 
-def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[Floats, Floats]:
+def checked_rows(rows: object, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[Floats, Floats]:
     """Check the arguments of ``Simulation.set_state``; return rows (n, 16) and which vehicles (n,) to place.
 
     Raises:

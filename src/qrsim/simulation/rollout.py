@@ -117,15 +117,15 @@ def _metric_row(name: str, values: NumpyArray) -> tuple[str, ...]:
 
 def rollout(
     world: World | Sequence[World],
-    policy: Any = None,
+    policy: object = None,
     *,
     ticks: int,
     worlds: int = 1,
     seed: int = 0,
     seeds: Sequence[int] | None = None,
-    estimator: Any = None,
+    estimator: object = None,
     policy_ticks: int = 1,
-    metrics: Any = None,
+    metrics: object = None,
     record: Callable[[State], Any] | None = None,
     record_every: int = 50,
     sink: Callable[[NumpyArray, int, Any], None] | None = None,
@@ -168,9 +168,9 @@ def rollout(
 
 def setup_of(
     several: Sequence[World],
-    policy: Any = None,
-    estimator: Any = None,
-    metrics: Any = None,
+    policy: object = None,
+    estimator: object = None,
+    metrics: object = None,
     policy_ticks: int = 1,
     site: Site | None = None,
 ) -> tuple[Setup, list[Any], list[Any]]:
@@ -197,7 +197,7 @@ def setup_of(
 
 
 def _which(
-    several: list[World], alike: bool, worlds: int, seed: Any, seeds: Sequence[int] | None
+    several: list[World], alike: bool, worlds: int, seed: object, seeds: Sequence[int] | None
 ) -> tuple[NumpyArray, NumpyArray]:
     """Return seed and number (W,) of each world."""
     if not several:
@@ -243,7 +243,7 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     return structure, fixed, varied, which
 
 
-def _on_host(leaf: Any) -> Any:
+def _on_host(leaf: object) -> Any:
     """Return a leaf as NumPy's array of a type that JAX computes with; JAX itself would compile for that."""
     array = np.asarray(leaf)
     return np.asarray(array, jax.dtypes.canonicalize_dtype(array.dtype))

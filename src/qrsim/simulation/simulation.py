@@ -174,7 +174,7 @@ class Simulation(Radios, Tabled):
             self._changes = False
             self._lock.release()
 
-    def advance(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
+    def advance(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
         """Advance as ``step`` does, without computing a reading."""
         if not self._lock.acquire(False):
             self._wait_or_refuse("advance")
@@ -185,7 +185,7 @@ class Simulation(Radios, Tabled):
             self._changes = False
             self._lock.release()
 
-    def _advance(self, command: Any, ticks: int, estimate: Estimate | None) -> None:
+    def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
         if estimate is None and self._state is not None and self._ticks.taken(command):
             count = checked_ticks(ticks, self.tick)
             self._let_go()
@@ -205,7 +205,7 @@ class Simulation(Radios, Tabled):
 
     @alone
     def record(
-        self, ticks: int, command: Any = None, capacity: int | None = None, estimate: Estimate | None = None
+        self, ticks: int, command: object = None, capacity: int | None = None, estimate: Estimate | None = None
     ) -> History:
         """Advance as ``step`` does and return the state of every tick on the way.
 
@@ -234,7 +234,7 @@ class Simulation(Radios, Tabled):
         return History(numbers, self.world.time_step, layout.unpack(rows))
 
     @alone
-    def set_state(self, state: Any, new_battery: bool = False) -> Reading:
+    def set_state(self, state: object, new_battery: bool = False) -> Reading:
         """Place vehicles in given states, flying again if stopped, and return the reading there.
 
         All that belongs to such a vehicle is as at a start at that place: its sensors (GNSS, barometer, attitude, and

@@ -153,7 +153,7 @@ class SavedState:
             raise UsageError(f"saved state: it is damaged: its randomness is not that of its seed, {self.seed}")
 
 
-def _data(source: Any, where: str) -> bytes:
+def _data(source: object, where: str) -> bytes:
     if isinstance(source, bytes | bytearray | memoryview):
         size = memoryview(source).nbytes
     elif isinstance(source, str | Path):

@@ -248,7 +248,7 @@ class Play:
         """Return the reward () of a step in which a vehicle has stopped."""
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
-    def scaled(self, action: Any) -> Any:
+    def scaled(self, action: object) -> Any:
         """Scale actions (n, W), clipped to [-1, 1], to their units; NumPy or JAX."""
         return in_units(self.sides, action)
 

@@ -144,7 +144,7 @@ class Referee:
             if self._over:
                 return
 
-    def _judge(self, ticks: Floats, states: Any, count: int) -> None:
+    def _judge(self, ticks: Floats, states: object, count: int) -> None:
         """Judge the first ``count`` of ``CHUNK`` ticks and their states."""
         with self._precision():
             self._carried, rewards, flies = jax.tree.map(
@@ -165,7 +165,7 @@ class Referee:
         elif len(self._rewards) == self._steps:
             self._over = FLOWN
 
-    def finish(self, answer: Any = None) -> TaskScore:
+    def finish(self, answer: object = None) -> TaskScore:
         """Return the score, of a flight that has ended early that of its whole steps.
 
         Args:

@@ -246,7 +246,7 @@ def _pictures(state: State) -> dict[tuple[int, int], CameraReading]:
     }
 
 
-def axes_of(vector: Any) -> Floats:
+def axes_of(vector: object) -> Floats:
     """Return a Vec3 or Euler of arrays (n,) as (n, 3)."""
     return np.stack([np.asarray(axis) for axis in vars(vector).values()], axis=-1)
 

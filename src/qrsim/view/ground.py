@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -202,7 +201,7 @@ def grid_cell(extent: float) -> float:
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= extent / 20.0)
 
 
-def corners_of(area: Any) -> tuple[Floats, float, float] | None:
+def corners_of(area: object) -> tuple[Floats, float, float] | None:
     """Return corners (V, 2) north and east, ceiling and floor [m] of an area; None for an unknown shape."""
     if isinstance(area, PolygonArea):
         return np.stack([area.north, area.east], axis=1), float(area.z_min), float(area.z_max)

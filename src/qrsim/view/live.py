@@ -267,7 +267,7 @@ class LiveView:
             button = gui.add_button("Change")
 
         @button.on_click
-        def _(_: Any) -> None:
+        def _(_: object) -> None:
             self._wished = Wind(speed.value, bearing.value)
 
 

@@ -148,7 +148,7 @@ class Recording:
         """Return measured positions (K, n, 3) at times (K,) [s]: horizontal from GNSS, vertical from the barometer."""
         return self._estimate(times)
 
-    def _estimate(self, times: Any) -> Floats:
+    def _estimate(self, times: object) -> Floats:
         estimate = self._measured.at("fix", times).copy()
         height = self._measured.at("height", times)[..., 0]
         estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])

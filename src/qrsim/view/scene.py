@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from viser import ViserServer
@@ -177,7 +176,7 @@ class Scene:
                 if isinstance(layer, Cameras) and layer.root.visible and self.frame is not None:
                     layer.draw(self.frame)
 
-    def nearest(self, origin: Any, direction: Any) -> int | None:
+    def nearest(self, origin: object, direction: object) -> int | None:
         """Return the vehicle at the smallest angle from a ray of the camera."""
         if self.frame is None:
             return None

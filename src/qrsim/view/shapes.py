@@ -183,7 +183,7 @@ def along(direction: Floats) -> Floats:
     return quaternion / norm[:, None]
 
 
-def linear(colours: Any) -> Any:
+def linear(colours: object) -> Any:
     """Return sRGB colours (..., 3) as the linear ones that a page wants of instances and corners (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255.0
     found = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)

@@ -146,7 +146,7 @@ def _sent(
     step: Callable[[], tuple[object, Record]],
     fitting: Fitting,
     memory: Fitted,
-    draw: Any,
+    draw: object,
     period: float,
     dt: float,
     tick: Array,

@@ -51,7 +51,7 @@ class Tracer(Indexing):
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
             environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
 
-        def read(atom: Any) -> View:
+        def read(atom: object) -> View:
             if isinstance(atom, jex.Literal):
                 of: Any = atom.aval
                 return self.graph.constant(np.asarray(atom.val, of.dtype))
@@ -138,7 +138,7 @@ class Tracer(Indexing):
             for i, dtype in enumerate(KERNELS[op].gives)
         ]
 
-    def transparent(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def transparent(self, op: str, inputs: list[View], out: object, parameters: object) -> list[View]:
         """Pass the arguments on."""
         return inputs
 
@@ -356,7 +356,7 @@ class Tracer(Indexing):
         counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
         return self.run(counted.jaxpr, counted.consts, inputs)
 
-    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: Any) -> Any:
+    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Any:
         dtype = like.node.dtype
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
@@ -377,15 +377,15 @@ class _Products:
         self.made: dict[Any, list[View]] = {}
         self._once = once
 
-    def of(self, atom: Any) -> list[View] | None:
+    def of(self, atom: object) -> list[View] | None:
         """Return the factors, if it is a product."""
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
-    def only_here(self, atom: Any) -> bool:
+    def only_here(self, atom: object) -> bool:
         """Return whether it is looked at once."""
         return atom in self._once
 
 
-def trace(function: Callable[..., Any], *arguments: Any) -> Any:
+def trace(function: Callable[..., Any], *arguments: object) -> Any:
     """Return the closed jaxpr of a function for arguments, or their shapes."""
     return jax.make_jaxpr(function)(*arguments)

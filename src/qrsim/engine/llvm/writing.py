@@ -345,7 +345,7 @@ class Writer:
             result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
         return result
 
-    def widened(self, found: tuple[str, int], dtype: Any, lanes: int) -> str:
+    def widened(self, found: tuple[str, int], dtype: object, lanes: int) -> str:
         """Return a value in all lanes."""
         text, have = found
         if have == lanes or (have == 0 and lanes == 1):

@@ -121,7 +121,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     )
     controller = fleet.controller
 
-    def own(value: Any) -> float:
+    def own(value: object) -> float:
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     if isinstance(controller, RoverController):
@@ -153,7 +153,7 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
     vehicle: Any = fleet.vehicle
     guidance: Any = fleet.guidance
 
-    def own(value: Any) -> float:
+    def own(value: object) -> float:
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     circles = isinstance(guidance, FixedWingGuidance)

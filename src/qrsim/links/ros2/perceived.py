@@ -75,7 +75,7 @@ class _Part:
     def begin(self) -> None:
         """Add the topics."""
 
-    def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
+    def messages(self, reading: object, row: int, time: float) -> Iterator[tuple[int, bytes]]:
         """Yield topics and messages of the reading of a vehicle, by its row in the fleet."""
         raise NotImplementedError
 

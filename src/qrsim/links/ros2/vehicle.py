@@ -107,7 +107,7 @@ def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
     return (n.FORCE,), s.FORCE, ("angular_velocity",)
 
 
-def _nothing(message: Any, sensors: Sensors, number: int) -> None:
+def _nothing(message: object, sensors: Sensors, number: int) -> None:
     """Leave the message as it is."""
 
 

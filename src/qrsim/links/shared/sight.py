@@ -229,7 +229,7 @@ def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
         yield CHARGE, state.battery.charge
 
 
-def _of_reading(reading: Any) -> Iterator[tuple[int, Any]]:
+def _of_reading(reading: object) -> Iterator[tuple[int, Any]]:
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():

@@ -132,7 +132,7 @@ def times(receiver: Any) -> tuple[Array, Array]:
     return receiver.multipath_time, receiver.multipath_slow_time
 
 
-def across(parameter: Any) -> Array:
+def across(parameter: object) -> Array:
     """Return a parameter as it meets arrays of slots by receivers: () or (1, n)."""
     value = jnp.asarray(parameter)
     return value[None, :] if value.ndim else value
@@ -188,7 +188,7 @@ def weakness(receiver: Any, slots: Slots, jam: Array | None = None, loss: Any = 
     return weaker if jam is None else weaker + jam[None, :]
 
 
-def strengths(receiver: Any, slots: Slots, jam: Array | None = None) -> Array:
+def strengths(receiver: object, slots: Slots, jam: Array | None = None) -> Array:
     """Return the C/N0 (K, m) [dB-Hz] of the satellites."""
     return _CN0_STRONG - 10.0 / math.log(10.0) * log(weakness(receiver, slots, jam))
 
@@ -198,7 +198,7 @@ def clear_weakness(receiver: Any) -> Array:
     return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
 
 
-def tracked(receiver: Any, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
+def tracked(receiver: object, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
     """Return which satellites (K, n) are tracked of those seen, with ages (K, n) [s], by jammed receivers (n,)."""
     weaker = weakness(receiver, slots, jam)
     strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
@@ -298,7 +298,7 @@ def geometry_of(
     )
 
 
-def left_signal(receiver: Any) -> float:
+def left_signal(receiver: object) -> float:
     """Return what corrections of satellites leave of errors that know no ionosphere."""
     return _left(receiver)[0]
 

@@ -114,7 +114,7 @@ def solved(
     return _as_seen(receiver, slots, whole, tracking), tracking
 
 
-def _as_seen(receiver: Any, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
+def _as_seen(receiver: object, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
     """Return the solutions that are remembered with all that need not be, and those of the open sky for the others."""
     own = replace(
         tracking.solution.own,

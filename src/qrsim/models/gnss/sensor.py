@@ -343,7 +343,7 @@ class Gnss(Sensor):
         return state, reading
 
     def _seen(
-        self, slots: Slots, position_ned: Vec3, ground: Any, skyline: Any, age: Array
+        self, slots: Slots, position_ned: Vec3, ground: object, skyline: object, age: Array
     ) -> tuple[Array, Effect | None]:
         """Return which satellites (K, m) receivers track, tracked for ages (K, m) [s] so far, and what interferes."""
         seen, present = sights(self, slots, position_ned, ground), slots.interference

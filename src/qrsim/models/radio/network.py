@@ -209,18 +209,18 @@ class Network(Channel, Radio):
         return jnp.maximum(near.index, 0), (near.index >= 0) & hears
 
     @staticmethod
-    def _stream(keys: StreamKeys, which: int, ids: Any, frame: Any) -> Stream:
+    def _stream(keys: StreamKeys, which: int, ids: object, frame: object) -> Stream:
         low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
-    def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: Any, frame: Array) -> tuple[Stream, Array]:
+    def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: object, frame: Array) -> tuple[Stream, Array]:
         """Return the stream of ordered pairs (K, n) in a period, and the ids of their senders, which are its ticks."""
         ids = jnp.asarray(ids, jnp.uint32)
         sender = ids.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
         receiver = jnp.broadcast_to(ids[None], sender.shape)
         return self._stream(keys, which, receiver, frame), sender
 
-    def _chance(self, keys: StreamKeys, near: Neighbours, ids: Any, frame: Array) -> Array:
+    def _chance(self, keys: StreamKeys, near: Neighbours, ids: object, frame: Array) -> Array:
         stream, sender = self._pair(keys, PACKET, near, ids, frame)
         return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
 

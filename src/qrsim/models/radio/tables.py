@@ -104,6 +104,6 @@ def taken(heard: Heard, chosen: Any) -> Heard:
     )
 
 
-def library_of(values: Any) -> Any:
+def library_of(values: object) -> Any:
     """Return NumPy for its arrays, else jax.numpy."""
     return np if isinstance(values, np.ndarray) else jnp

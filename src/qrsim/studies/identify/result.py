@@ -171,7 +171,7 @@ class Result:
         return head + dump_yaml({"vehicle": self.vehicle(), "identified": rounded(self.to_json())})
 
 
-def rounded(item: Any) -> Any:
+def rounded(item: object) -> Any:
     """Round the numbers of a tree to 6 digits, for reading."""
     if isinstance(item, Mapping):
         return {key: rounded(value) for key, value in item.items()}

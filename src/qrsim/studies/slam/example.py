@@ -96,7 +96,7 @@ def _record(state: State) -> dict[str, Array]:
     return {name: jnp.stack(parts) for name, parts in rows.items()}
 
 
-def base_world(precision: str = "float32", gnss: str | None = None, **overrides: Any) -> World:
+def base_world(precision: str = "float32", gnss: str | None = None, **overrides: object) -> World:
     """Return the world of the example.
 
     Args:

@@ -84,13 +84,13 @@ def axes_of(spec: StudySpec) -> tuple[Axis, ...]:
     return tuple(found)
 
 
-def apply(content: Content, path: str, value: Any) -> None:
+def apply(content: Content, path: str, value: object) -> None:
     """Set a value of the content of a scenario, or those of a condition, in place."""
     for text in overrides(content, path, value):
         apply_override(content, text)
 
 
-def overrides(content: Content, path: str, value: Any) -> list[str]:
+def overrides(content: Content, path: str, value: object) -> list[str]:
     """Return the arguments of ``qrsim run --set`` that set a value, or those of a condition.
 
     Raises:

@@ -117,7 +117,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
 
 
 @lru_cache(maxsize=8)
-def _beside_built_in(own_metrics: Any) -> Any:
+def _beside_built_in(own_metrics: object) -> Any:
     """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
     from qrsim.interface.metrics import FLIGHT_METRICS
     from qrsim.studies.sweep.own_metrics import BothMetrics

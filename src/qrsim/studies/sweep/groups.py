@@ -95,12 +95,12 @@ class Group:
                 found[row] = self.scenario(dict(zip(self.paths, row, strict=True))).world(precision)
         return [found[row] for row in rows]
 
-    def scenario(self, values: Mapping[str, Any]) -> Scenario:
+    def scenario(self, values: Mapping[str, object]) -> Scenario:
         """Return the scenario of a point."""
         return scenario_at(self.content, values)
 
 
-def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
+def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
     """Return the scenario of the given content with values set.
 
     Raises:
@@ -112,7 +112,7 @@ def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
     return load_scenario(changed, quiet=True)
 
 
-def faults(content: Content, values: Mapping[str, Any]) -> list[str]:
+def faults(content: Content, values: Mapping[str, object]) -> list[str]:
     """Return the faults of a point, one sentence each."""
     try:
         scenario_at(content, values)
@@ -135,7 +135,7 @@ def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
     )
 
 
-def make_group(content: Content, choices: Mapping[str, Any], numbers: Iterable[Axis], precision: str) -> Group:
+def make_group(content: Content, choices: Mapping[str, object], numbers: Iterable[Axis], precision: str) -> Group:
     """Build the group of some structural choices; the numbers in ``numbers`` vary in it.
 
     Raises:
@@ -168,7 +168,7 @@ def _mixed(axes: tuple[Axis, ...]) -> list[dict[str, Any]]:
     return [highest, other]
 
 
-def _alike(group: Group, base: Content, values: Mapping[str, Any], precision: str) -> bool:
+def _alike(group: Group, base: Content, values: Mapping[str, object], precision: str) -> bool:
     structure, fixed, own, which = group.varied({path: np.array([value], float) for path, value in values.items()})
     shares, owns = iter(fixed), iter(own)
     mine = [next(owns)[0] if varies else next(shares) for varies in which]
@@ -177,12 +177,12 @@ def _alike(group: Group, base: Content, values: Mapping[str, Any], precision: st
     return repr(structure) == repr(other) and all(map(_same_bits, mine, theirs))
 
 
-def _same_bits(one: Any, other: Any) -> bool:
+def _same_bits(one: object, other: object) -> bool:
     return bool(np.asarray(one).tobytes() == np.asarray(other).tobytes())
 
 
 def _places(
-    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, Any], world: World, precision: str
+    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
     """Return where the World has each number, None where one of them is not simply there."""
     found = []
@@ -199,7 +199,7 @@ def _places(
     return tuple(found)
 
 
-def _place(base: Content, axis: Axis, lowest: Mapping[str, Any], world: World, precision: str) -> Place | None:
+def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
     low, high = axis.ends()
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]

@@ -38,7 +38,7 @@ def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
     return found, {str(name): _metric(source, str(name), about) for name, about in numbers.items()}
 
 
-def _metric(source: str, name: str, about: Any) -> Metric:
+def _metric(source: str, name: str, about: object) -> Metric:
     where = f"own_metrics: {source}: numbers: {name}"
     if name in METRICS or not name.isidentifier():
         raise UsageError(f"{where}: the name is {'a built-in metric' if name in METRICS else 'no name'}; give another")

@@ -97,7 +97,7 @@ def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[dict[str, Any]]:
 def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]]) -> dict[Any, str]:
     """Return the values of an axis that are not allowed, and why; of a range its ends."""
 
-    def wrong(value: Any) -> str:
+    def wrong(value: object) -> str:
         found = ""
         for other in others:
             found = "; ".join(faults(content, {**other, axis.path: value}))
@@ -136,7 +136,7 @@ def _by_halving(ordered: list[Any], wrong: Callable[[Any], str]) -> dict[Any, st
     return bad
 
 
-def _key(value: Any) -> Any:
+def _key(value: object) -> Any:
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
@@ -193,7 +193,7 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
     return groups
 
 
-def _group(study: Study, chosen: Mapping[str, Any], numbers: tuple[Axis, ...]) -> Group:
+def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]) -> Group:
     if study.spec.policy != BASELINE:
         return make_group(study.content, chosen, numbers, study.spec.precision)
     # Flown one by one from its scenario.
@@ -206,7 +206,7 @@ def _group(study: Study, chosen: Mapping[str, Any], numbers: tuple[Axis, ...]) -
     return Group(content, world, scenario.ticks, scenario.spec.time_step, None, paths)
 
 
-def _point(values: Mapping[str, Any]) -> str:
+def _point(values: Mapping[str, object]) -> str:
     return ", ".join(f"{path} = {value!r}" for path, value in values.items())
 
 

@@ -217,7 +217,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> dict[str, Any]:
     }
 
 
-def _plain(values: Any) -> list[float | None]:
+def _plain(values: object) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
@@ -252,7 +252,7 @@ def _named(results: Results, episode: int) -> dict[str, Any]:
     return {results.spec.vary[path].name or path: value for path, value in values.items()}
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 30 else f"{text[:27]}..."
 

@@ -262,7 +262,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
         )
 
 
-def _differing(mine: Any, theirs: Any, path: str = "") -> Any:
+def _differing(mine: object, theirs: object, path: str = "") -> Any:
     """Yield the settings that differ, with both values."""
     if isinstance(mine, dict) and isinstance(theirs, dict):
         for key in {**mine, **theirs}:
@@ -271,7 +271,7 @@ def _differing(mine: Any, theirs: Any, path: str = "") -> Any:
         yield f"{path}: {_short(mine)} here, {_short(theirs)} in the store"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -80,7 +80,7 @@ class TeamErrors:
             passed_east=jnp.where(here, true.y[:, None], memory.passed_east),
         )
 
-    def finish(self, memory: TeamMemory, world: Any, state: Any) -> dict[str, Array]:
+    def finish(self, memory: TeamMemory, world: object, state: object) -> dict[str, Array]:
         """Return the numbers of worlds W: (W, n) of vehicles, (W,) of the team."""
         ticks = jnp.maximum(memory.ticks, 1).astype(memory.error_square.dtype)
         return {

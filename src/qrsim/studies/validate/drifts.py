@@ -78,7 +78,7 @@ def _read(sensor: str, model: Any, seconds: int, vehicles: int) -> tuple[jax.Arr
     return rows, squares / (per_row * seconds)
 
 
-def read(sensor: str, model: Any, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
+def read(sensor: str, model: object, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
     """Simulate the errors of a sensor of many vehicles at rest, over a few of its time constants, in float32."""
     rows, squares = _read(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
     errors = np.asarray(rows, np.float64)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -121,7 +121,7 @@ def _part(gust: Values, axis: Values) -> Values:
     return np.asarray(np.einsum("wni,ni->wn", gust, axis))
 
 
-def kept(lifetimes: Any) -> Values:
+def kept(lifetimes: object) -> Values:
     """Return the correlation of gusts after times in lifetimes, of any shape, in the frame that moves with the field.
 
     The autocorrelation of sin^2 over half a turn.

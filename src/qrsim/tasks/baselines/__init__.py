@@ -51,7 +51,7 @@ KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Map
 class Baseline(Protocol):
     """Policy of the agents of an episode."""
 
-    def act(self, seen: Any) -> Any:
+    def act(self, seen: object) -> Any:
         """Return the actions (n, A) in [-1, 1]; of several fleets by fleet."""
         ...
 

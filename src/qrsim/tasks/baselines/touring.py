@@ -29,11 +29,11 @@ class Touring:
         self._state: Any = None
         self._tours: list[list[int]] | None = None
 
-    def know(self, state: Any) -> None:
+    def know(self, state: object) -> None:
         """Take the true state of the world at the present step."""
         self._state = state
 
-    def act(self, seen: Any) -> NumpyArray:
+    def act(self, seen: object) -> NumpyArray:
         """Return the actions (n, 3), from the truth alone."""
         model, fleet = fleet_of(self._play.world, self._state, self._play.task.fleet)
         pose = model.vehicle.pose(fleet.vehicle)

@@ -168,7 +168,7 @@ class Asked:
             yield Answered(self._space + name, f"mavros_msgs/srv/{kind}", answer)
         yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._tell_home)
 
-    def _response(self, kind: str, *values: Any) -> Any:
+    def _response(self, kind: str, *values: object) -> Any:
         return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
 
     def _obey(self, kind: str, command: int, *params: float) -> Any:
@@ -204,6 +204,6 @@ class Asked:
         self._stack.set_mode(base, custom)
         return self._response("SetMode", True)
 
-    def _tell_home(self, r: Any) -> Any:
+    def _tell_home(self, r: object) -> Any:
         result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
         return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

@@ -83,7 +83,7 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         rate: float,
         fields: Callable[[View], Fields | None],
         key: Callable[[View], object] | None = None,
-        **constants: Any,
+        **constants: object,
     ) -> Told:
         return Told(
             Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"), rate, _made(types, kind, fields, constants), key

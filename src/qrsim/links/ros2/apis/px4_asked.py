@@ -77,19 +77,19 @@ class Asked:
 
     # ---- set-points ----
 
-    def _take_mode(self, message: Any) -> None:
+    def _take_mode(self, message: object) -> None:
         self._mode, self._mode_at = message, self._system.view.seen.time
         self._hand_over()
 
-    def _take_motion(self, message: Any) -> None:
+    def _take_motion(self, message: object) -> None:
         self._motion = message
         self._take()
 
-    def _take_attitude(self, message: Any) -> None:
+    def _take_attitude(self, message: object) -> None:
         self._attitude = message
         self._take()
 
-    def _take_rates(self, message: Any) -> None:
+    def _take_rates(self, message: object) -> None:
         self._rates = message
         self._take()
 

@@ -26,7 +26,7 @@ SLOWEST = 8.0
 def wanted_surfaces(
     model: Aeroplane,
     memory: Stabiliser,
-    command: Any,
+    command: object,
     attitude: Euler,
     rates: Vec3,
     airspeed: Array,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from qrsim.core.arrays import Floats
@@ -14,7 +12,7 @@ FASTEST = 100.0
 HALVINGS = 40
 
 
-def leaning(vehicle: Airframe, tilt: Any) -> tuple[Floats, Floats] | None:
+def leaning(vehicle: Airframe, tilt: object) -> tuple[Floats, Floats] | None:
     """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad], None where rotors are tilted.
 
     Leaning by theta into a steady wind V with N rotors at a speed W, of a thrust T each,

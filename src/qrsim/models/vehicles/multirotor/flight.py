@@ -165,7 +165,7 @@ def surroundings(
 
 
 def stabilised(
-    model: Airframe, state: MultirotorState, command: Any, dt: float, count: int, around: Around | None
+    model: Airframe, state: MultirotorState, command: object, dt: float, count: int, around: Around | None
 ) -> tuple[Array | None, Loops, Motors]:
     """Return the heading that is held after a step, None for that of the vehicle, and what tells the motors.
 

@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class MotorTable:
     power: Floats
 
     @staticmethod
-    def of(columns: Any) -> MotorTable:
+    def of(columns: object) -> MotorTable:
         """Build a table from columns by name, see COLUMNS, or from ``{"file": PATH}``, a CSV file that has them.
 
         Raises:
@@ -218,7 +217,7 @@ def _number(where: str, text: str) -> float:
     return value
 
 
-def _numbers(name: str, values: Any) -> Floats:
+def _numbers(name: str, values: object) -> Floats:
     if not isinstance(values, Sequence) or isinstance(values, str):
         raise UsageError(f"{name}: expected a list of numbers, found {values!r:.80}")
     for row, value in enumerate(values, start=1):

@@ -201,7 +201,7 @@ def own_multirotor(
     motor_table: Mapping[str, Any] | None = None,
     geometry: str | None = None,
     warn: Callable[[str], None] = warn_user,
-    **parameters: Any,
+    **parameters: object,
 ) -> Multirotor:
     """Return a multirotor of six numbers, or of four and the table of its motor, for ``make_scenario(vehicle=...)``.
 
@@ -268,7 +268,7 @@ def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str
     }
 
 
-def known_numbers(parameters: Mapping[str, Any]) -> dict[str, float]:
+def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
     """Return the given parameters from which others are derived, without lists (one number for each vehicle)."""
     found = {name: parameters[name] for name in SOURCES if name in parameters}
     return {
@@ -295,7 +295,7 @@ def _check(given: dict[str, float]) -> None:
             raise UsageError(f"{name}: {shown}; allowed: {low:g} to {high:g}{f' {unit}' if unit else ''}")
 
 
-def _arrangement(name: Any) -> Geometry:
+def _arrangement(name: object) -> Geometry:
     if not isinstance(name, str) or name not in GEOMETRIES:
         raise UsageError(f"geometry: no arrangement is called '{name}'{did_you_mean(str(name), GEOMETRIES)}")
     return GEOMETRIES[name]

@@ -210,7 +210,7 @@ class Multirotor(Airframe, Vehicle):
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
 
-    def leaning(self, tilt: Any) -> tuple[Any, Any] | None:
+    def leaning(self, tilt: object) -> tuple[Any, Any] | None:
         """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad]."""
         return leaning(self, tilt)
 
