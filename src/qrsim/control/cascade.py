@@ -187,8 +187,8 @@ class CascadeController(Controller):
         else:
             level = isinstance(setpoint, VelocityHeightSetpoint)
             north, east = (setpoint.velocity_north, setpoint.velocity_east) if level else (none, none)
-            place = Vec3(estimate.position_ned.x, estimate.position_ned.y, setpoint.z)
-            down = -self.height_gain * estimate.offset_from(place).z
+            here_at_height = Vec3(estimate.position_ned.x, estimate.position_ned.y, setpoint.z)
+            down = -self.height_gain * estimate.offset_from(here_at_height).z
         north, east = _shortened(north, east, self.speed_limit)
         return Vec3(north, east, jnp.clip(down, -self.climb_limit, self.sink_limit)), acceleration
 

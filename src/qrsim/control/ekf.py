@@ -69,7 +69,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     are, and the filter begins there again. Slow errors of fixes are considered in what it reports, and not estimated.
     """
 
-    def _late(self, readings: Mapping[str, object]) -> int:
+    def _delay_ticks(self, readings: Mapping[str, object]) -> int:
         """Return how late a fix is [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
@@ -100,9 +100,9 @@ class ErrorStateKalmanFilter(KalmanParameters):
         bias = calibrated(self, preflight)
         inner = self._first_inner(readings, begun, none, preflight)
         first = self.first_inner(inner, bias is not None)
-        place = self._variances(readings, "position_ned", zero, by_height)
+        spread = self._variances(readings, "position_ned", zero, by_height)
         covariance = independent(
-            [*place, *self._variances(readings, "velocity_ned", zero), *turn, *(self._as(zero, std) for std in first)]
+            [*spread, *self._variances(readings, "velocity_ned", zero), *turn, *(self._as(zero, std) for std in first)]
         )
         state = KalmanState(
             position, none, speed, begun, inner if bias is None else replace(inner, gyroscope_bias=bias),
@@ -112,7 +112,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
                 zero, zero, zero, zero, None if inner.earth_field_ned is None else zero,
                 None if inner.wind_north is None else zero,
             ),
-            (Past(position, none, speed),) * self._late(readings), self._slow(place, by_height, zero),
+            (Past(position, none, speed),) * self._delay_ticks(readings), self._slow(spread, by_height, zero),
         )  # fmt: skip
         if preflight is not None and preflight.at_rest is not None and self.start == "aligned":
             state = select(preflight.at_rest, levelled(self, state, readings), state)
@@ -189,10 +189,10 @@ class ErrorStateKalmanFilter(KalmanParameters):
         """Return how large its errors are beside what it states (n,); of magnetic field and wind nothing is said."""
         biases = (truth.gyroscope_bias, truth.accelerometer_bias)
         known_biases = None not in biases
-        place = truth.position_ned - state.position_ned - state.position_low_ned
+        position_error = truth.position_ned - state.position_ned - state.position_low_ned
         if truth.position_low_ned is not None:
-            place = place + truth.position_low_ned
-        parts = [place, truth.velocity_ned - state.velocity_ned, turned(truth.attitude, state.attitude)]
+            position_error = position_error + truth.position_low_ned
+        parts = [position_error, truth.velocity_ned - state.velocity_ned, turned(truth.attitude, state.attitude)]
         if known_biases:
             own = (state.inner.gyroscope_bias, state.inner.accelerometer_bias)
             parts += [bias - mean for bias, mean in zip(biases, own, strict=True) if bias is not None]

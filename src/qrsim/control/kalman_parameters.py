@@ -129,7 +129,7 @@ class KalmanParameters(Estimator):
             self.wind_std,
             self.height_bias_std,
         )
-        return _each(inner, stds)
+        return _std_of_each_error(inner, stds)
 
     def walks(self, inner: Inner) -> list[Array]:
         """Return the random walk of each error but those of the motion."""
@@ -141,10 +141,10 @@ class KalmanParameters(Estimator):
             self.wind_walk,
             self.height_bias_walk,
         )
-        return _each(inner, stds)
+        return _std_of_each_error(inner, stds)
 
 
-def _each(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
+def _std_of_each_error(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
     """Return the std of each error that the filter has besides those of the motion: whole blocks, 0 for none."""
     *first, wind, height = stds
     own = first[:2] if inner.earth_field_ned is None else first

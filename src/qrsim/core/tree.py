@@ -116,11 +116,11 @@ def record(cls: type[T]) -> type[T]:
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
-    made: Any = with_presets(dataclasses.dataclass(frozen=True)(cls))
-    static = [f.name for f in dataclasses.fields(made) if field_info(f).static]
-    data = [f.name for f in dataclasses.fields(made) if f.name not in static]
-    _register(made, data, static)
-    return made
+    component: Any = with_presets(dataclasses.dataclass(frozen=True)(cls))
+    static = [f.name for f in dataclasses.fields(component) if field_info(f).static]
+    data = [f.name for f in dataclasses.fields(component) if f.name not in static]
+    _register(component, data, static)
+    return component
 
 
 def _register(cls: Any, data: list[str], static: list[str]) -> None:

@@ -235,9 +235,10 @@ class ActionChecker:
             taken = fleet.vehicle.actions if given else (fleet.vehicle.command_type,)
             if kind not in taken:
                 alike = any(kind.__name__ == each.__name__ for each in fleet.vehicle.actions)
-                names = " or ".join(_named(each, alike) for each in fleet.vehicle.actions)
+                names = " or ".join(_command_name(each, alike) for each in fleet.vehicle.actions)
+                name = _command_name(kind, alike, article=True)
                 raise UsageError(
-                    f"command: {_named(kind, alike, article=True)} is not for the vehicles of fleet '{fleet.name}', "
+                    f"command: {name} is not for the vehicles of fleet '{fleet.name}', "
                     f"which take {names}; give each fleet its own, by name"
                 )
         return self.kinds[kind]
@@ -245,8 +246,8 @@ class ActionChecker:
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
-                name = _named(type(setpoint), article=True)
-                raise UsageError(f"command: {name} is not for {_instead(fleet, setpoint)}")
+                name = _command_name(type(setpoint), article=True)
+                raise UsageError(f"command: {name} is not for {_accepted_setpoints(fleet, setpoint)}")
         checked = self._cast(setpoint, "command", len(names))
         if not self.traced and isinstance(checked, VelocityHeightSetpoint | AttitudeHeightSetpoint):
             below = np.asarray(checked.z) > 0.0
@@ -333,14 +334,14 @@ class ActionChecker:
             raise UsageError(f"{what}: expected numbers of shape {shape}, found {shape_of(values)}") from None
 
 
-def _named(kind: type[Any], with_module: bool = False, article: bool = False) -> str:
+def _command_name(kind: type[Any], with_module: bool = False, article: bool = False) -> str:
     """Return the name of a command; with its module where another one has the same name."""
     name = f"{kind.__module__}.{kind.__name__}" if with_module else kind.__name__
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" if article else name
 
 
-def _instead(fleet: Fleet, setpoint: object) -> str:
-    """Describe what takes a fleet's set-points, and which ones."""
+def _accepted_setpoints(fleet: Fleet, setpoint: object) -> str:
+    """Describe which set-points a fleet accepts, and what accepts them."""
     if not fields_of(fleet.vehicle.command_type):
         return f"fleet '{fleet.name}', whose vehicles take no commands; give each fleet its own, by name"
     taken = ", ".join(cls.__name__ for cls in fleet.controller.setpoints)

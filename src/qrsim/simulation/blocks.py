@@ -188,7 +188,7 @@ class LockStep:
         self.actions: list[Any] = []
         self._memories: dict[tuple[str, int], Any] = {}
 
-    def _asked(self, function: UserFunction, reading: Reading, world: int) -> Any:
+    def _call(self, function: UserFunction, reading: Reading, world: int) -> Any:
         """Return what a function answers in a world, and keep its memory."""
         which = (function.what, world)
         if which not in self._memories:
@@ -230,11 +230,11 @@ class LockStep:
             where = f", at tick {tick} of world {self.rows[world]}"
             if self.policy is not None and asks:
                 with self.policy.blamed(where):
-                    command = self._asked(self.policy, reading, world)
+                    command = self._call(self.policy, reading, world)
                     self.actions.append(self.engine.checker.actions(command, partial(np.asarray, flying)))
             if self.estimator is not None:
                 with self.estimator.blamed(where):
-                    estimate = self._asked(self.estimator, reading, world)
+                    estimate = self._call(self.estimator, reading, world)
                     estimates.append(self.engine.checker.estimates(estimate, needed=True))
         radios.over = True
         return self._stack(self.policy, self.actions, count), self._stack(self.estimator, estimates, count)

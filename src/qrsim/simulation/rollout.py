@@ -151,19 +151,19 @@ def rollout(
         raise UsageError(f"ticks: {ticks} would pass the last tick, {LARGEST_TICK}")
     if sink is not None and record is None:
         raise UsageError("sink: there is nothing to hand to it without record")
-    which = _which(several, isinstance(world, World), worlds, seed, seeds)
+    which = _seeds_and_numbers(several, isinstance(world, World), worlds, seed, seeds)
     dtype = np.dtype(several[0].fleets[0].start.position_ned.x.dtype)
     with jax.enable_x64(dtype == np.float64):
         setup, fixed, varied = setup_of(several, policy, estimator, metrics, policy_ticks, site)
         schedule = Schedule(ticks, record_every if record else 0)
         engine = Engine(setup, several[0], fixed, varied, schedule, record, sink, progress or (lambda done: None))
         blocks = [engine.fly(rows, *which) for rows in _blocks(engine, len(which[0]))]
-    found = {name: np.concatenate([block[0][name] for block in blocks]) for name in blocks[0][0]}
-    kept = None
+    results = {name: np.concatenate([block[0][name] for block in blocks]) for name in blocks[0][0]}
+    history = None
     if record is not None and sink is None:
-        kept = jax.tree.map(lambda *parts: np.concatenate(parts), *(block[1] for block in blocks))
+        history = jax.tree.map(lambda *parts: np.concatenate(parts), *(block[1] for block in blocks))
     names = tuple(name for fleet in several[0].fleets for name in fleet.vehicle_names)
-    return Rollout(found, kept, np.array(schedule.records, np.int64), *which, names)
+    return Rollout(results, history, np.array(schedule.records, np.int64), *which, names)
 
 
 def setup_of(
@@ -196,7 +196,7 @@ def setup_of(
     return setup, fixed, varied
 
 
-def _which(
+def _seeds_and_numbers(
     several: list[World], alike: bool, worlds: int, seed: object, seeds: Sequence[int] | None
 ) -> tuple[NumpyArray, NumpyArray]:
     """Return seed and number (W,) of each world."""

@@ -188,7 +188,7 @@ class Simulation(Radios, Tabled):
     def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
         if estimate is None and self._state is not None and self._ticks.taken(command):
             count = checked_ticks(ticks, self.tick)
-            self._let_go()
+            self._detach_seen()
             self._state = self._ticks.advance_bound(self._state, self.tick, count)
             self.tick += count
             return
@@ -196,7 +196,7 @@ class Simulation(Radios, Tabled):
         estimates = self._checker.estimates(estimate)
         count = checked_ticks(ticks, self.tick)
         layout, state = self._running()
-        self._let_go()
+        self._detach_seen()
         with self.precision_context():
             self._state = self._ticks.advance(layout, state, self.tick, count, (actions, estimates))
             self.tick += count
@@ -226,7 +226,7 @@ class Simulation(Radios, Tabled):
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}; give capacity={count}, or none")
         layout, state = self._running()
-        self._let_go()
+        self._detach_seen()
         with self.precision_context():
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
             numbers = np.arange(self.tick + 1, self.tick + count + 1)
@@ -346,7 +346,7 @@ class Simulation(Radios, Tabled):
             self._now = weakref.ref(seen)
         return seen
 
-    def _let_go(self) -> None:
+    def _detach_seen(self) -> None:
         """Leave the present state to whom it is seen by, because the next tick overwrites its buffers."""
         seen = self._now()
         if seen is not None:

@@ -79,7 +79,7 @@ class SavedState:
             raise UsageError(f"{where}: this is no state that qrsim saved, or it is damaged") from None
         except OtherNamesError:
             raise _another_version(where) from None
-        if _whole(content["format"]) != FORMAT:
+        if _integer(content["format"]) != FORMAT:
             raise _another_version(where)
         return SavedState(
             _buffer(where, "floats", content, ("float32", "float64")),
@@ -180,13 +180,13 @@ def _another_version(where: str) -> UsageError:
     return UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
 
 
-def _whole(array: NumpyArray) -> int | None:
+def _integer(array: NumpyArray) -> int | None:
     """Return the whole number that an array is, if it is one."""
     return int(array) if array.shape == () and array.dtype.kind in "iu" else None
 
 
 def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int:
-    found = _whole(content[name])
+    found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
         raise UsageError(f"{where}: its {name} is {what}; expected a whole number from 0 to {largest}")

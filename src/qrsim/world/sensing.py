@@ -183,8 +183,8 @@ def _believed(
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
     }
     found = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
-    kept = at_rest(belief.estimate)
-    return replace(found, estimate=select(valid, found.estimate, kept), std=select(valid, found.std, belief.std))
+    resting = at_rest(belief.estimate)
+    return replace(found, estimate=select(valid, found.estimate, resting), std=select(valid, found.std, belief.std))
 
 
 def first_belief(
