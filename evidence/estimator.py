@@ -278,9 +278,11 @@ def errors(states: KalmanState, truth: Flown, biases: dict[str, Floats], k: int)
     if inner.earth_field_ned is not None:
         wind = np.stack([array(inner.wind_north), array(inner.wind_east)], axis=-1)
         parts += [
-            biases["earth_field"][k] - of(inner.earth_field_ned), biases["field"][k] - of(inner.field_bias),
-            biases["wind"][k] - wind, biases["height"][k] - array(inner.height_bias)[:, None],
-        ]  # fmt: skip
+            biases["earth_field"][k] - of(inner.earth_field_ned),
+            biases["field"][k] - of(inner.field_bias),
+            biases["wind"][k] - wind,
+            biases["height"][k] - array(inner.height_bias)[:, None],
+        ]
     whole = np.moveaxis(np.array(matrix(states.covariance)[k - 1], float), -1, 0)
     if states.slow is not None:
         whole[:, range(3), range(3)] += of(states.slow)
@@ -371,18 +373,20 @@ def _summary(found: Floats, later: Floats, size: int) -> dict[str, Any]:
         "place_within_percent": round(
             100.0 * float((found[later, :, 1] < scipy.stats.chi2.ppf(CONFIDENCE, 3)).mean()), 1
         ),
-    }  # fmt: skip
+    }
 
 
 def _draw(times: Floats, curves: dict[str, Floats], band: tuple[float, float]) -> None:
     from matplotlib.figure import Figure
 
     labels = {
-        "white": ("15 errors, white fixes", "#3b76f0"), "late": ("15 errors, late fixes", "#0b9e73"),
-        "every": ("24 errors, white fixes", "#8a5fd0"), "every_late": ("24 errors, late fixes", "#7a7a7a"),
+        "white": ("15 errors, white fixes", "#3b76f0"),
+        "late": ("15 errors, late fixes", "#0b9e73"),
+        "every": ("24 errors, white fixes", "#8a5fd0"),
+        "every_late": ("24 errors, late fixes", "#7a7a7a"),
         "coloured": ("15 errors, coloured fixes taken for white", "#b35806"),
         "considered": ("15 errors, coloured fixes", "#d6a500"),
-    }  # fmt: skip
+    }
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
     for name, found in curves.items():
