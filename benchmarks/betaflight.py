@@ -10,22 +10,29 @@ import _common
 from qrsim.errors import UsageError
 
 HEADINGS = {
-    "what": "what", "vehicles": "vehicles", "rate_hz": "ticks/s", "real_time_factor": "times real time",
+    "what": "what",
+    "vehicles": "vehicles",
+    "rate_hz": "ticks/s",
+    "real_time_factor": "times real time",
     "target": "target",
-}  # fmt: skip
+}
 RATE_HZ, TARGET = 400.0, 10.0
 
 
 def hovering(vehicles: int) -> dict[str, Any]:
     """Return a scenario of multirotors that hold their places, on true states."""
     return {
-        "name": "held", "description": "Multirotors hold their places.", "duration": 60.0,
-        "fleets": {"quads": {
-            "vehicle": {"type": "multirotor", "model": "hummingbird"},
-            "controller": {"type": "cascade", "feed": "truth"},
-            "vehicles": [{"position_ned": [0.0, 10.0 * i, -20.0]} for i in range(vehicles)],
-        }},
-    }  # fmt: skip
+        "name": "held",
+        "description": "Multirotors hold their places.",
+        "duration": 60.0,
+        "fleets": {
+            "quads": {
+                "vehicle": {"type": "multirotor", "model": "hummingbird"},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "vehicles": [{"position_ned": [0.0, 10.0 * i, -20.0]} for i in range(vehicles)],
+            }
+        },
+    }
 
 
 def alone(seconds: float) -> float:
@@ -71,10 +78,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[dict[str, Any]] = []
 
     def add(what: str, vehicles: int, factor: float, target: float | None) -> None:
-        rows.append({
-            "what": what, "vehicles": vehicles, "rate_hz": RATE_HZ, "real_time_factor": factor,
-            "target": "-" if target is None else f"at least {target:g}",
-        })  # fmt: skip
+        rows.append(
+            {
+                "what": what,
+                "vehicles": vehicles,
+                "rate_hz": RATE_HZ,
+                "real_time_factor": factor,
+                "target": "-" if target is None else f"at least {target:g}",
+            }
+        )
 
     try:
         add("firmware at rest, no vehicle", 1, alone(seconds), None)

@@ -64,10 +64,16 @@ def measured(
         found = throughput._measured(world(count, kind), worlds, count, kind, seconds, repeats)
         ns = 1e9 / found["per_cpu_second"]
         bare = ns if KINDS[kind][0] is None else bare
-        rows.append({
-            "estimator": kind, "worlds": worlds, "vehicles": count, "ns": ns, "throughput": bare / ns,
-            "compile_seconds": found["compile_seconds"],
-        })  # fmt: skip
+        rows.append(
+            {
+                "estimator": kind,
+                "worlds": worlds,
+                "vehicles": count,
+                "ns": ns,
+                "throughput": bare / ns,
+                "compile_seconds": found["compile_seconds"],
+            }
+        )
     return rows
 
 

@@ -26,9 +26,14 @@ SENSORS: dict[str, dict[str, Any]] = {
     "gnss": {"type": "gnss", "preset": "f9p_single"},
 }
 ROWS = (
-    ("open", "ideal_gnss"), ("open", "gnss_receiver"), ("open", "gnss"), ("open, 40 slots", "gnss"),
-    ("town", "ideal_gnss"), ("town", "gnss_receiver"), ("town", "gnss"),
-)  # fmt: skip
+    ("open", "ideal_gnss"),
+    ("open", "gnss_receiver"),
+    ("open", "gnss"),
+    ("open, 40 slots", "gnss"),
+    ("town", "ideal_gnss"),
+    ("town", "gnss_receiver"),
+    ("town", "gnss"),
+)
 PATROLS = (("patrol", 1), ("patrol, 512 worlds", 512))
 SLOTS = 40
 VEHICLES, BUILDINGS = 1000, 200
@@ -141,10 +146,14 @@ class Flying:
 
         flying = int((np.concatenate(self.flight.get(throughput._codes), axis=-1) == 0).sum())
         return {
-            "sky": sky, "sensor": sensor, "vehicles": self.vehicles, "ns": min(self.found),
-            "compile_seconds": self.compile_seconds, "flying": flying,
+            "sky": sky,
+            "sensor": sensor,
+            "vehicles": self.vehicles,
+            "ns": min(self.found),
+            "compile_seconds": self.compile_seconds,
+            "flying": flying,
             **dict.fromkeys(("own_ns", "over_gps", "table_seconds", "table_mb")),
-        }  # fmt: skip
+        }
 
 
 def measured(count: int, buildings: int, most: int, seconds: float, repeats: int) -> list[dict[str, Any]]:

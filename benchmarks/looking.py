@@ -53,10 +53,14 @@ def measured(calls: int, rounds: int) -> list[dict[str, Any]]:
             steps[number].append(1e6 * (time.perf_counter() - begun) / calls)
     medians = [float(np.median(each)) for each in looks]
     return [
-        {"sensors": f"{count}", "median_us": round(look, 2), "step_us": round(float(np.median(step)), 2),
-         "over_first": look / medians[0]}
+        {
+            "sensors": f"{count}",
+            "median_us": round(look, 2),
+            "step_us": round(float(np.median(step)), 2),
+            "over_first": look / medians[0],
+        }
         for count, look, step in zip(COUNTS, medians, steps, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -9,8 +9,13 @@ from typing import Any
 import _common
 
 WORLDS, TICKS = (1, 16, 128), 100
-SENSORS = {"gnss": "gnss_receiver", "barometer": "barometer", "attitude": "attitude_estimator",
-           "gyroscope": "gyroscope", "accelerometer": "accelerometer"}  # fmt: skip
+SENSORS = {
+    "gnss": "gnss_receiver",
+    "barometer": "barometer",
+    "attitude": "attitude_estimator",
+    "gyroscope": "gyroscope",
+    "accelerometer": "accelerometer",
+}
 HEADINGS = {
     "policy": "policy",
     "worlds": "worlds",

@@ -56,10 +56,14 @@ def measured(count: int, repeats: int) -> dict[str, Any]:
     counts = pair[1].state.radio.counts
     exchange = (radio - plain) / EXCHANGES
     return {
-        "vehicles": count, "tick_ms": 1e3 * plain / TICKS, "exchange_ms": 1e3 * exchange, "us": 1e6 * exchange / count,
-        "ratio": radio / plain, "heard": float(np.sum(counts.heard) / np.sum(counts.sent)),
+        "vehicles": count,
+        "tick_ms": 1e3 * plain / TICKS,
+        "exchange_ms": 1e3 * exchange,
+        "us": 1e6 * exchange / count,
+        "ratio": radio / plain,
+        "heard": float(np.sum(counts.heard) / np.sum(counts.sent)),
         "compiler": pair[1].compiled_by[0],
-    }  # fmt: skip
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -64,10 +64,15 @@ def measured(
     rows: list[dict[str, Any]] = []
     for kind in kinds:
         found = throughput._measured(world(count, kind), worlds, count, kind, seconds, repeats)
-        rows.append({
-            "sensors": kind, "worlds": worlds, "vehicles": count, "ns": 1e9 / found["per_cpu_second"],
-            "compile_seconds": found["compile_seconds"],
-        })  # fmt: skip
+        rows.append(
+            {
+                "sensors": kind,
+                "worlds": worlds,
+                "vehicles": count,
+                "ns": 1e9 / found["per_cpu_second"],
+                "compile_seconds": found["compile_seconds"],
+            }
+        )
     for row in rows:
         row["over_pair"] = row["ns"] / rows[0]["ns"]
     return rows

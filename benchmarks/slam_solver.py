@@ -59,9 +59,15 @@ def problem(seconds: float, states: str) -> tuple[Any, Any, Any]:
     ranging = example.ranging_of(flight, SEED)
     active = (ranging.per_landmark >= 3).astype(np.float64)
     made, x = graph.make_graph(
-        flight, ranging, active, graph="gnss", states=states, prior="estimate", fix_std=flight.fix_std,
+        flight,
+        ranging,
+        active,
+        graph="gnss",
+        states=states,
+        prior="estimate",
+        fix_std=flight.fix_std,
         bias_time_constant=None,
-    )  # fmt: skip
+    )
     return made, x, ranging.guess_ned
 
 
@@ -86,11 +92,19 @@ def linear(seconds: float) -> tuple[dict[str, Any], dict[str, Any]]:
         (dx, da), seconds = timed(work)
     motion, prior, ranges, fixes = (np.asarray(part) for part in slopes.residuals)
     given = {
-        "motion": slopes.motion, "whiten": made.whiten, "motion_residual": motion, "prior_residual": prior,
-        "prior_weight": made.prior_weight, "range_weight": made.range_weight, "range_residual": ranges,
-        "range_position": slopes.range_position, "range_landmark": slopes.range_landmark, "fix": slopes.fix,
-        "fix_residual": fixes, "fix_weight": made.fix_weight,
-    }  # fmt: skip
+        "motion": slopes.motion,
+        "whiten": made.whiten,
+        "motion_residual": motion,
+        "prior_residual": prior,
+        "prior_weight": made.prior_weight,
+        "range_weight": made.range_weight,
+        "range_residual": ranges,
+        "range_position": slopes.range_position,
+        "range_landmark": slopes.range_landmark,
+        "fix": slopes.fix,
+        "fix_residual": fixes,
+        "fix_weight": made.fix_weight,
+    }
     own = {"cpu_s": seconds, "iterations": 1, "x": dx, "landmarks": da}
     return own, {name: np.asarray(value) for name, value in given.items()}
 
@@ -108,11 +122,17 @@ def poses(seconds: float) -> tuple[dict[str, Any], dict[str, Any]]:
     # Of the factors' own covariance, which is diagonal and the same along and across.
     inverse = np.linalg.inv(np.asarray(made.whiten))
     given = {
-        "moves": np.stack(moves, axis=1), "motion_std": np.sqrt(np.einsum("tij,tij->ti", inverse, inverse)),
-        "prior_mean": made.prior_mean, "prior_weight": made.prior_weight, "ranges": made.ranges,
-        "range_weight": made.range_weight, "fixes": made.fixes, "fix_weight": made.fix_weight, "x": x,
+        "moves": np.stack(moves, axis=1),
+        "motion_std": np.sqrt(np.einsum("tij,tij->ti", inverse, inverse)),
+        "prior_mean": made.prior_mean,
+        "prior_weight": made.prior_weight,
+        "ranges": made.ranges,
+        "range_weight": made.range_weight,
+        "fixes": made.fixes,
+        "fix_weight": made.fix_weight,
+        "x": x,
         "landmarks": guess,
-    }  # fmt: skip
+    }
     own = {"cpu_s": cpu, "iterations": found.iterations, "x": found.point.x, "landmarks": found.point.landmarks}
     own["cost"] = found.point.cost
     return own, {name: np.asarray(value) for name, value in given.items()}

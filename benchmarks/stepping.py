@@ -86,7 +86,7 @@ def compared(source: str) -> list[dict[str, Any]]:
             environment = {**os.environ, "PYTHONPATH": folder}
             done = subprocess.run(
                 [sys.executable, __file__, "--json"], env=environment, capture_output=True, text=True, check=True
-            )  # fmt: skip
+            )
             each.append(json.loads(done.stdout)["results"])
     rows = []
     for number, row in enumerate(found[own][0]):

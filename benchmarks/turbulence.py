@@ -70,11 +70,17 @@ def measured(
         of = world(count, kind, whole)
         with throughput.no_collisions(off=not whole):
             found = throughput._measured(of, worlds, count, kind, seconds, repeats)
-        rows.append({
-            "world": "patrol" if whole else "dynamics", "turbulence": kind, "worlds": worlds, "vehicles": count,
-            "ns": 1e9 / found["per_cpu_second"], "compile_seconds": found["compile_seconds"],
-            "field_bytes": field_bytes(of),
-        })  # fmt: skip
+        rows.append(
+            {
+                "world": "patrol" if whole else "dynamics",
+                "turbulence": kind,
+                "worlds": worlds,
+                "vehicles": count,
+                "ns": 1e9 / found["per_cpu_second"],
+                "compile_seconds": found["compile_seconds"],
+                "field_bytes": field_bytes(of),
+            }
+        )
     still, dryden = rows[0]["ns"], rows[1]["ns"]
     for row in rows:
         row["own_ns"] = row["ns"] - still

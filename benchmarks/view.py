@@ -136,12 +136,19 @@ def slowdown(count: int, duration: float, repeats: int) -> list[dict[str, Any]]:
     named += [("its frames", n, found) for n, found in frames.items() if n]
     return [
         {
-            "what": what, "vehicles": count, "clients": browsers, "cpu_ms": None,
-            "client_bytes_per_second": None, "missed": None, "lag_s": None,
-            "per_second": statistics.median(found), "lowest": min(found), "highest": max(found),
+            "what": what,
+            "vehicles": count,
+            "clients": browsers,
+            "cpu_ms": None,
+            "client_bytes_per_second": None,
+            "missed": None,
+            "lag_s": None,
+            "per_second": statistics.median(found),
+            "lowest": min(found),
+            "highest": max(found),
         }
         for what, browsers, found in named
-    ]  # fmt: skip
+    ]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -71,15 +71,21 @@ class Compared(NamedTuple):
     def row(self) -> dict[str, Any]:
         """Return it as a study has it."""
         return {
-            "windows_s": self.windows.tolist(), "deviation": np.sqrt(self.variance).tolist(),
-            "expected": np.sqrt(self.expected).tolist(), "inside": self.inside, "worst_ratio": self.worst_ratio,
-        }  # fmt: skip
+            "windows_s": self.windows.tolist(),
+            "deviation": np.sqrt(self.variance).tolist(),
+            "expected": np.sqrt(self.expected).tolist(),
+            "inside": self.inside,
+            "worst_ratio": self.worst_ratio,
+        }
 
 
 def compared(
-    taken: npt.NDArray[np.float32], period: float, windows: int,
-    expected_variance: Callable[[npt.NDArray[np.int64]], Floats], confidence: float,
-) -> Compared:  # fmt: skip
+    taken: npt.NDArray[np.float32],
+    period: float,
+    windows: int,
+    expected_variance: Callable[[npt.NDArray[np.int64]], Floats],
+    confidence: float,
+) -> Compared:
     """Return the overlapping Allan variance by allantools, the mean over chips and axes, against a theory.
 
     Args:

@@ -129,8 +129,10 @@ def environment() -> Path:
     venv.create(folder, clear=True, with_pip=True)
     own = subprocess.run(
         [str(python), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
-        check=True, capture_output=True, text=True,
-    ).stdout.strip()  # fmt: skip
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.strip()
     # Looked in after its own: what the project has is not installed a second time.
     Path(own, "project.pth").write_text(f"{sysconfig.get_path('purelib')}\n", encoding="utf-8")
     installed = subprocess.run([str(python), "-m", "pip", "install", "-q", *PACKAGES], check=False)

@@ -29,8 +29,14 @@ CASES: dict[str, list[str]] = {
     "white": [f"{ESTIMATOR}={WHITE}"],
 }
 # Rows of a record that belong together.
-BLOCKS = {"position": (0, 1, 2), "velocity": (3, 4, 5), "tilt": (6, 7), "yaw": (8,), "gyroscope": (9, 10, 11),
-          "accelerometer": (12, 13, 14)}  # fmt: skip
+BLOCKS = {
+    "position": (0, 1, 2),
+    "velocity": (3, 4, 5),
+    "tilt": (6, 7),
+    "yaw": (8,),
+    "gyroscope": (9, 10, 11),
+    "accelerometer": (12, 13, 14),
+}
 _ANGLES = ("roll", "pitch", "yaw")
 # 95 % of errors are within this multiple of their std.
 _WITHIN = 1.96

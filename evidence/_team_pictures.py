@@ -16,8 +16,10 @@ ROWS = (
     ("missed_share", "part of the strip\nthat nobody sees", ("line",)),
 )
 TITLES = {
-    "block": "block, each on its own path", "relative": "block by relative positions", "line": "line that searches",
-}  # fmt: skip
+    "block": "block, each on its own path",
+    "relative": "block by relative positions",
+    "line": "line that searches",
+}
 
 
 def draw(points: dict[str, Any], path: Path) -> None:
@@ -56,9 +58,17 @@ def _panel(axes: Any, team: dict[str, Any], metric: str) -> None:
             values = [each["value"] for each in found]
             bars = [[each["value"] - each["low"] for each in found], [each["high"] - each["value"] for each in found]]
             axes.errorbar(
-                places, values, yerr=bars, color=COLOURS[gnss], ls=line, marker=mark, ms=4, lw=1.2, capsize=2,
+                places,
+                values,
+                yerr=bars,
+                color=COLOURS[gnss],
+                ls=line,
+                marker=mark,
+                ms=4,
+                lw=1.2,
+                capsize=2,
                 label=f"{WORDS[gnss]}, {GUSTS[turbulence]}",
-            )  # fmt: skip
+            )
             shift += 1.0
     axes.grid(alpha=0.3)
     axes.set_ylim(bottom=0.0)

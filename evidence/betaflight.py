@@ -54,14 +54,19 @@ def flight(seconds: float, seed: int, wind: float, eeprom: bytes) -> FlightLog:
             "turbulence": {"type": "dryden_field"},
         }
     content = {
-        "name": "sticks", "description": "A multirotor flown by random sticks.", "duration": seconds, "world": air,
-        "fleets": {"quads": {
-            "vehicle": {"type": "multirotor", "model": "hummingbird"},
-            "controller": {"type": "cascade", "feed": "truth"},
-            "limits": {"velocity": 100.0, "rate": 30.0},
-            "vehicles": [{"position_ned": [0.0, 0.0, -100.0]}],
-        }},
-    }  # fmt: skip
+        "name": "sticks",
+        "description": "A multirotor flown by random sticks.",
+        "duration": seconds,
+        "world": air,
+        "fleets": {
+            "quads": {
+                "vehicle": {"type": "multirotor", "model": "hummingbird"},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "limits": {"velocity": 100.0, "rate": 30.0},
+                "vehicles": [{"position_ned": [0.0, 0.0, -100.0]}],
+            }
+        },
+    }
     scenario, fleets = prepared(load_scenario(content, quiet=True), (), "hummingbird", RATE_HZ)
     simulation = Simulation(scenario.world(), seed=seed, name=scenario.name, site=scenario.site)
     simulation.reset()

@@ -58,16 +58,23 @@ def scenario(preset: str, places: Values, obstacles: list[dict[str, Any]], hour:
     """Return a scenario with a receiver that reports at once at each place (V, 3)."""
     sensor = {"type": "gnss", "preset": preset, "delay": 0}
     return {
-        "name": "town", "duration": 1.0, "start_time": f"2026-06-21T{hour:02d}:00:00Z",
+        "name": "town",
+        "duration": 1.0,
+        "start_time": f"2026-06-21T{hour:02d}:00:00Z",
         "world": {
             "area": {"type": "box", "x_min": -HALF, "x_max": HALF, "y_min": -HALF, "y_max": HALF, "z_min": -120},
-            "obstacles": obstacles, "collision_distance": 0.0,
+            "obstacles": obstacles,
+            "collision_distance": 0.0,
         },
-        "fleets": {"a": {
-            "vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}, "sensors": {"gnss": sensor},
-            "vehicles": [{"position_ned": place} for place in places.tolist()],
-        }},
-    }  # fmt: skip
+        "fleets": {
+            "a": {
+                "vehicle": {"type": "fixed_point"},
+                "controller": {"type": "none"},
+                "sensors": {"gnss": sensor},
+                "vehicles": [{"position_ned": place} for place in places.tolist()],
+            }
+        },
+    }
 
 
 def first_fixes(preset: str, places: Values, obstacles: list[dict[str, Any]], hour: int) -> dict[str, Values]:
@@ -107,7 +114,7 @@ def by_height(preset: str, count: int, times: int) -> dict[str, Any]:
             "r95_m": float(np.nanquantile(horizontal, 0.95)),
             "by_walls_r50_m": float(np.nanmedian(by_walls)),
             "by_walls_r95_m": float(np.nanquantile(by_walls, 0.95)),
-        }  # fmt: skip
+        }
     return found
 
 
@@ -180,7 +187,7 @@ def flight(duration: float, draw: bool) -> dict[str, Any]:
             "street_largest_m": float(np.nanmax(horizontal[streets_])),
             "largest_step_m": float(np.nanmax(step)),
             "fix": float(np.isfinite(horizontal).mean()),
-        }  # fmt: skip
+        }
         if above.any():
             found[name]["above_m"] = float(horizontal[above][-1])
     if draw:

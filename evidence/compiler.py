@@ -36,10 +36,14 @@ def run(full: bool) -> dict[str, Any]:
         print(line, file=sys.stderr)
     compiled = total - counts["handed over"]
     return {
-        "programs": total, "compiled": compiled, "handed_over": counts["handed over"],
-        "equal_to_the_bit": counts["equal"], "within": counts["within"], "ambiguous": counts["ambiguous"],
+        "programs": total,
+        "compiled": compiled,
+        "handed_over": counts["handed over"],
+        "equal_to_the_bit": counts["equal"],
+        "within": counts["within"],
+        "ambiguous": counts["ambiguous"],
         "different": len(wrong),
-    }  # fmt: skip
+    }
 
 
 def _all_of(total: int) -> dict[int, str]:

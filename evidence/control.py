@@ -89,10 +89,16 @@ def quantities(state: Values, velocity_ned: Values, start: Values) -> dict[str, 
     """Return what steps, (T,) each, of positions and angles (T, 6), velocities (T, 3) and a start (3,)."""
     moved = state[:, :3] - start
     return {
-        "north": moved[:, 0], "east": moved[:, 1], "height": -moved[:, 2],
-        "velocity_north": velocity_ned[:, 0], "velocity_east": velocity_ned[:, 1], "climb": -velocity_ned[:, 2],
-        "roll": state[:, 3], "pitch": state[:, 4], "yaw": state[:, 5],
-    }  # fmt: skip
+        "north": moved[:, 0],
+        "east": moved[:, 1],
+        "height": -moved[:, 2],
+        "velocity_north": velocity_ned[:, 0],
+        "velocity_east": velocity_ned[:, 1],
+        "climb": -velocity_ned[:, 2],
+        "roll": state[:, 3],
+        "pitch": state[:, 4],
+        "yaw": state[:, 5],
+    }
 
 
 def response(time: Values, values: Values, size: float) -> dict[str, float]:
@@ -164,10 +170,15 @@ def wind_world(fleets: Sequence[str], duration: float, precision: str = "float32
     }
     area = {"type": "box", "x_min": -4000.0, "x_max": 4000.0, "y_min": -4000.0, "y_max": 4000.0, "z_min": -110.0}
     return qrsim.make_world(
-        fleets={name: every[name] for name in fleets}, area=area, duration=duration, name="windy",
-        wind={"type": "log_shear", "speed_20ft": WIND, "wind_from_deg": FROM_DEG}, turbulence="dryden",
-        sky={"errors": "gauss_markov_2"}, precision=precision,
-    )  # fmt: skip
+        fleets={name: every[name] for name in fleets},
+        area=area,
+        duration=duration,
+        name="windy",
+        wind={"type": "log_shear", "speed_20ft": WIND, "wind_from_deg": FROM_DEG},
+        turbulence="dryden",
+        sky={"errors": "gauss_markov_2"},
+        precision=precision,
+    )
 
 
 def _recorded(state: State) -> dict[str, Any]:

@@ -44,8 +44,13 @@ def run(full: bool) -> dict[str, Any]:
     worlds = 400 if full else 100
     pairs = two_points(worlds, 50 if full else 20)
     levels = {str(h): spectra(h, 64 if full else 24) for h in ((5, 15, 100, 300) if full else (15,))}
-    every = [ratio for height in levels.values() for each in height.values() for bands in each.values()
-             for ratio in bands.values()]  # fmt: skip
+    every = [
+        ratio
+        for height in levels.values()
+        for each in height.values()
+        for bands in each.values()
+        for ratio in bands.values()
+    ]
     if full:
         draw_figure(worlds)
         draw_line()
@@ -203,8 +208,9 @@ def swept(worlds: int, sweep: float = 0.3) -> dict[str, Any]:
         products = (first * later)[:, :, :2].sum(axis=(1, 2))
         expected = float(np.mean(np.sum(share * np.exp(-0.5 * (k * sweep * time) ** 2), axis=1) / share.sum(axis=1)))
         found[f"after_{time:g}_s"] = {
-            "value": float(products.sum() / (first[:, :, :2] ** 2).sum()), "expected": expected,
-        }  # fmt: skip
+            "value": float(products.sum() / (first[:, :, :2] ** 2).sum()),
+            "expected": expected,
+        }
     return found
 
 

@@ -260,19 +260,19 @@ def run(full: bool) -> dict[str, Any]:
             for kind in KINDS
         }
         for name in flights
-    }  # fmt: skip
+    }
     swept: dict[str, Any] = {}
     for sweep in sweeps:
         held = formation(fly(grid("dryden_field", GIVEN, sweep), seeds, seconds), GIVEN)
         along = in_line(fly(line("dryden_field", 0.0, whole, sweep), seeds, seconds, LINE_TICKS), 0.0)
         swept[_key(sweep)] = {
-            "grid": held, "line": along, "then_closed": forgotten(sweep, along["expected_s"]) * closed(0.01)["along"],
-        }  # fmt: skip
+            "grid": held,
+            "line": along,
+            "then_closed": forgotten(sweep, along["expected_s"]) * closed(0.01)["along"],
+        }
     if full:
         from evidence import _formation_pictures as pictures
 
         pictures.draw_spacings(grids, closed)
         pictures.draw_gust()
-    return {
-        "seeds": seeds, "seconds": seconds, "left_out": LEFT_OUT_S, "grid": grids, "line": lines, "sweep": swept,
-    }  # fmt: skip
+    return {"seeds": seeds, "seconds": seconds, "left_out": LEFT_OUT_S, "grid": grids, "line": lines, "sweep": swept}

@@ -78,7 +78,7 @@ def accuracy(preset: str, starts: int, worlds: int) -> dict[str, Any]:
             name: {"horizontal_m": float(np.sqrt(np.mean(pair[:, :2] ** 2))), "vertical_m": float(pair[:, 2].std())}
             for name, pair in zip(OFFSETS, np.moveaxis(apart, 1, 0), strict=True)
         },
-    }  # fmt: skip
+    }
 
 
 def steps(preset: str, hours: float, worlds: int) -> dict[str, Any]:
@@ -166,8 +166,15 @@ def _draw_jamming(rows: list[dict[str, Any]]) -> None:
     panel: Any = figure.subplots(1, 1)
     power = [1e3 * row["power_w"] for row in rows]
     panel.fill_between(power, [row["lost_m"] for row in rows], 10.0, color="tab:red", alpha=0.25, lw=0, label="no fix")
-    panel.fill_between(power, [row["not_found_m"] for row in rows], [row["lost_m"] for row in rows],
-                       color="tab:orange", alpha=0.25, lw=0, label="a fix is kept, but not found again")  # fmt: skip
+    panel.fill_between(
+        power,
+        [row["not_found_m"] for row in rows],
+        [row["lost_m"] for row in rows],
+        color="tab:orange",
+        alpha=0.25,
+        lw=0,
+        label="a fix is kept, but not found again",
+    )
     panel.set(xscale="log", yscale="log", xlabel="power of the jammer [mW]", ylabel="distance [m]", ylim=(50.0, 5e4))
     panel.grid(alpha=0.3, which="both")
     panel.legend(fontsize=8)
@@ -224,11 +231,14 @@ def day(systems: str, draw: Any = None) -> dict[str, Any]:
     if draw is not None:
         draw(systems, (times - times[0]) / 3600.0, count, np.where(enough, 0.0, np.nan), dops, enough)
     return {
-        "satellites_mean": float(count.mean()), "satellites_least": int(count.min()),
+        "satellites_mean": float(count.mean()),
+        "satellites_least": int(count.min()),
         "satellites_most": int(count.max()),
-        "hdop_50": float(np.median(dops[:, 0])), "hdop_95": float(np.quantile(dops[:, 0], 0.95)),
-        "vdop_50": float(np.median(dops[:, 1])), "vdop_95": float(np.quantile(dops[:, 1], 0.95)),
-    }  # fmt: skip
+        "hdop_50": float(np.median(dops[:, 0])),
+        "hdop_95": float(np.quantile(dops[:, 0], 0.95)),
+        "vdop_50": float(np.median(dops[:, 1])),
+        "vdop_95": float(np.quantile(dops[:, 1], 0.95)),
+    }
 
 
 def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, runs: int) -> None:
@@ -238,8 +248,9 @@ def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, run
     panels: Any = figure.subplots(1, 3, sharey=True)
     windows = 0.4 * WINDOWS
     for i, (panel, axis) in enumerate(zip(panels, AXES, strict=True)):
-        panel.fill_between(windows, low[:, i], high[:, i], color="tab:blue", alpha=0.2, lw=0,
-                           label=f"gps_2011: 98 % of {runs} runs")  # fmt: skip
+        panel.fill_between(
+            windows, low[:, i], high[:, i], color="tab:blue", alpha=0.2, lw=0, label=f"gps_2011: 98 % of {runs} runs"
+        )
         panel.plot(windows, middle[:, i], color="tab:blue", lw=1.0, label="their median")
         panel.plot(windows, recorded[:, i], "o-", color="black", ms=3, lw=1.2, label="recorded")
         panel.set(xscale="log", yscale="log", xlabel="averaging time [s]", title=axis)

@@ -67,10 +67,15 @@ def world_of(speed: float, names: Sequence[str], duration: float, precision: str
     }
     wind = {"wind": {"type": "log_shear", "speed_20ft": speed, "wind_from_deg": FROM_DEG}, "turbulence": "dryden"}
     return qrsim.make_world(
-        fleets=fleets, area={**area, "z_min": -300.0}, duration=duration, name="hold", collision_distance=0.0,
-        sky={"errors": {"type": "ou", "std": GNSS_STD, "time_constant": 2000.0}}, precision=precision,
+        fleets=fleets,
+        area={**area, "z_min": -300.0},
+        duration=duration,
+        name="hold",
+        collision_distance=0.0,
+        sky={"errors": {"type": "ou", "std": GNSS_STD, "time_constant": 2000.0}},
+        precision=precision,
         **(wind if speed > 0.0 else {}),
-    )  # fmt: skip
+    )
 
 
 def _recorded(state: State) -> dict[str, Any]:
@@ -87,9 +92,9 @@ def from_square(offset: Values) -> Values:
     """Return the horizontal distance (...) [m] of places (..., 2) from the sides of the square that begins at 0, 0."""
     north, east = offset[..., 0], offset[..., 1]
     along_n, along_e = (np.clip(axis, 0.0, SIDE) for axis in (north, east))
-    sides = [
-        np.hypot(north - n, east - along_e) for n in (0.0, SIDE)
-    ] + [np.hypot(north - along_n, east - e) for e in (0.0, SIDE)]  # fmt: skip
+    sides = [np.hypot(north - n, east - along_e) for n in (0.0, SIDE)] + [
+        np.hypot(north - along_n, east - e) for e in (0.0, SIDE)
+    ]
     return np.min(sides, axis=0)
 
 
@@ -147,9 +152,13 @@ def patrol(seeds: int, duration: float) -> dict[str, Any]:
     )
     reached = np.asarray(flown.recorded)[:, -1]
     return {
-        "seeds": seeds, "seconds": duration, "speed_20ft": PATROL_WIND, "stopped": int((flown["reason"] != 0).sum()),
-        "waypoints_least": int(reached.min()), "waypoints_mean": float(reached.mean()),
-    }  # fmt: skip
+        "seeds": seeds,
+        "seconds": duration,
+        "speed_20ft": PATROL_WIND,
+        "stopped": int((flown["reason"] != 0).sum()),
+        "waypoints_least": int(reached.min()),
+        "waypoints_mean": float(reached.mean()),
+    }
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -199,13 +199,17 @@ def _coverage(
         band = scipy.stats.binom.interval(0.95, len(found), 0.95)
         error = float(np.std(relative, ddof=1)) / math.sqrt(len(found)) if len(found) > 1 else 0.0
         constants[name] = {
-            "identified": len(found), "covered": inside, "coverage_percent": 100.0 * inside / len(found),
-            "band_low": int(band[0]), "band_high": int(band[1]),
+            "identified": len(found),
+            "covered": inside,
+            "coverage_percent": 100.0 * inside / len(found),
+            "band_low": int(band[0]),
+            "band_high": int(band[1]),
             "effective": sum(name in effective[i] for i, _ in found),
-            "bias_percent": 100.0 * float(np.mean(relative)), "bias_error_percent": 100.0 * error,
+            "bias_percent": 100.0 * float(np.mean(relative)),
+            "bias_error_percent": 100.0 * error,
             "rms_error_percent": 100.0 * float(np.sqrt(np.mean(relative**2))),
             "half_width_percent": 100.0 * float(np.median(np.diff(spans, axis=1)[:, 0] / 2.0 / np.abs(truth))),
-        }  # fmt: skip
+        }
         total, inside_total = total + len(found), inside_total + inside
         in_band += bool(band[0] <= inside)
     late = np.array([r.nuisances[0]["delay"] for r in results]) - DT * delays

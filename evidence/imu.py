@@ -48,9 +48,10 @@ def readings(sensor: Imu, count: int, chips: int, seed: int = SEED) -> dict[str,
     """Return readings (count, chips, 3) of gyroscopes [rad/s] and accelerometers [m/s^2] at rest in hover."""
     zero = jnp.zeros(chips, jnp.float32)
     inputs = {
-        "rates_body": Vec3(zero, zero, zero), "specific_force": Vec3(zero, zero, zero - GRAVITY),
+        "rates_body": Vec3(zero, zero, zero),
+        "specific_force": Vec3(zero, zero, zero - GRAVITY),
         "load": Load(zero + 1.0, zero + 1.0),
-    }  # fmt: skip
+    }
     found = readings_at_rest(sensor, "imu", inputs, ("rates_body", "specific_force"), count, seed)
     return dict(zip(KINDS, found, strict=True))
 
@@ -131,13 +132,14 @@ def spectrum_of_the_recording() -> dict[str, Any]:
     names = [f"{low:g}_hz".replace(".", "_") for low, _ in BANDS]
     axes = {
         axis: {
-            "recorded": float(whole[i]), "simulated": float(mine[i]),
+            "recorded": float(whole[i]),
+            "simulated": float(mine[i]),
             # White noise up to 25 Hz has 15/25 of its variance there.
             "level": float(whole[i] * math.sqrt(25.0 / 15.0)),
             "bands": {name: float(own[b, i] / there[b, i]) for b, name in enumerate(names)},
         }
         for i, axis in enumerate("xyz")
-    }  # fmt: skip
+    }
     return {**axes, "worst_band_ratio": float(np.exp(np.max(np.abs(np.log(own / there)))))}
 
 
@@ -182,7 +184,10 @@ def run(full: bool) -> dict[str, Any]:
             for long in ("windows_s", "deviation", "expected"):
                 del row[long]
     return {
-        "confidence": CONFIDENCE, "hours": hours, "chips": chips, "period_s": period,
+        "confidence": CONFIDENCE,
+        "hours": hours,
+        "chips": chips,
+        "period_s": period,
         "at_rest": rest,
         "recording": spectrum_of_the_recording(),
-    }  # fmt: skip
+    }

@@ -51,9 +51,10 @@ def compared(sensor: Magnetometer, count: int, chips: int, confidence: float, se
     """Return how readings of chips at rest compare with the theory."""
     zero = jnp.zeros(chips, jnp.float32)
     inputs = {
-        "position_ned": Vec3(zero, zero, zero), "attitude": Euler(zero, zero, zero),
+        "position_ned": Vec3(zero, zero, zero),
+        "attitude": Euler(zero, zero, zero),
         "load": Load(zero + 1.0, zero + 1.0),
-    }  # fmt: skip
+    }
     (taken,) = readings_at_rest(sensor, "compass", inputs, ("field_body",), count, seed)
     found = against_theory(taken, sensor.period, 12, lambda lengths: expected_variance(sensor, lengths), confidence)
     short = found.windows <= 10.0 * found.windows[0]
@@ -72,8 +73,9 @@ def at_rest(name: str, hours: float, chips: int) -> dict[str, Any]:
 
 def heading(name: str, flights: int, seconds: float) -> dict[str, float]:
     """Return errors of headings by a preset on the default patrol, with the true tilt, over vehicles and flights."""
-    scenario = qrsim.load_scenario("patrol_plain", [
-        f"fleets.pelicans.sensors.compass={{type: magnetometer, preset: {name}}}"])  # fmt: skip
+    scenario = qrsim.load_scenario(
+        "patrol_plain", [f"fleets.pelicans.sensors.compass={{type: magnetometer, preset: {name}}}"]
+    )
     turn = declination(scenario.earth_field_ned)
     simulation = qrsim.Simulation(scenario.world())
     errors = []
@@ -116,7 +118,9 @@ def run(full: bool) -> dict[str, Any]:
         for long in ("windows_s", "deviation", "expected"):
             del row[long]
     return {
-        "confidence": CONFIDENCE, "hours": hours, "flights": flights,
+        "confidence": CONFIDENCE,
+        "hours": hours,
+        "flights": flights,
         "at_rest": rest,
         "heading": {name: heading(name, flights, seconds) for name in names},
-    }  # fmt: skip
+    }

@@ -20,8 +20,13 @@ SEED = 20261126
 WINDS = (0.0, 3.0, 6.0, 9.0)
 SEEDS = 3
 OWN: dict[str, Any] = {
-    "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
-}  # fmt: skip
+    "mass": 1.2,
+    "arm": 0.225,
+    "rotors": 4,
+    "hover_throttle": 0.5,
+    "thrust_to_weight": 2.2,
+    "attitude_bandwidth": 8.0,
+}
 VEHICLES: dict[str, dict[str, Any]] = {
     "pelican": {"vehicle": "pelican", "ground": "parked"},
     "x500": {"vehicle": {"type": "multirotor", "model": "x500"}},
@@ -81,10 +86,14 @@ def scenario(kind: str, controller: str, sensors: str, route: str, wind: float) 
         warnings.simplefilter("always")
         made = qrsim.make_scenario(
             [vehicle_of(kind, controller, route)],
-            name=f"{kind}_{route}", duration=ROUTES[route], sensors=chosen,
+            name=f"{kind}_{route}",
+            duration=ROUTES[route],
+            sensors=chosen,
             area={"type": "box", "x_min": -2000.0, "x_max": 2000.0, "y_min": -2000.0, "y_max": 2000.0},
-            wind={"type": "log_shear", "speed_20ft": wind, "wind_from_deg": 225.0}, turbulence="dryden_field", **fleet,
-        )  # fmt: skip
+            wind={"type": "log_shear", "speed_20ft": wind, "wind_from_deg": 225.0},
+            turbulence="dryden_field",
+            **fleet,
+        )
     return made, not any("world.wind" in str(each.message) for each in told)
 
 
@@ -108,11 +117,20 @@ def flights(kind: str, controller: str, sensors: str, route: str, winds: tuple[f
         own = slice(seeds * i, seeds * (i + 1))
         error = float(np.nanmean(flown["tracking_error_rms_m"][own, 0]))
         why = sorted({reason for world in range(own.start, own.stop) for reason in flown.reasons(world) if reason})
-        rows.append({
-            "vehicle": kind, "controller": controller, "sensors": sensors, "route": route, "wind_m_s": winds[i],
-            "possible": possible, "completed": int(done[own].sum()), "flights": seeds,
-            "tracking_error_m": error, "stopped": why[:2],
-        })  # fmt: skip
+        rows.append(
+            {
+                "vehicle": kind,
+                "controller": controller,
+                "sensors": sensors,
+                "route": route,
+                "wind_m_s": winds[i],
+                "possible": possible,
+                "completed": int(done[own].sum()),
+                "flights": seeds,
+                "tracking_error_m": error,
+                "stopped": why[:2],
+            }
+        )
     return rows
 
 

@@ -83,7 +83,7 @@ def world(
         duration=duration,
         name="mission",
         **fleet,
-    )  # fmt: skip
+    )
 
 
 def recorded(state: State) -> dict[str, Any]:

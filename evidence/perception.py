@@ -37,13 +37,18 @@ def scans(places: list[list[float]], sensor: dict[str, Any]) -> Values:
 
     town = load_scenario("street_canyon").spec.model_dump(mode="json")["world"]
     content = {
-        "name": "scans", "duration": 1.0,
+        "name": "scans",
+        "duration": 1.0,
         "world": {"area": town["area"], "obstacles": town["obstacles"], "collision_distance": 0.0},
-        "fleets": {"a": {
-            "vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}, "sensors": {"scan": sensor},
-            "vehicles": [{"position_ned": place} for place in places],
-        }},
-    }  # fmt: skip
+        "fleets": {
+            "a": {
+                "vehicle": {"type": "fixed_point"},
+                "controller": {"type": "none"},
+                "sensors": {"scan": sensor},
+                "vehicles": [{"position_ned": place} for place in places],
+            }
+        },
+    }
     return np.asarray(qrsim.load(content, seed=SEED).reset().scan.range)
 
 

@@ -38,8 +38,13 @@ DATA: dict[str, tuple[float, float, float, float, float, int, str, float]] = {
 EXPONENT, WIDTH = 2.2, 0.5
 # Heights above the ground [m] of the two that packets are counted between, and of ends of which the reach is computed.
 HEIGHT = 30.0
-ENDS = {"ground_ground": (1.5, 1.5), "ground_30m": (1.5, 30.0), "10m_10m": (10.0, 10.0), "30m_30m": (30.0, 30.0),
-        "100m_100m": (100.0, 100.0)}  # fmt: skip
+ENDS = {
+    "ground_ground": (1.5, 1.5),
+    "ground_30m": (1.5, 30.0),
+    "10m_10m": (10.0, 10.0),
+    "30m_30m": (30.0, 30.0),
+    "100m_100m": (100.0, 100.0),
+}
 # Man-made noise of a residential land above thermal noise: 72.5 - 27.7 lg f [MHz] (P.372).
 RESIDENTIAL = (72.5, 27.7)
 # Chances of loss at whose distances packets are counted.
@@ -144,9 +149,11 @@ def delivery(preset: str, packets: int) -> dict[str, Any]:
     reach = {name: np.interp(0.1, lost_at(preset, received(preset, many, ends)), many) for name, ends in ENDS.items()}
     free = np.interp(0.1, lost_at(preset, received(preset, many, None)), many)
     return {
-        **found, "dbm_10": received(preset, float(where[1])), "reach_without_ground": float(free),
+        **found,
+        "dbm_10": received(preset, float(where[1])),
+        "reach_without_ground": float(free),
         "reach": {name: float(value) for name, value in reach.items()},
-    }  # fmt: skip
+    }
 
 
 def over_land(land: str, packets: int) -> dict[str, Any]:
@@ -185,12 +192,15 @@ def aloha(load: float, periods: int) -> dict[str, float]:
     air = load * PERIOD / (SENDERS - 1)
     radio = cast(
         Network(
-            rate_kbps=8.0 * 60 / air / 1000.0, mac=Mac(type="aloha", period=PERIOD), beacon=False,
-            inbox=InboxSize(size=1, candidates=SENDERS), path_loss=PathLoss(shadowing_db=0.0, waves=1),
+            rate_kbps=8.0 * 60 / air / 1000.0,
+            mac=Mac(type="aloha", period=PERIOD),
+            beacon=False,
+            inbox=InboxSize(size=1, candidates=SENDERS),
+            path_loss=PathLoss(shadowing_db=0.0, waves=1),
             packet=Packet(model="probability", range=1e6, capture_db=300.0),
         ),
         np.float32,
-    )  # fmt: skip
+    )
     n = SENDERS + 1
     said = Outbox(jnp.zeros((6, n)), jnp.arange(n) < SENDERS, jnp.full(n, SENDERS, jnp.int32))
     counts = jax.jit(lambda north: exchanged(radio, north, said, periods))(jnp.arange(n, dtype=jnp.float32))

@@ -48,9 +48,14 @@ def judged(values: Any, size: int) -> dict[str, Any]:
     mean = float(values.mean())
     inside = share(values <= scipy.stats.chi2.ppf(CONFIDENCE, size))
     return {
-        "seeds": len(values), "nees": mean, "median": float(np.median(values)), "band_low": low, "band_high": high,
-        "inside": float(low <= mean <= high), "coverage": inside,
-    }  # fmt: skip
+        "seeds": len(values),
+        "nees": mean,
+        "median": float(np.median(values)),
+        "band_low": low,
+        "band_high": high,
+        "inside": float(low <= mean <= high),
+        "coverage": inside,
+    }
 
 
 def of_solution(found: Slam) -> tuple[Any, float | None]:

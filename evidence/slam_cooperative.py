@@ -109,9 +109,14 @@ def solve(
     """Solve the first of the vehicles of a seed together."""
     rangings, between = team.rangings_of(flights, seed), team.between_of(flights, seed)
     return estimate_together(
-        flights[:vehicles], rangings[:vehicles], part_of(between, vehicles), states=states,
-        bias_time_constant=case.time_constant, common_share=share, own_time_constant=own,
-    )  # fmt: skip
+        flights[:vehicles],
+        rangings[:vehicles],
+        part_of(between, vehicles),
+        states=states,
+        bias_time_constant=case.time_constant,
+        common_share=share,
+        own_time_constant=own,
+    )
 
 
 def of_case(flown: list[list[Flight]], seeds: range, size: Size, case: Case) -> dict[str, Any]:

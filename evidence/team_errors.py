@@ -95,7 +95,7 @@ def effects(data: Any) -> dict[str, Any]:
                 "per_vehicle": here.sel(turbulence="field", gnss="per_vehicle"),
                 "common_only": here.sel(turbulence="field", gnss="common_only"),
                 "both": here.sel(turbulence="own", gnss="per_vehicle"),
-            }  # fmt: skip
+            }
             found.setdefault(str(team), {})[_key(float(spacing))] = {
                 name: {
                     "error_ratio": of("relative_error_rms_m", other, truth),

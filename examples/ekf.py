@@ -81,8 +81,17 @@ def look(state):
     fleet = state.fleets[0]
     (gnss, barometer, imu, compass), true, own = fleet.readings, fleet.vehicle, fleet.belief.estimate
     angles = [jnp.stack([a.yaw[0], a.pitch[0], a.roll[0]]) for a in (true.attitude, own.attitude)]
-    vectors = (gnss.position_ned, gnss.velocity_ned, imu.rates_body, imu.specific_force, compass.field_body,
-               true.position_ned, true.velocity_body, own.position_ned, own.velocity_ned)  # fmt: skip
+    vectors = (
+        gnss.position_ned,
+        gnss.velocity_ned,
+        imu.rates_body,
+        imu.specific_force,
+        compass.field_body,
+        true.position_ned,
+        true.velocity_body,
+        own.position_ned,
+        own.velocity_ned,
+    )
     said = matrix(fleet.belief.memory.covariance)[:9, :9, 0]
     return [jnp.stack(vector.axes, axis=-1)[0] for vector in vectors], angles, barometer.height[0], said
 

@@ -105,9 +105,18 @@ class Vehicle:
                 return
             command, frame, *params, latitude, longitude, height = items[asked.seq]
             self.link.mav.mission_item_int_send(
-                *self.ids, asked.seq, int(frame), int(command), 0, 1, *params, round(latitude * 1e7),
-                round(longitude * 1e7), height, M.MAV_MISSION_TYPE_MISSION,
-            )  # fmt: skip
+                *self.ids,
+                asked.seq,
+                int(frame),
+                int(command),
+                0,
+                1,
+                *params,
+                round(latitude * 1e7),
+                round(longitude * 1e7),
+                height,
+                M.MAV_MISSION_TYPE_MISSION,
+            )
 
     def setpoint(
         self, mask: int, position: tuple[float, ...] = (0, 0, 0), velocity: tuple[float, ...] = (0, 0, 0)

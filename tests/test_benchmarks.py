@@ -257,8 +257,11 @@ def test_bound_notices_a_kernel_that_computes_something_else(common, tmp_path, m
 def test_bound_without_a_compiler_says_how_to_get_one():
     done = subprocess.run(
         [sys.executable, str(FOLDER / "bound.py"), "--quick"],
-        capture_output=True, text=True, check=False, env=os.environ | {"PATH": ""},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PATH": ""},
+    )
     assert done.returncode == 1
     assert done.stderr == "bound: the C++ compiler g++ is not installed: sudo apt-get install g++\n"
 
@@ -374,10 +377,12 @@ def test_the_scaled_scenario_is_the_default_one_with_more_vehicles(count, common
 def test_view():
     results = rows("view")
     updates = [row for row in results if row["cpu_ms"] is not None]
-    assert [(row["vehicles"], row["clients"]) for row in updates] == [
-        (2, 0), (2, 0), (2, 2), (2, 2), (2, 1),
-    ]  # fmt: skip
+    assert [(row["vehicles"], row["clients"]) for row in updates] == [(2, 0), (2, 0), (2, 2), (2, 2), (2, 1)]
     assert all((row["client_bytes_per_second"] or 0) > 0 for row in updates if row["clients"])
     assert [(row["what"], row["clients"]) for row in results[5:]] == [
-        ("run, times real time", 0), ("run with page", 1), ("run with page", 2), ("its frames", 1), ("its frames", 2),
-    ]  # fmt: skip
+        ("run, times real time", 0),
+        ("run with page", 1),
+        ("run with page", 2),
+        ("its frames", 1),
+        ("its frames", 2),
+    ]

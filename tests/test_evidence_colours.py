@@ -78,10 +78,14 @@ def test_vehicles_and_what_has_stopped_are_told_apart() -> None:
 
 def test_red_is_what_has_stopped_and_nothing_else() -> None:
     """Of hue 20 to 60 degrees in L*a*b*, strong: no vehicle, no wind, no ratio."""
-    rest = np.concatenate([
-        colours.VEHICLES, colours.WIND, colours.RATIO,
-        np.array([colours.MISSING, colours.FOUND, colours.GUST, colours.PLUME, colours.GREY]),
-    ])  # fmt: skip
+    rest = np.concatenate(
+        [
+            colours.VEHICLES,
+            colours.WIND,
+            colours.RATIO,
+            np.array([colours.MISSING, colours.FOUND, colours.GUST, colours.PLUME, colours.GREY]),
+        ]
+    )
     _, a, b = seen(np.array(colours.STOPPED), "normal")
     assert 20.0 < np.degrees(np.arctan2(b, a)) < 60.0
     assert np.hypot(a, b) > 75.0

@@ -23,14 +23,19 @@ def dataset() -> Any:
     names = ("team", "turbulence", "gnss", "spacing", "seed")
     return xr.Dataset(
         {
-            "separation_min_m": (names, near), "relative_error_rms_m": (names, error),
-            "relative_estimate_rms_m": (names, error), "missed_share": (names, np.full(shape, np.nan)),
+            "separation_min_m": (names, near),
+            "relative_error_rms_m": (names, error),
+            "relative_estimate_rms_m": (names, error),
+            "missed_share": (names, np.full(shape, np.nan)),
         },
         coords={
-            "team": ["block"], "turbulence": ["own", "field"], "gnss": ["per_vehicle", "common_only", "budget"],
-            "spacing": [3.0, 5.0], "seed": np.arange(8),
+            "team": ["block"],
+            "turbulence": ["own", "field"],
+            "gnss": ["per_vehicle", "common_only", "budget"],
+            "spacing": [3.0, 5.0],
+            "seed": np.arange(8),
         },
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.long
@@ -40,8 +45,10 @@ def test_shares_and_effects_are_seed_by_seed(tmp_path: Path) -> None:
     one = points["block"]["own"]["per_vehicle"]["3"]
     # Clopper and Pearson (1934) of 6 of 8.
     assert one["collided"] == {
-        "value": 0.75, "low": pytest.approx(0.3491, abs=1e-4), "high": pytest.approx(0.9681, abs=1e-4),
-    }  # fmt: skip
+        "value": 0.75,
+        "low": pytest.approx(0.3491, abs=1e-4),
+        "high": pytest.approx(0.9681, abs=1e-4),
+    }
     assert "missed_share" not in one
     assert points["block"]["field"]["budget"]["5"]["separation_min_m"]["value"] == 4.0
     found = study.effects(dataset())["block"]

@@ -44,12 +44,14 @@ def test_it_takes_its_readings_from_their_noise():
         if k % 5 == 0:  # a field with a noise that turns the heading by its std
             wrong = example.Rotation.from_rotvec(noise(example.HEADING) * [0.0, 0.0, 1.0]).as_matrix()
             held["field"] = wrong @ earth
-        own.step({
-            **held,
-            "rates": noise(example.GYROSCOPE / 0.02**0.5) + biases[0],
-            "force": noise(example.ACCELEROMETER / 0.02**0.5) + biases[1] - example.GRAVITY,
-            "height": noise(example.HEIGHT)[:, 0],
-        })  # fmt: skip
+        own.step(
+            {
+                **held,
+                "rates": noise(example.GYROSCOPE / 0.02**0.5) + biases[0],
+                "force": noise(example.ACCELEROMETER / 0.02**0.5) + biases[1] - example.GRAVITY,
+                "height": noise(example.HEIGHT)[:, 0],
+            }
+        )
     angle = example.Rotation.from_matrix(level @ own.R.swapaxes(1, 2)).as_rotvec()
     wrong_by = np.concatenate([-own.p, -own.v, angle, biases[0] - own.biases[0], biases[1] - own.biases[1]], axis=1)
     nees = np.einsum("si,sij,sj->s", wrong_by, np.linalg.inv(own.P), wrong_by)

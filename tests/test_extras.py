@@ -74,9 +74,15 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
     for name in ("run", "plot", "csv", "check"):
         assert said[name][0] == 0, said[name][1]
     extras = {
-        "mcap": "export", "serve": "serve", "view": "view", "run view": "view", "sweep": "sweep", "ros2": "ros2",
-        "bag": "ros2", "dataset": "datasets",
-    }  # fmt: skip
+        "mcap": "export",
+        "serve": "serve",
+        "view": "view",
+        "run view": "view",
+        "sweep": "sweep",
+        "ros2": "ros2",
+        "bag": "ros2",
+        "dataset": "datasets",
+    }
     for name, extra in extras.items():
         code, text = said[name]
         assert code == 2, (name, text)

@@ -35,9 +35,7 @@ def test_type_checkers_completion_and_the_package_have_the_same_names() -> None:
     """What is imported for type checkers comes from where it is found when it is used."""
     tree = ast.parse(Path(qrsim.__file__).read_text(encoding="utf-8"))
     (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-    named = {
-        alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
-    }  # fmt: skip
+    named = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert named == qrsim._LAZY
     assert set(named) == set(qrsim.__all__) - {"load", "__version__"}
 

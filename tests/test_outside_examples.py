@@ -77,9 +77,14 @@ class TestLaser:
         file = folder / "laser.py"
         assert needed["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
         assert needed | {"sha256": "", "class": "", "from": ""} == {
-            "path": "fleets.pelicans.sensors.laser", "kind": "sensor", "type": f"{file}:Laser", "file": str(file),
-            "sha256": "", "class": "", "from": "",
-        }  # fmt: skip
+            "path": "fleets.pelicans.sensors.laser",
+            "kind": "sensor",
+            "type": f"{file}:Laser",
+            "file": str(file),
+            "sha256": "",
+            "class": "",
+            "from": "",
+        }
         file.unlink()
         found = qrsim.open_run(run)
         assert found.info.components[0]["kind"] == "sensor"
@@ -159,9 +164,10 @@ class TestPointMass:
         """Without throttle and drag: 9.81 m/s^2, for half a second."""
         for precision in ("float32", "float64"):
             simulation = qrsim.load(
-                EXAMPLES / "point_mass.yaml", precision=precision,
+                EXAMPLES / "point_mass.yaml",
+                precision=precision,
                 overrides=["fleets.pelicans.vehicle.drag=0", "world.wind=calm", "world.turbulence=still"],
-            )  # fmt: skip
+            )
             simulation.reset()
             simulation.step([[0.0, 0.0, 0.0, 0.0, 12.0]] * 5, ticks=25)
             np.testing.assert_allclose(simulation.truth.velocity_ned[:, 2], 9.81 * 0.5, rtol=1e-5)
@@ -222,9 +228,13 @@ def test_a_turbulence_is_stationary_and_decays():
 def test_an_estimator_and_a_metric_by_their_files():
     """A hover: nobody leaves the band by more than a metre, and the place that is believed is the true one."""
     flown = qrsim.rollout(
-        "hover_ideal", ticks=100, worlds=2, estimator=f"{EXAMPLES / 'smooth.py'}:SmoothVelocity",
-        metrics=f"{EXAMPLES / 'band.py'}:HeightBand", overrides=["fleets.pelicans.vehicles.0.position_ned.2=-21.5"],
-    )  # fmt: skip
+        "hover_ideal",
+        ticks=100,
+        worlds=2,
+        estimator=f"{EXAMPLES / 'smooth.py'}:SmoothVelocity",
+        metrics=f"{EXAMPLES / 'band.py'}:HeightBand",
+        overrides=["fleets.pelicans.vehicles.0.position_ned.2=-21.5"],
+    )
     np.testing.assert_allclose(flown["outside_band_s"], 2.0, atol=0.03)
     np.testing.assert_allclose(flown["from_middle_max_m"], 1.5, atol=0.1)
 

@@ -161,10 +161,15 @@ LONG = "x" * 5000
 @pytest.mark.parametrize(
     "command",
     [
-        ["plot", LONG], ["compare", LONG, LONG], ["run", "hover_ideal", "--out", LONG], ["sweep-report", LONG],
-        ["run", "hover_ideal", "--policy", f"{LONG}.py:f"], ["show", f"{LONG}.yaml"], ["sweep-report", "."],
+        ["plot", LONG],
+        ["compare", LONG, LONG],
+        ["run", "hover_ideal", "--out", LONG],
+        ["sweep-report", LONG],
+        ["run", "hover_ideal", "--policy", f"{LONG}.py:f"],
+        ["show", f"{LONG}.yaml"],
+        ["sweep-report", "."],
     ],
-)  # fmt: skip
+)
 def test_names_that_no_file_can_have(command: list[str], capsys: Any) -> None:
     assert main(command) == 2
     said = capsys.readouterr().err

@@ -73,16 +73,19 @@ ITEMS = _facts("""
     42600:DO_WINCH:pa
 """)
 # Messages of clients that one of both does not take, and what is special here, of those of vehicles too.
-HEARD_BY_ONE = {
-    "MISSION_WRITE_PARTIAL_LIST": "ardupilot", "REQUEST_DATA_STREAM": "ardupilot",
-}  # fmt: skip
+HEARD_BY_ONE = {"MISSION_WRITE_PARTIAL_LIST": "ardupilot", "REQUEST_DATA_STREAM": "ardupilot"}
 HEARD_BY_NONE = {"MISSION_REQUEST_PARTIAL_LIST", "SET_ACTUATOR_CONTROL_TARGET"}
 SPECIAL = {
-    "FOLLOW_TARGET": "PX4's flavour", "REQUEST_DATA_STREAM": "ArduPilot's flavour", "CURRENT_MODE": "PX4's flavour",
-    "EKF_STATUS_REPORT": "ArduPilot's flavour", "LOG_REQUEST_LIST": "an empty list",
-    "FILE_TRANSFER_PROTOCOL": "refused", "MISSION_REQUEST_PARTIAL_LIST": "refused",
-    "MISSION_WRITE_PARTIAL_LIST": "refused", "SET_ACTUATOR_CONTROL_TARGET": "refused by a STATUSTEXT",
-}  # fmt: skip
+    "FOLLOW_TARGET": "PX4's flavour",
+    "REQUEST_DATA_STREAM": "ArduPilot's flavour",
+    "CURRENT_MODE": "PX4's flavour",
+    "EKF_STATUS_REPORT": "ArduPilot's flavour",
+    "LOG_REQUEST_LIST": "an empty list",
+    "FILE_TRANSFER_PROTOCOL": "refused",
+    "MISSION_REQUEST_PARTIAL_LIST": "refused",
+    "MISSION_WRITE_PARTIAL_LIST": "refused",
+    "SET_ACTUATOR_CONTROL_TARGET": "refused by a STATUSTEXT",
+}
 # Messages of vehicles that one of both does not send; HIL_STATE_QUATERNION is that of PX4's own simulation.
 SENT_BY_PX4 = {
     "ALTITUDE", "CURRENT_MODE", "ESTIMATOR_STATUS", "HIGHRES_IMU", "HIL_STATE_QUATERNION", "OBSTACLE_DISTANCE",

@@ -198,7 +198,7 @@ def _plain_warnings() -> None:
     """Show a warning as one line, not with the place in the code that gave it."""
     import warnings
 
-    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+    def show(message: Warning | str, *_: object, **__: object) -> None:
         print(f"warning: {_visible_lines(str(message))}", file=sys.stderr)
 
     warnings.showwarning = show

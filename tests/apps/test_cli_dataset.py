@@ -89,7 +89,7 @@ def test_what_is_handed_in_is_in_the_last_reward(capsys: pytest.CaptureFixture[s
         ("keep_spot", "../dive-v0", "--dataset ../dive-v0: expected an ID of Minari"),
         ("keep_spot", "there-v0", "there-v0 exists already; take another name or version"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_kept_is_refused(
     task: str, dataset: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,8 +41,12 @@ def test_list_of_components(capsys):
     assert any(line.split()[:2] == ["sensor", "barometer"] and "built in" in line for line in lines)
     rows = json.loads(printed(["list", "--components", "--json"], capsys))
     assert len(rows) == len(lines)
-    assert {"kind": "task", "name": "search", "class": "qrsim.tasks.search:Search",
-            "from": "built in: qrsim.tasks.search"} in rows  # fmt: skip
+    assert {
+        "kind": "task",
+        "name": "search",
+        "class": "qrsim.tasks.search:Search",
+        "from": "built in: qrsim.tasks.search",
+    } in rows
 
 
 def test_list_as_json(capsys):

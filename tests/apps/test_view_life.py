@@ -97,10 +97,17 @@ def camera() -> bytes:
     import msgspec
 
     found = {
-        "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.0, 1.0, 1.0), "fov": 1.0,
-        "image_height": 100, "image_width": 100, "near": 0.1, "far": 100.0, "look_at": (0.0, 0.0, 0.0),
+        "type": "ViewerCameraMessage",
+        "wxyz": (1.0, 0.0, 0.0, 0.0),
+        "position": (1.0, 1.0, 1.0),
+        "fov": 1.0,
+        "image_height": 100,
+        "image_width": 100,
+        "near": 0.1,
+        "far": 100.0,
+        "look_at": (0.0, 0.0, 0.0),
         "up_direction": (0.0, 0.0, -1.0),
-    }  # fmt: skip
+    }
     return msgspec.msgpack.encode(found)
 
 

@@ -120,9 +120,13 @@ def test_keys_go_through_a_replay(replay: Replay, browser: Browser):
         eventually(lambda: f"t = {0.1 * tenth * DURATION:.2f} s (paused)" in text(browser))  # noqa: B023
     # Five seconds back and forth, and at most to the ends; with Shift a minute.
     for key, shift, time_s in (
-        ("ArrowLeft", False, 4.0), ("ArrowRight", False, 9.0), ("ArrowRight", False, 10.0), ("ArrowLeft", True, 0.0),
-        ("ArrowRight", True, 10.0), ("5", False, 5.0),
-    ):  # fmt: skip
+        ("ArrowLeft", False, 4.0),
+        ("ArrowRight", False, 9.0),
+        ("ArrowRight", False, 10.0),
+        ("ArrowLeft", True, 0.0),
+        ("ArrowRight", True, 10.0),
+        ("5", False, 5.0),
+    ):
         press(browser, key, shift)
         eventually(lambda: replay.time == pytest.approx(time_s))  # noqa: B023
         eventually(lambda: f"t = {time_s:.2f} s (paused)" in text(browser))  # noqa: B023

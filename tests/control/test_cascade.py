@@ -109,7 +109,7 @@ class TestWaypoint:
             ((0, 0, -50), (0, 0, 0), 0.0, (0.0, 0.0, 19.6)),
             # Height first: the rest of 20 m/s^2 is left to lean.
             ((50, 0, -50), (0, 0, 0), 0.0, (math.sqrt(400.0 - 19.6**2), 0.0, 19.6)),
-        ]  # fmt: skip
+        ]
         offset, moves, yaw, thrust = (np.array([case[i] for case in cases], float) for i in range(4))
         turned = np.stack([0 * yaw, 0 * yaw, yaw], axis=1)
         _, found = commands(WaypointSetpoint.of(offset, yaw), moves=moves, turned=turned)
@@ -254,11 +254,14 @@ def test_a_vehicle_that_does_not_answer_is_refused() -> None:
 @pytest.mark.parametrize(
     ("feed", "words"),
     [
-        ("filter", "fed with a filter of measurements, but no sensor gives specific_force; add one of type "
-                   "accelerometer, or set fleets.vehicles.controller.feed to measurements or truth"),
+        (
+            "filter",
+            "fed with a filter of measurements, but no sensor gives specific_force; add one of type "
+            "accelerometer, or set fleets.vehicles.controller.feed to measurements or truth",
+        ),
         ("measurements", ""),
     ],
-)  # fmt: skip
+)
 def test_the_filter_needs_an_accelerometer(feed: str, words: str) -> None:
     sensors = {name: {"type": f"ideal_{name}"} for name in ("gnss", "barometer", "attitude")}
     parts: dict[str, Any] = {"controller": {"type": "cascade", "feed": feed}, "sensors": sensors}

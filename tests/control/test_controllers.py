@@ -155,9 +155,13 @@ class TestVelocity:
 
     def test_own_gains(self):
         controller = VelocityController(
-            velocity=VelocityLoop(kp=0.1, ki=0.0, kd=0.0, speed_limit=1.0), climb=ClimbLoop(hover_throttle=0.5, kp=0.4),
-            tilt_limit=0.05, yaw_gain=2.0, yaw_rate_limit=0.5, battery=11.0,
-        )  # type: ignore[arg-type]  # fmt: skip
+            velocity=VelocityLoop(kp=0.1, ki=0.0, kd=0.0, speed_limit=1.0),
+            climb=ClimbLoop(hover_throttle=0.5, kp=0.4),
+            tilt_limit=0.05,
+            yaw_gain=2.0,
+            yaw_rate_limit=0.5,
+            battery=11.0,
+        )  # type: ignore[arg-type]
         found, _ = commands(controller, [{}], velocity([9.0, 0.3, -0.5], yaw=3.0))
         close(
             [found[name][0] for name in ("pitch", "roll", "throttle", "yaw_rate", "battery")],
@@ -252,11 +256,18 @@ WANDERING = [
 def own_gains(controller: Any) -> Any:
     """The same gains, none of them the default, in a controller of one kind and in the one of all kinds."""
     gains = {
-        "position_gain": 0.8, "speed_limit": 4.0, "velocity_gain": 0.1, "tilt_limit": 0.3, "yaw_gain": 5.0,
-        "yaw_rate_limit": 1.0, "battery": 11.5, "velocity": VelocityLoop(kp=0.2, windup="published"),
-        "climb": ClimbLoop(kp=0.3, hover_throttle=0.55), "height": HeightLoop(kp=0.02, hover_throttle=0.55),
+        "position_gain": 0.8,
+        "speed_limit": 4.0,
+        "velocity_gain": 0.1,
+        "tilt_limit": 0.3,
+        "yaw_gain": 5.0,
+        "yaw_rate_limit": 1.0,
+        "battery": 11.5,
+        "velocity": VelocityLoop(kp=0.2, windup="published"),
+        "climb": ClimbLoop(kp=0.3, hover_throttle=0.55),
+        "height": HeightLoop(kp=0.02, hover_throttle=0.55),
         "hover_throttle": 0.55,
-    }  # type: ignore[arg-type]  # fmt: skip
+    }  # type: ignore[arg-type]
     return type(controller)(**{name: gains[name] for name in vars(controller) if name in gains})
 
 

@@ -76,10 +76,13 @@ def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
     given = in_blocks(covariance, 2)
     before = jnp.asarray(np.repeat(mean[:, None], 2, axis=1), jnp.float32)
     after, by_blocks = corrected(
-        given, before.reshape(5, 3, 2),
-        {k: jnp.full(2, row[k]) for k in (1, 4, 13)}, jnp.array([2.0, jnp.nan]), jnp.full(2, 0.7),
+        given,
+        before.reshape(5, 3, 2),
+        {k: jnp.full(2, row[k]) for k in (1, 4, 13)},
+        jnp.array([2.0, jnp.nan]),
+        jnp.full(2, 0.7),
         jnp.array([True, False]),
-    )  # fmt: skip
+    )
     moved = np.reshape(by_blocks, (SIZE, 2))
     np.testing.assert_allclose(moved[:, 0], mean + gain * (2.0 - row @ mean), rtol=1e-4, atol=1e-5)
     expected = covariance - np.outer(gain, row @ covariance)
@@ -251,9 +254,12 @@ def test_accuracies_that_a_fix_states_count():
     plain = kalman.init(readings((0.0, 0.0, 0.0)), start())[0]
     assert float(variances(plain.covariance)[0][0]) == pytest.approx(2.25)
     fix = SimpleNamespace(
-        position_ned=vec(0.0, 0.0, 0.0), velocity_ned=vec(0.0, 0.0, 0.0), horizontal_accuracy=jnp.array([2.0]),
-        vertical_accuracy=jnp.array([3.0]), speed_accuracy=jnp.array([0.1]),
-    )  # fmt: skip
+        position_ned=vec(0.0, 0.0, 0.0),
+        velocity_ned=vec(0.0, 0.0, 0.0),
+        horizontal_accuracy=jnp.array([2.0]),
+        vertical_accuracy=jnp.array([3.0]),
+        speed_accuracy=jnp.array([0.1]),
+    )
     fix.__dataclass_fields__ = dict(vars(fix))
     given = {**readings((0.0, 0.0, 0.0)), "gnss": fix}
     stated = kalman.init(given, start())[0]

@@ -23,8 +23,11 @@ from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
 
 ONE = np.ones(1, np.float32)
-START = Estimate(Vec3(3.0 * ONE, -2.0 * ONE, -20.0 * ONE), Vec3(4.0 * ONE, 1.0 * ONE, -0.5 * ONE),
-                 Euler(0.2 * ONE, -0.1 * ONE, 2.0 * ONE))  # fmt: skip
+START = Estimate(
+    Vec3(3.0 * ONE, -2.0 * ONE, -20.0 * ONE),
+    Vec3(4.0 * ONE, 1.0 * ONE, -0.5 * ONE),
+    Euler(0.2 * ONE, -0.1 * ONE, 2.0 * ONE),
+)
 
 
 def vec(*axes: float) -> Vec3:
@@ -54,8 +57,9 @@ def one_error(k: int, size: float) -> Any:
 def state() -> KalmanState:
     """Of one vehicle, with biases, wind and all 24 errors."""
     found = with_all().init(readings(), START)[0]
-    inner = replace(found.inner, field_bias=vec(0.5, -1.0, 0.3), wind_north=2.0 * ONE, wind_east=-3.0 * ONE,
-                    height_bias=0.4 * ONE)  # fmt: skip
+    inner = replace(
+        found.inner, field_bias=vec(0.5, -1.0, 0.3), wind_north=2.0 * ONE, wind_east=-3.0 * ONE, height_bias=0.4 * ONE
+    )
     return replace(found, inner=inner)
 
 

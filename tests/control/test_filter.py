@@ -175,9 +175,13 @@ def test_a_flight_goes_on_through_faults() -> None:
         {"sensor": "gnss", "kind": "biased", "field": "position_ned.x", "bias": 4.0, "start": 50.0, "end": 65.0},
     ]
     world = qrsim.make_world(
-        [[0, 0, -20], [40, 0, -90]], controller="cascade", faults=faults, duration=80.0,
-        wind={"type": "log_shear", "speed_20ft": 5.0, "wind_from_deg": 225.0}, area={"type": "box", "z_min": -95.0},
-    )  # fmt: skip
+        [[0, 0, -20], [40, 0, -90]],
+        controller="cascade",
+        faults=faults,
+        duration=80.0,
+        wind={"type": "log_shear", "speed_20ft": 5.0, "wind_from_deg": 225.0},
+        area={"type": "box", "z_min": -95.0},
+    )
     simulation = qrsim.Simulation(world, seed=5)
     simulation.reset()
     # The second leaves the area and is stopped: its estimate stays a number.

@@ -51,8 +51,9 @@ TRACKS = [(0.0, 0.07, 1.2), (8.0, 0.21, 1.7), (12.0, 0.32, 7.8)]
 def test_beside_lines_and_circles_in_wind(tmp_path: Path, wind: float, line: float, circle: float) -> None:
     """Rms from 25 s on within 20 %; 100 m, then 120 m at 30 s; 25 m/s, then 30 m/s at 70 s."""
     for radius, start, blown, expected in (
-        (0.0, [0.0, 60.0, -100.0], (0.0, wind), line), (150.0, [0.0, -150.0, -100.0], (wind, 0.0), circle)
-    ):  # fmt: skip
+        (0.0, [0.0, 60.0, -100.0], (0.0, wind), line),
+        (150.0, [0.0, -150.0, -100.0], (wind, 0.0), circle),
+    ):
         # A scenario would refuse this circle in 12 m/s; a set-point may ask for it.
         fleet = {"vehicles": [{"position_ned": start}], "guidance": {"type": "fixed_wing", "radius": 200.0}}
         simulation = qrsim.load(scenario(steady(tmp_path, *blown), **fleet))
@@ -100,9 +101,11 @@ def test_it_starts_in_level_flight_at_its_airspeed_whatever_the_wind(tmp_path: P
 def test_a_route_ends_in_a_circle_and_sensors_fly_it() -> None:
     """Through two waypoints and round the last one, by noisy sensors in turbulence; it is near the circle then."""
     sensors = {
-        "gnss": {"type": "gnss_receiver"}, "barometer": {"type": "barometer"},
-        "attitude": {"type": "attitude_estimator"}, "airspeed": {"type": "airspeed"},
-    }  # fmt: skip
+        "gnss": {"type": "gnss_receiver"},
+        "barometer": {"type": "barometer"},
+        "attitude": {"type": "attitude_estimator"},
+        "airspeed": {"type": "airspeed"},
+    }
     route = [[600.0, 0.0, -100.0], [600.0, 500.0, -120.0]]
     fleet = {
         "controller": {"type": "fixed_wing"},

@@ -42,9 +42,12 @@ NONE = vec(0.0, 0.0, 0.0)
 
 
 def begun(
-    kalman: ErrorStateKalmanFilter, force: Vec3, field: Vec3 | None = None, at_rest: bool | None = True,
+    kalman: ErrorStateKalmanFilter,
+    force: Vec3,
+    field: Vec3 | None = None,
+    at_rest: bool | None = True,
     normal: float = 0.0,
-) -> KalmanState:  # fmt: skip
+) -> KalmanState:
     """The first state of a vehicle that is truly level to the north, by what its sensors read."""
     readings = {
         "imu": reading(rates_body=vec(0.35, 0.0, 0.0), specific_force=force),
@@ -143,9 +146,11 @@ def test_more_fixes_do_not_average_a_slow_error_away():
 def test_an_accelerometer_that_leans_leans_the_estimate():
     """Errors of 0.04 per axis beside tilts known to 0.03 rad: 0.05 rad, and no more of the yaw."""
     kalman = replace(
-        ErrorStateKalmanFilter(), tilt_std=np.float32(0.03), heading_std=np.float32(0.03),
+        ErrorStateKalmanFilter(),
+        tilt_std=np.float32(0.03),
+        heading_std=np.float32(0.03),
         accelerometer_scale=np.float32(0.04),
-    )  # fmt: skip
+    )
     stated = jax.jit(kalman.std, compiler_options=QUICK)(begun(kalman, vec(0.0, 0.0, -G), at_rest=None))
     angles = [float(angle[0]) for angle in (stated.attitude.roll, stated.attitude.pitch, stated.attitude.yaw)]
     assert angles == pytest.approx([0.05, 0.05, 0.03], rel=1e-3)

@@ -84,7 +84,7 @@ def link(name: str) -> tarfile.TarInfo:
         (lambda files, first: files | {"manifest.json": b"[" * 5000}, "its first member is no manifest.json"),
         (lambda files, first: {}, "its first member is no manifest.json"),
     ],
-)  # fmt: skip
+)
 def test_what_no_cache_has_is_refused_and_nothing_is_unpacked(
     place, archive, tmp_path, change: Callable[..., Any], message
 ):
@@ -160,7 +160,9 @@ def test_the_commands(place, tmp_path, capsys, refused):
     assert cli.main(["cache", "info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["kinds"]["native"] == {
-        "folder": str(place), "files": 1, "size_bytes": next(place.iterdir()).stat().st_size,
-    }  # fmt: skip
+        "folder": str(place),
+        "files": 1,
+        "size_bytes": next(place.iterdir()).stat().st_size,
+    }
     refused(["cache", "unpack", str(tmp_path / "nothing.tar")], "there is no such file")
     refused(["cache", "claer"], "did you mean 'clear'?")

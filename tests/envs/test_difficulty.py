@@ -16,9 +16,11 @@ from qrsim.errors import UsageError
 
 # The scenario's own mass is 1.68 kg.
 HEAVY: dict[str, Any] = {
-    "extends": "keep_spot", "name": "heavier", "duration": 0.06,
+    "extends": "keep_spot",
+    "name": "heavier",
+    "duration": 0.06,
     "ranges": [{"path": "fleets.pelicans.vehicle.mass", "low": 1.5, "high": 2.5}],
-}  # fmt: skip
+}
 
 
 @cache
@@ -32,8 +34,9 @@ def masses(env: Any) -> Any:
 
 @pytest.mark.parametrize(
     # Ends at 1.68 + x (1.5 - 1.68) and 1.68 + x (2.5 - 1.68).
-    ("difficulty", "low", "high"), [(0.0, 1.68, 1.68), (0.5, 1.59, 2.09), (1.0, 1.5, 2.5), (0.25, 1.635, 1.885)]
-)  # fmt: skip
+    ("difficulty", "low", "high"),
+    [(0.0, 1.68, 1.68), (0.5, 1.59, 2.09), (1.0, 1.5, 2.5), (0.25, 1.635, 1.885)],
+)
 def test_both_ends_grow_from_the_scenarios_own_number(difficulty: float, low: float, high: float) -> None:
     env = many()
     env.reset(seed=1, options={"difficulty": difficulty})

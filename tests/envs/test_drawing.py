@@ -98,8 +98,11 @@ def test_the_state_of_all_vehicles_is_what_the_infos_say() -> None:
 @pytest.mark.long
 def test_a_video_can_be_recorded(tmp_path: Any) -> None:
     pytest.importorskip("moviepy", reason="needs moviepy: pip install moviepy")
-    env: Any = gymnasium.make("qrsim/keep_spot-v0", render_mode="rgb_array", scenario={
-        "extends": "keep_spot", "name": "short", "duration": 0.2})  # fmt: skip
+    env: Any = gymnasium.make(
+        "qrsim/keep_spot-v0",
+        render_mode="rgb_array",
+        scenario={"extends": "keep_spot", "name": "short", "duration": 0.2},
+    )
     with gymnasium.wrappers.RecordVideo(env, str(tmp_path)) as recorded:
         recorded.reset(seed=1)
         while not recorded.step(HOVER)[3]:

@@ -16,8 +16,9 @@ import pytest
 
 from qrsim.envs import parallel_env
 
-COPIES = pytest.mark.parametrize("copy_of", [lambda item: pickle.loads(pickle.dumps(item)), copy.deepcopy],
-                                 ids=["pickle", "deepcopy"])  # fmt: skip
+COPIES = pytest.mark.parametrize(
+    "copy_of", [lambda item: pickle.loads(pickle.dumps(item)), copy.deepcopy], ids=["pickle", "deepcopy"]
+)
 
 
 def single() -> Any:

@@ -26,18 +26,26 @@ from qrsim.world.state import Saying
 
 # Everybody within 300 m hears everything; periods of 0.2 s, and steps of 1 s.
 RADIO: dict[str, Any] = {
-    "preset": "sphere", "size": 2, "inbox": {"size": 3, "candidates": 3}, "path_loss": {"waves": 1},
-}  # fmt: skip
+    "preset": "sphere",
+    "size": 2,
+    "inbox": {"size": 3, "candidates": 3},
+    "path_loss": {"waves": 1},
+}
 CHASE = {"name": "talk", "extends": "cats_and_mouse/1A", "duration": 6.0, "world": {"radio": RADIO}}
 # With a vehicle that is no agent, and does nothing but send its beacon.
 SPOT = {
-    "name": "listen", "extends": "keep_spot", "duration": 0.6, "task": {"period": 0.1}, "world": {"radio": RADIO},
+    "name": "listen",
+    "extends": "keep_spot",
+    "duration": 0.6,
+    "task": {"period": 0.1},
+    "world": {"radio": RADIO},
     "fleets": {
         "others": {
-            "controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": [6.0, 0.0, -10.0]}]
+            "controller": {"type": "waypoint", "feed": "truth"},
+            "vehicles": [{"position_ned": [6.0, 0.0, -10.0]}],
         }
     },
-}  # fmt: skip
+}
 STILL = np.zeros(2, np.float32)
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")

@@ -18,13 +18,17 @@ from qrsim.envs.parallel import ParallelTask
 
 # At 3 m/s north the second is over the edge of the area, at 212.132 m, in its fourth second, the third in its ninth.
 THREE: dict[str, Any] = {
-    "extends": "search_and_rescue/2C", "name": "leavers", "duration": 12.0,
+    "extends": "search_and_rescue/2C",
+    "name": "leavers",
+    "duration": 12.0,
     "task": {"leave": True, "penalty": -50.0},
-    "fleets": {"helicopters": {
-        "placement": {"type": "given"},
-        "vehicles": [{"position_ned": [north, east, -45.0]} for north, east in ((0, 0), (206, 40), (191, 80))],
-    }},
-}  # fmt: skip
+    "fleets": {
+        "helicopters": {
+            "placement": {"type": "given"},
+            "vehicles": [{"position_ned": [north, east, -45.0]} for north, east in ((0, 0), (206, 40), (191, 80))],
+        }
+    },
+}
 FIRST, SECOND, THIRD = (f"helicopters_{i}" for i in range(3))
 NORTH = np.array([1.0, 0.0, 0.0], np.float32)
 
@@ -119,10 +123,15 @@ def test_a_run_is_scored_alike(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_what_they_hand_in_is_nothing_worth() -> None:
-    plume = parallel_env({
-        "extends": "plume_mapping/3D", "name": "leaving_plume", "duration": 12.0, "task": {"leave": True},
-        "fleets": {"helicopters": {"placement": {"type": "given"}}},
-    })  # fmt: skip
+    plume = parallel_env(
+        {
+            "extends": "plume_mapping/3D",
+            "name": "leaving_plume",
+            "duration": 12.0,
+            "task": {"leave": True},
+            "fleets": {"helicopters": {"placement": {"type": "given"}}},
+        }
+    )
     seen, _ = plume.reset(seed=1)
     assert seen
     total = dict.fromkeys(plume.possible_agents, 0.0)

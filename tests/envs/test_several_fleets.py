@@ -152,9 +152,9 @@ def test_one_vehicle_alone_is_not_an_environment_of_gymnasium() -> None:
         ("believed(flies), ", "believed(flies)[:1], ", r"the observation of fleet 'quadrotors' has shape \(1, 9\)"),
         ("return self.fleet, self.rover", 'return self.fleet, "rovr"', "no fleet is called 'rovr'; did you mean"),
         ("qrsim.VelocityHeightSetpoint if fleet", "dict if fleet", "asks for, dict; no controller does"),
-        (" Axis(\"way_east\", \"m\")", "", "the observation of fleet 'rover' has 4 numbers, but Meeting.sees names 3"),
+        (' Axis("way_east", "m")', "", "the observation of fleet 'rover' has 4 numbers, but Meeting.sees names 3"),
     ],
-)  # fmt: skip
+)
 def test_wrong_tasks_are_one_line(tmp_path: Path, old: str, new: str, words: str) -> None:
     code = (EXAMPLES / "meeting.py").read_text()
     assert old in code

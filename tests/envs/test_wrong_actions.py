@@ -100,7 +100,7 @@ def test_an_action_that_is_no_row_of_numbers(action: Any, message: str, single: 
         ([[0, 1], [2]], "expected numbers of shape (2, 5), found [[0, 1], [2]]"),
         (np.diag([0.0, np.nan])[:, [0, 1, 0, 0, 0]], "roll of 'pelicans_0' in environment 1 is nan; allowed: -1 to 1"),
     ],
-)  # fmt: skip
+)
 def test_actions_of_a_batch(actions: Any, message: str, vector: VectorTask) -> None:
     vector.reset(seed=1)
     refused(lambda: vector.step(actions), f"actions: {message}")
@@ -143,7 +143,7 @@ SHAPE = "expected actions of shape (3, 2) (agents, axes), found"
         ("Still", 2, "--policy: the class Still has no act(seen)"),
         ("Unmade", 1, "policy own.py:Unmade: making it of (play, seed): TypeError: Unmade.__init__() takes 1"),
     ],
-)  # fmt: skip
+)
 def test_a_policy_of_score(
     policy: str, code: int, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:

@@ -240,8 +240,10 @@ def ended(folder: Path, tries: int, seed: int, longest_s: float) -> None:
         process = subprocess.Popen(
             # The line that its caller waits for: from there on Ctrl-C is heard.
             [sys.executable, "-c", f"import qrsim.cli; print('ready', flush=True)\n{INTERRUPTIBLE}", *words],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         assert process.stdout
         assert process.stdout.readline() == "ready\n"
         moment = random_times.uniform(0.05, longest_s)

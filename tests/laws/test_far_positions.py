@@ -252,9 +252,12 @@ class TestModels:
         one = np.ones(VEHICLES, np.float32)
         low = Vec3(0.0 * one, 0.0 * one, 0.0 * one)
         down = replace(
-            state, position_ned=Vec3(49000.0 * one, one, -1.0 * one), velocity_body=Vec3(0.0 * one, 0.0 * one, one),
-            attitude=Euler(0.0 * one, 0.0 * one, 0.0 * one), thrust=0.0 * one,
-        )  # fmt: skip
+            state,
+            position_ned=Vec3(49000.0 * one, one, -1.0 * one),
+            velocity_body=Vec3(0.0 * one, 0.0 * one, one),
+            attitude=Euler(0.0 * one, 0.0 * one, 0.0 * one),
+            thrust=0.0 * one,
+        )
         for _ in range(3):
             down, low, _ = move(vehicle, down, low, command, air, noise, DT)
         np.testing.assert_allclose(np.asarray(down.position_ned.z) + np.asarray(low.z), -1.0, atol=2e-6)
@@ -266,9 +269,12 @@ def jaxed(arguments: Any, dtype: Any) -> Any:
     one = np.ones(VEHICLES, dtype)
     zero = Vec3(0.0 * one, 0.0 * one, 0.0 * one)
     slow = QuadrotorState(
-        Vec3(49000.0 * one, -49000.0 * one, -3.0 * one), Euler(0.0 * one, 0.0 * one, 0.0 * one),
-        Vec3(SLOW * one, 0.0 * one, 0.0 * one), zero, 0.0 * one,
-    )  # fmt: skip
+        Vec3(49000.0 * one, -49000.0 * one, -3.0 * one),
+        Euler(0.0 * one, 0.0 * one, 0.0 * one),
+        Vec3(SLOW * one, 0.0 * one, 0.0 * one),
+        zero,
+        0.0 * one,
+    )
     quiet = cast(replace(command, roll=0.0 * one, pitch=0.0 * one, yaw_rate=0.0 * one, throttle=0.0 * one), dtype)
     return slow, quiet, lambda trig: zero, cast(noise, dtype)
 

@@ -51,8 +51,11 @@ class TestEverySensor:
     def test_a_place_is_one_for_all_vehicles_however_many(self) -> None:
         for count in (1, 2, 3):
             sensors = {"one": {"type": "barometer", "mount_position_body": ARM, "white_std": [0.1] * count}}
-            (fleet,) = make_scenario(STARTS[:count], sensors=sensors, controller={
-                "type": "waypoint", "feed": "truth"}).world().fleets  # fmt: skip
+            (fleet,) = (
+                make_scenario(STARTS[:count], sensors=sensors, controller={"type": "waypoint", "feed": "truth"})
+                .world()
+                .fleets
+            )
             assert fleet.fittings[0] is not None
 
     @pytest.mark.parametrize("name", SENSORS)
@@ -109,8 +112,10 @@ def flight() -> dict[str, Array]:
     seen: dict[str, list[Any]] = {}
     for tick in range(150):
         reading, truth = simulation.step() if tick else simulation.reset(), simulation.truth
-        now = {name: getattr(truth, name) for name in (
-            "position_ned", "velocity_ned", "attitude", "rates_body", "specific_force")}  # fmt: skip
+        now = {
+            name: getattr(truth, name)
+            for name in ("position_ned", "velocity_ned", "attitude", "rates_body", "specific_force")
+        }
         now |= {name: getattr(reading, name).height for name in ("plain", "late", "lost")}
         now |= {"slow": reading.slow.position_ned, "slow_velocity": reading.slow.velocity_ned}
         now |= {"shaky": reading.shaky.attitude, "turned": reading.gyroscope.rates_body}
@@ -212,8 +217,12 @@ class TestMounting:
         self, flight: dict[str, Array]
     ) -> None:
         """The change of the place's own velocity over a step, less that of the centre, in body axes."""
-        swing = np.array([[matrix(a) @ np.cross(w, ARM) for a, w in zip(*row, strict=True)]
-                          for row in zip(flight["attitude"], flight["rates_body"], strict=True)])  # fmt: skip
+        swing = np.array(
+            [
+                [matrix(a) @ np.cross(w, ARM) for a, w in zip(*row, strict=True)]
+                for row in zip(flight["attitude"], flight["rates_body"], strict=True)
+            ]
+        )
         for tick in range(1, 150):
             for vehicle in range(3):
                 middle = 0.5 * (flight["attitude"][tick - 1, vehicle] + flight["attitude"][tick, vehicle])

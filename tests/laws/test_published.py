@@ -27,8 +27,11 @@ def test_the_published_patrol_flies_where_it_flew() -> None:
     simulation.reset()
     simulation.step(ticks=2000)
     expected = [
-        [-17.2521, -42.7077, -17.8222], [-16.4868, 42.8590, -27.2139], [22.5230, 9.6934, -38.3194],
-        [62.9547, -37.2169, -48.6071], [63.1895, 33.6227, -59.0118],
-    ]  # fmt: skip
+        [-17.2521, -42.7077, -17.8222],
+        [-16.4868, 42.8590, -27.2139],
+        [22.5230, 9.6934, -38.3194],
+        [62.9547, -37.2169, -48.6071],
+        [63.1895, 33.6227, -59.0118],
+    ]
     np.testing.assert_allclose(simulation.truth.position_ned, expected, atol=5e-3)
     np.testing.assert_allclose(simulation.reading.gnss.position_ned[0], [-16.0175, -43.5185, -16.2619], atol=5e-3)

@@ -136,8 +136,10 @@ def simulation(number: int, seed: int) -> Simulation:
 
 def test_between_them_the_worlds_hold_every_component() -> None:
     specs = [load_scenario(content(number)).spec.model_dump() for number in WORLDS]
-    places = {group: [spec["world"].get(key, spec["world"]["sky"].get(key)) for spec in specs]
-              for group, key in OF_A_WORLD.items()}  # fmt: skip
+    places = {
+        group: [spec["world"].get(key, spec["world"]["sky"].get(key)) for spec in specs]
+        for group, key in OF_A_WORLD.items()
+    }
     fleets = [fleet for spec in specs for fleet in spec["fleets"].values()]
     places |= {group: [fleet[key] for fleet in fleets] for group, key in OF_A_FLEET.items()}
     # The mouse flees in the worlds of cats_and_mouse.

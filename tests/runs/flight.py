@@ -58,9 +58,14 @@ def write_flight(
     """
     names = tuple(names or (f"v{i}" for i in range(vehicles)))
     info = RunInfo.collect(
-        scenario="made_up", seed=seed, precision="float32", time_step=STEP, vehicles=names, every=every,
+        scenario="made_up",
+        seed=seed,
+        precision="float32",
+        time_step=STEP,
+        vehicles=names,
+        every=every,
         command_line=["qrsim"],
-    )  # fmt: skip
+    )
     parts = _values(vehicles, ticks, wind, sensors, stops or {})
     change(parts)
     columns = {

@@ -27,8 +27,11 @@ def flight(folder: Path, aided: bool) -> Path:
         said |= {"wind_north": SAID[0], "wind_east": SAID[1]}
         said |= {f"earth_field_ned.{axis}": value for axis, value in zip(AXES, EARTH, strict=True)}
         said |= {f"field_bias.{axis}": value for axis, value in zip(AXES, OWN, strict=True)}
-    wind = {f"{kind}.{axis}": value for kind, values in (("mean_ned", MEAN), ("gust_ned", GUST))
-            for axis, value in zip("xy", values, strict=True)}  # fmt: skip
+    wind = {
+        f"{kind}.{axis}": value
+        for kind, values in (("mean_ned", MEAN), ("gust_ned", GUST))
+        for axis, value in zip("xy", values, strict=True)
+    }
     streams: dict[str, dict[str, float]] = {
         "truth": truth,
         "commands": {f"estimate.{name}": value for name, value in said.items()}

@@ -58,9 +58,7 @@ def test_what_becomes_of_packets_adds_up_in_each_bin() -> None:
     first = [(0, 1, HEARD), (1, 0, WEAK), (2, 0, NOISE), (3, 0, TO_OTHERS)]
     found = connectivity(packets(first, [(0, 1, HEARD)], [], []), 2, ALL)
     np.testing.assert_allclose(found.delivery, [0.4, np.nan])
-    assert {name: part[0] for name, part in found.lost.items()} == {
-        "too weak": 0.2, "by chance": 0.2, "to others": 0.2,
-    }  # fmt: skip
+    assert {name: part[0] for name, part in found.lost.items()} == {"too weak": 0.2, "by chance": 0.2, "to others": 0.2}
     assert found.components.tolist() == [4, 4]
     assert found.largest.tolist() == [0.25, 0.25]
     np.testing.assert_allclose(found.time, [0.2, 0.6])

@@ -34,12 +34,16 @@ class Seen:
             "azimuth": (np.full(10, np.pi / 2), np.zeros(10)),
             "elevation": (np.full(10, np.pi / 6), np.zeros(10)),
         }
-        columns = {f"gnss.{name}.{k}": np.stack([row, row], axis=1) for name, pair in rows.items()
-                   for k, row in enumerate(pair)}  # fmt: skip
+        columns = {
+            f"gnss.{name}.{k}": np.stack([row, row], axis=1)
+            for name, pair in rows.items()
+            for k, row in enumerate(pair)
+        }
         self.stream = SimpleNamespace(
-            time=0.2 * np.arange(10), columns=lambda: list(columns),
+            time=0.2 * np.arange(10),
+            columns=lambda: list(columns),
             arrays=lambda names: {name: columns[name] for name in names},
-        )  # fmt: skip
+        )
 
     def __getitem__(self, name: str) -> Any:
         return self.stream

@@ -55,8 +55,12 @@ def problem_of(content: dict[str, Any]) -> str:
 
 
 def test_a_file_becomes_prisms_in_the_order_of_the_file_and_its_defaults_are_said() -> None:
-    content = with_world({"buildings": {"file": str(BLOCK)}, "obstacles": [
-        {"type": "cylinder", "x": 90.0, "y": 0.0, "radius": 1.0, "z_min": -9.0}]})  # fmt: skip
+    content = with_world(
+        {
+            "buildings": {"file": str(BLOCK)},
+            "obstacles": [{"type": "cylinder", "x": 90.0, "y": 0.0, "radius": 1.0, "z_min": -9.0}],
+        }
+    )
     with pytest.warns(UserWarning, match=r"1 of 9 buildings have neither height.*feature 6 \(shed\), taken to be 9 m"):
         scenario = load_scenario(content)
     kind, *buildings = scenario.spec.world.obstacles
@@ -101,10 +105,15 @@ def test_who_starts_or_flies_into_a_building_is_told_which(written: Written) -> 
         ),
         (lambda w: w(feature(SQUARE[:2])), "feature 0: a ring has 2 corners; allowed: 3 to 1000"),
         *(
-            (lambda w, kind=kind, c=c: w({**feature(SQUARE), "geometry": {"type": kind, "coordinates": c}}),
-             "feature 0: its coordinates are no rings of pairs of numbers")
+            (
+                lambda w, kind=kind, c=c: w({**feature(SQUARE), "geometry": {"type": kind, "coordinates": c}}),
+                "feature 0: its coordinates are no rings of pairs of numbers",
+            )
             for kind, c in (
-                ("Polygon", 7), ("Polygon", [None]), ("Polygon", [[[10**400, 0]] * 4]), ("MultiPolygon", [None]),
+                ("Polygon", 7),
+                ("Polygon", [None]),
+                ("Polygon", [[[10**400, 0]] * 4]),
+                ("MultiPolygon", [None]),
                 ("MultiPolygon", [[]]),
             )
         ),
@@ -135,7 +144,7 @@ def test_who_starts_or_flies_into_a_building_is_told_which(written: Written) -> 
             "block.geojson: has 51051 corners; allowed: at most 50000 in all; cut it to the area, or simplify",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_said_with_its_place(written: Written, make: Any, said: str) -> None:
     problem = problem_of(make(written))
     assert problem.startswith("world.buildings.file: block.geojson: ")

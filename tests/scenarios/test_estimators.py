@@ -34,7 +34,7 @@ EKF = "fleets.pelicans.estimator=ekf"
         ([EKF, "fleets.pelicans.estimator.height_std=0"], "estimator.height_std: 0 is out of range; allowed: above 0"),
         ([EKF, "fleets.pelicans.estimator.ages=[]"], "ages"),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused(overrides: list[str], words: str):
     with pytest.raises(ScenarioError) as caught:
         qrsim.load_scenario("patrol_plain", overrides)

@@ -12,8 +12,13 @@ from qrsim.errors import ScenarioError
 from qrsim.scenarios.making import make_scenario
 
 FORECAST: dict[str, Any] = {
-    "type": "log_shear", "speed": 6.0, "at_height": 10.0, "gust": 10.0, "roughness": 0.1, "wind_from_deg": 225.0,
-}  # fmt: skip
+    "type": "log_shear",
+    "speed": 6.0,
+    "at_height": 10.0,
+    "gust": 10.0,
+    "roughness": 0.1,
+    "wind_from_deg": 225.0,
+}
 
 
 def forecast(**changes: Any) -> Any:

@@ -17,8 +17,10 @@ from qrsim.scenarios.schema import json_schema
 
 def loaded(vehicles: Any) -> Any:
     """Return the scenario of a fleet with such vehicles."""
-    content = {"name": "rows", "fleets": {"team": {"controller": {"type": "cascade", "feed": "truth"},
-                                                   "vehicles": vehicles}}}  # fmt: skip
+    content = {
+        "name": "rows",
+        "fleets": {"team": {"controller": {"type": "cascade", "feed": "truth"}, "vehicles": vehicles}},
+    }
     return load_scenario(content, quiet=True)
 
 
@@ -27,8 +29,12 @@ def test_rows_begin_in_the_south_west_and_lie_about_the_middle() -> None:
     rows = {"count": 5, "columns": 2, "spacing": 4.0, "position_ned": [10.0, 20.0, -7.0], "yaw_deg": 90.0}
     found = loaded({**rows, "waypoints_ned": [[110.0, 20.0, -9.0]]}).spec.fleets["team"].vehicles
     assert [vehicle.position_ned for vehicle in found] == [
-        [6.0, 18.0, -7.0], [6.0, 22.0, -7.0], [10.0, 18.0, -7.0], [10.0, 22.0, -7.0], [14.0, 18.0, -7.0],
-    ]  # fmt: skip
+        [6.0, 18.0, -7.0],
+        [6.0, 22.0, -7.0],
+        [10.0, 18.0, -7.0],
+        [10.0, 22.0, -7.0],
+        [14.0, 18.0, -7.0],
+    ]
     assert found[0].waypoints_ned == [[106.0, 18.0, -9.0]]
     assert found[4].waypoints_ned == [[114.0, 18.0, -9.0]]
     assert [vehicle.yaw_rad for vehicle in found] == pytest.approx([1.5707963] * 5)
@@ -37,21 +43,32 @@ def test_rows_begin_in_the_south_west_and_lie_about_the_middle() -> None:
 def test_each_flies_the_legs_shifted_as_its_start_is() -> None:
     """Two, 10 m apart to the east: places are shifted, heights and the place that both look at are not."""
     legs: list[Any] = [
-        {"type": "take_off", "height": 10}, {"to_ned": [50, 0, -10], "facing_ned": [30, 30], "hold": 2},
-        {"type": "loiter", "time": 3}, {"type": "land", "at_ned": [5, 7]},
-    ]  # fmt: skip
+        {"type": "take_off", "height": 10},
+        {"to_ned": [50, 0, -10], "facing_ned": [30, 30], "hold": 2},
+        {"type": "loiter", "time": 3},
+        {"type": "land", "at_ned": [5, 7]},
+    ]
     rows = {"count": 2, "spacing": 10.0, "position_ned": [0, 0, 0], "on_ground": True, "legs": legs}
-    content = {"name": "rows", "fleets": {"team": {"ground": "parked", "guidance": {"type": "mission"},
-                                                   "controller": {"type": "cascade", "feed": "truth"},
-                                                   "vehicles": rows}}}  # fmt: skip
+    content = {
+        "name": "rows",
+        "fleets": {
+            "team": {
+                "ground": "parked",
+                "guidance": {"type": "mission"},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "vehicles": rows,
+            }
+        },
+    }
     first, second = load_scenario(content, quiet=True).spec.fleets["team"].vehicles
     for vehicle, east in ((first, -5.0), (second, 5.0)):
         found = [leg.model_dump(exclude_unset=True) for leg in vehicle.legs]
         assert found == [
             {"type": "take_off", "height": 10.0},
             {"type": "fly", "to_ned": [50.0, east, -10.0], "facing_ned": [30.0, 30.0], "hold": 2.0},
-            {"type": "loiter", "time": 3.0}, {"type": "land", "at_ned": [5.0, 7.0 + east]},
-        ]  # fmt: skip
+            {"type": "loiter", "time": 3.0},
+            {"type": "land", "at_ned": [5.0, 7.0 + east]},
+        ]
 
 
 def test_without_columns_the_whole_is_nearly_square() -> None:

@@ -40,9 +40,12 @@ NARROW = {"type": "box", "x_min": -10, "x_max": 20, "y_min": -10, "y_max": 10, "
 
 
 PLAIN = {
-    "gnss": "gnss_receiver", "barometer": "barometer", "attitude": "attitude_estimator", "gyroscope": "gyroscope",
+    "gnss": "gnss_receiver",
+    "barometer": "barometer",
+    "attitude": "attitude_estimator",
+    "gyroscope": "gyroscope",
     "accelerometer": "accelerometer",
-}  # fmt: skip
+}
 
 
 def gusts(bearing_rad: float) -> DrydenFirstOrder:
@@ -52,26 +55,36 @@ def gusts(bearing_rad: float) -> DrydenFirstOrder:
 def keep_spot() -> Any:
     return make_scenario(
         fleets={"pelicans": {"vehicles": [[0, 0, -10]], "sensors": PLAIN, "controller": "waypoint"}},
-        name="keep_spot", area=NARROW, turbulence=gusts(0.0), sky={"errors": {"type": "gauss_markov_2"}},
+        name="keep_spot",
+        area=NARROW,
+        turbulence=gusts(0.0),
+        sky={"errors": {"type": "gauss_markov_2"}},
         task=KeepSpot(),
-    )  # fmt: skip
+    )
 
 
 def keep_velocity() -> Any:
     fleet = {"vehicles": np.array([[0, 0, -10]]), "sensors": PLAIN, "controller": VelocityController()}
     return make_scenario(
-        fleets={"pelicans": fleet}, name="keep_velocity", area=NARROW, turbulence=gusts(np.pi / 4),
+        fleets={"pelicans": fleet},
+        name="keep_velocity",
+        area=NARROW,
+        turbulence=gusts(np.pi / 4),
         wind=LogShear(speed_20ft=np.float32(2.5), wind_from_rad=np.pi / 4),
-        sky={"errors": {"type": "gauss_markov_2"}}, task={"type": "keep_velocity", "fleet": "pelicans"},
-    )  # fmt: skip
+        sky={"errors": {"type": "gauss_markov_2"}},
+        task={"type": "keep_velocity", "fleet": "pelicans"},
+    )
 
 
 def goto_waypoint() -> Any:
     area = {"type": "box", "x_min": -70, "x_max": 70, "y_min": -70, "y_max": 70, "z_min": -50, "z_max": 0}
     return make_scenario(
-        extends="keep_spot", name="goto_waypoint", area=area, fleets={"pelicans": {"vehicles": [ROUTES]}},
+        extends="keep_spot",
+        name="goto_waypoint",
+        area=area,
+        fleets={"pelicans": {"vehicles": [ROUTES]}},
         task={"type": "reach_waypoint"},
-    )  # fmt: skip
+    )
 
 
 def free_flight() -> Any:
@@ -90,12 +103,17 @@ def patrol_plain() -> Any:
         "sensors": {**PLAIN, "gnss": GnssReceiver(range_noise_std=0.02)},  # type: ignore[arg-type]
     }
     return make_scenario(
-        fleets={"pelicans": fleet}, name="patrol_plain", duration=120.0,
+        fleets={"pelicans": fleet},
+        name="patrol_plain",
+        duration=120.0,
         start_time=datetime(2026, 6, 21, 10, tzinfo=UTC),
-        site={"latitude_deg": 51.7119, "longitude_deg": -0.21052, "height": 0.0}, area={"type": "box", **bounds},
-        wind=LogShear(speed_20ft=5.0, wind_from_rad=np.radians(225.0)), turbulence="dryden_first_order",
-        sky={"errors": OrnsteinUhlenbeckErrors(std=1.5, time_constant=2000.0)}, collision_distance=2.0,
-    )  # fmt: skip
+        site={"latitude_deg": 51.7119, "longitude_deg": -0.21052, "height": 0.0},
+        area={"type": "box", **bounds},
+        wind=LogShear(speed_20ft=5.0, wind_from_rad=np.radians(225.0)),
+        turbulence="dryden_first_order",
+        sky={"errors": OrnsteinUhlenbeckErrors(std=1.5, time_constant=2000.0)},
+        collision_distance=2.0,
+    )
 
 
 class TestAsInYaml:

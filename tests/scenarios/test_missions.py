@@ -117,8 +117,11 @@ def test_a_plan_is_flown_and_not_ignored(planned: str) -> None:
     fleet = loaded.spec.fleets["a"]
     assert (fleet.guidance.type, fleet.ground, fleet.vehicles[0].position_ned) == ("mission", "parked", [0.0, 0.0, 0.0])
     assert [(leg.type, leg.item, leg.speed) for leg in fleet.vehicles[0].legs] == [
-        ("take_off", 1, None), ("fly", 4, 4.0), ("loiter", 6, 4.0), ("land", 9, 4.0),
-    ]  # fmt: skip
+        ("take_off", 1, None),
+        ("fly", 4, 4.0),
+        ("loiter", 6, 4.0),
+        ("land", 9, 4.0),
+    ]
     simulation = Simulation(loaded.world(), seed=1, name="planned")
     simulation.reset()
     flown = simulation.record(6000).state.fleets[0]

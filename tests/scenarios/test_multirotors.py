@@ -14,8 +14,13 @@ from qrsim.scenarios.derived import derived_of
 from qrsim.scenarios.scenario import load_scenario
 
 OWN = {
-    "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
-}  # fmt: skip
+    "mass": 1.2,
+    "arm": 0.225,
+    "rotors": 4,
+    "hover_throttle": 0.5,
+    "thrust_to_weight": 2.2,
+    "attitude_bandwidth": 8.0,
+}
 
 
 def content(vehicle: dict[str, Any], **fleet: Any) -> dict[str, Any]:
@@ -86,7 +91,7 @@ def test_an_arrangement_takes_the_place_of_the_rotors() -> None:
         ({"geometry": "quad_x", "arm": 0.3, "rotors": []}, "geometry: gives both 'geometry' and 'rotors'; give one"),
         ({"rotors": []}, "rotors: no rotors; allowed: 4 to 16"),
     ],
-)  # fmt: skip
+)
 def test_what_is_written_wrongly(vehicle: dict[str, Any], problem: str) -> None:
     assert problems(vehicle)[0].startswith(f"fleets.a.vehicle.{problem}")
 

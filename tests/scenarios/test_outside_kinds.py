@@ -78,8 +78,11 @@ def climb(names: str) -> str:
 
 
 def area(checks: str, margin: str) -> str:
-    return bare("Area", f"def check(self, position_ned):\n        return {checks}\n    def margin(self, position_ned):"
-                f"\n        return {margin}")  # fmt: skip
+    return bare(
+        "Area",
+        f"def check(self, position_ned):\n        return {checks}\n    def margin(self, position_ned):"
+        f"\n        return {margin}",
+    )
 
 
 # Of each kind: where it stands in a scenario, what is in its file, and what is said after the file's name.

@@ -23,9 +23,7 @@ Write = Callable[[Any], str]
 def item(command: int, *params: float | None, frame: int = ABOVE_HOME, **more: Any) -> dict[str, Any]:
     """A simple item; of fewer than seven parameters the first are zero."""
     padded = [0] * (7 - len(params)) + list(params)
-    return {
-        "type": "SimpleItem", "command": command, "frame": frame, "params": padded, "autoContinue": True, **more,
-    }  # fmt: skip
+    return {"type": "SimpleItem", "command": command, "frame": frame, "params": padded, "autoContinue": True, **more}
 
 
 def survey(*items: Any, **inner: Any) -> dict[str, Any]:
@@ -509,8 +507,10 @@ def test_a_jump_for_ever_says_where_the_plan_goes_on(write: Write) -> None:
     for others in ([jump(3, -1), jump(2, -1)], [speed(3.0), jump(2, -1)]):
         path = write(plan(places[0], *others))
         assert flown(path) == ([1], None)
-        assert any(note.text.endswith("jumps for ever over items that are not flown; the plan ends there")
-                   for note in read_plan(path).ignored)  # fmt: skip
+        assert any(
+            note.text.endswith("jumps for ever over items that are not flown; the plan ends there")
+            for note in read_plan(path).ignored
+        )
 
 
 @pytest.mark.parametrize("case", BAD)

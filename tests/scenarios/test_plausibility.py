@@ -70,7 +70,7 @@ def test_what_is_usual_gives_no_warning(overrides: list[str]) -> None:
         ("kr1=3", "kr1: the yaw rate is unstable: 3 1/s"),
         ("kuv=-101", "kuv: -101 1/s is too fast for a time step of 0.02 s"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_fly_is_told_with_its_numbers(override: str, words: str) -> None:
     found = warned(f"{VEHICLE}.{override}")
     assert found[0].startswith("patrol_plain: fleets.pelicans.vehicle.")
@@ -181,11 +181,16 @@ def test_a_capacity_in_mah_is_told() -> None:
 def test_a_pack_of_six_cells_gives_its_voltage() -> None:
     """In flight it is neither brought into the range of commands nor counted as clipped."""
     content: dict[str, Any] = {
-        "name": "six", "fleets": {"a": {
-            "vehicle": {"type": "pelican", "cvb0": -18.0, "cvb1": 2.0},
-            "battery": {"type": "lithium_polymer", "voltage_full": 25.2, "voltage_empty": 19.8},
-            "controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}]}},
-    }  # fmt: skip
+        "name": "six",
+        "fleets": {
+            "a": {
+                "vehicle": {"type": "pelican", "cvb0": -18.0, "cvb1": 2.0},
+                "battery": {"type": "lithium_polymer", "voltage_full": 25.2, "voltage_empty": 19.8},
+                "controller": {"type": "waypoint", "feed": "truth"},
+                "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}],
+            }
+        },
+    }
     sim = qrsim.load(content)
     sim.reset()
     sim.step(ticks=5)

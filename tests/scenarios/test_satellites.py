@@ -31,13 +31,22 @@ def files(tmp_path: Path) -> dict[str, str]:
 
 def scenario(sensors: dict[str, Any], orbits: dict[str, Any], **more: Any) -> Scenario:
     """Return a scenario of two vehicles; the file's epochs are of 2010-08-31, 15:00 to 19:45 GPS time."""
-    return load_scenario({
-        "name": "x", "duration": 60.0, "start_time": "2010-08-31T16:30:00Z",
-        "world": {"sky": {"orbits": orbits}, "base_station": BASE},
-        "fleets": {"a": {"sensors": sensors, "controller": {"type": "cascade", "feed": "truth"},
-                         "vehicles": [{"position_ned": [30.0 * i, 0.0, -20.0]} for i in range(2)]}},
-        **more,
-    })  # fmt: skip
+    return load_scenario(
+        {
+            "name": "x",
+            "duration": 60.0,
+            "start_time": "2010-08-31T16:30:00Z",
+            "world": {"sky": {"orbits": orbits}, "base_station": BASE},
+            "fleets": {
+                "a": {
+                    "sensors": sensors,
+                    "controller": {"type": "cascade", "feed": "truth"},
+                    "vehicles": [{"position_ned": [30.0 * i, 0.0, -20.0]} for i in range(2)],
+                }
+            },
+            **more,
+        }
+    )
 
 
 def sp3(path: str, **more: Any) -> dict[str, Any]:

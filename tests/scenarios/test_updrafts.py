@@ -33,14 +33,16 @@ MAST = "world.obstacles=[{type: cylinder, x: 50, y: 0, radius: 3, z_min: -30}]"
         ([f"{THERMALS}, z_i: 90}}]"], "world.updrafts.0.z_i: 90 is out of range; allowed: 100 to 8000"),
         ([f"{THERMALS}, count: 1001}}]"], "world.updrafts.0.count: 1001 is out of range; allowed: 0 to 1000"),
         ([f"{THERMALS}, count: 1000}}]"], "world.updrafts.0.count: 1000 thermals of z_i = 1200 m in world.area"),
-        ([f"{THERMALS}, z_i: 6000}}]", "world.area={type: box, x_min: -200, x_max: 200}"],
-         "world.updrafts.0.z_i: thermals of z_i = 6000 m are 918 m across, and world.area 400 m; allowed: z_i up to"),
+        (
+            [f"{THERMALS}, z_i: 6000}}]", "world.area={type: box, x_min: -200, x_max: 200}"],
+            "world.updrafts.0.z_i: thermals of z_i = 6000 m are 918 m across, and world.area 400 m; allowed: z_i up to",
+        ),
         ([f"{THERMALS}, places: [[0, 0]]}}]"], "no such parameter of 'thermals'; did you mean 'places_ned'?"),
         (["world.updrafts=[{type: thermal}]"], "updrafts.0.type: no such type 'thermal'; did you mean 'thermals'?"),
         ([RIDGE], "world.updrafts.0: 'ridge_lift' needs ground with slopes; world.ground is 'flat'; use one of type"),
         ([WAKES], "world.updrafts.0.least_height: no obstacle is 2 m high, so none has a wake; give world.obstacles"),
     ],
-)  # fmt: skip
+)
 def test_faults_are_said_in_one_line(overrides: list[str], words: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         load_scenario("hover_ideal", [AREA, *overrides], quiet=True)
@@ -51,12 +53,14 @@ def test_faults_are_said_in_one_line(overrides: list[str], words: str) -> None:
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        ([f"{THERMALS}, z_i: 100, count: 1}}]", "fleets.pelicans.vehicles.0.position_ned=[0, 0, -150]"],
-         "world.updrafts.0.z_i: 100 m, and fleets.pelicans.vehicles.0 is at 150 m or sent there; no air rises there"),
+        (
+            [f"{THERMALS}, z_i: 100, count: 1}}]", "fleets.pelicans.vehicles.0.position_ned=[0, 0, -150]"],
+            "world.updrafts.0.z_i: 100 m, and fleets.pelicans.vehicles.0 is at 150 m or sent there; no air rises there",
+        ),
         ([f"{THERMALS}, z_i: 200, count: 300}}]"], "world.updrafts.0: 300 thermals, each of which every vehicle looks"),
         ([WAKES, MAST, "world.wind=calm"], "world.updrafts.0: 'building_wakes' does nothing without a wind; world.win"),
     ],
-)  # fmt: skip
+)
 def test_what_does_nothing_is_warned_of(overrides: list[str], words: str) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -91,8 +95,9 @@ def test_each_episode_has_thermals_of_its_own_and_a_batch_those_of_its_worlds() 
     again.reset()
     again.step(ticks=20)
     np.testing.assert_array_equal(again.truth.wind_ned[:, 2], alone[1])
-    batch = qrsim.rollout(world, ticks=20, worlds=3, seed=7, record=lambda state: state.fleets[0].gust_ned.z,
-                          record_every=20)  # fmt: skip
+    batch = qrsim.rollout(
+        world, ticks=20, worlds=3, seed=7, record=lambda state: state.fleets[0].gust_ned.z, record_every=20
+    )
     np.testing.assert_array_equal(np.asarray(batch.recorded)[:, -1], np.array(alone, np.float32))
 
 

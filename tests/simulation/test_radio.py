@@ -183,9 +183,11 @@ def test_a_crowd_without_room_is_counted_and_said():
     """110 vehicles within 40 m, and room for 32 in each three columns: nobody sees all, which is said once."""
     places = [(2.0 * (i % 11), 4.0 * (i // 11), -20.0) for i in range(110)]
     crowd = qrsim.make_scenario(
-        places, radio={"inbox": {"size": 1, "candidates": 2}, "path_loss": {"waves": 1}}, collision_distance=0.1,
+        places,
+        radio={"inbox": {"size": 1, "candidates": 2}, "path_loss": {"waves": 1}},
+        collision_distance=0.1,
         duration=0.4,
-    )  # fmt: skip
+    )
     with pytest.warns(RadioWarning, match=r"world.radio: \d+ times a vehicle had more others around it"):
         found = qrsim.rollout(crowd)
     assert (found.metrics["radio_overfull"] > 0).any()

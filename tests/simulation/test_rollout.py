@@ -246,9 +246,8 @@ class TestRecords:
     def test_shapes_and_the_start(self, bare):
         """Every 30th of 100 ticks, the start included, the end not."""
         flown = rollout(
-            bare, ticks=100, worlds=3, record_every=30,
-            record=lambda state: {"place": place(state), "n": jnp.int32(2)},
-        )  # fmt: skip
+            bare, ticks=100, worlds=3, record_every=30, record=lambda state: {"place": place(state), "n": jnp.int32(2)}
+        )
         np.testing.assert_array_equal(flown.record_ticks, [0, 30, 60, 90])
         assert flown.recorded["place"].shape[:2] == (3, 4)
         np.testing.assert_array_equal(flown.recorded["n"], np.full((3, 4), 2))

@@ -91,10 +91,15 @@ def test_nothing_that_is_held_can_be_written_through() -> None:
     reading = simulation.step(ticks=7)
     before = simulation.save()
     for array in (
-        simulation.truth.position_ned, simulation.truth.attitude, simulation.truth.thrust, simulation.valid,
-        reading.gnss.position_ned, reading.barometer.height, reading.gnss.satellites,
+        simulation.truth.position_ned,
+        simulation.truth.attitude,
+        simulation.truth.thrust,
+        simulation.valid,
+        reading.gnss.position_ned,
+        reading.barometer.height,
+        reading.gnss.satellites,
         simulation.state.fleets[0].vehicle.position_ned.x,
-    ):  # fmt: skip
+    ):
         array[...] = 0
     assert simulation.save() == before
 

@@ -66,8 +66,12 @@ def test_a_searcher_goes_down_where_windows_speak_for_a_person() -> None:
         ratio[(np.abs(north - 5.0) < 0.5)[:, None] & (np.abs(east - 2.0) < 0.5)] = 3.0
         corners = np.array([[half[0], -half[1]], [half[0], half[1]], [-half[0], half[1]], [-half[0], -half[1]]])
         vehicle = np.array([*place, *np.zeros(6)])
-        seen = {"vehicle": vehicle[None], "ratio": ratio[None], "corners": (place[:2] + corners)[None],
-                "grid": np.array([[rows, columns]])}  # fmt: skip
+        seen = {
+            "vehicle": vehicle[None],
+            "ratio": ratio[None],
+            "corners": (place[:2] + corners)[None],
+            "grid": np.array([[rows, columns]]),
+        }
         place = place + 3.0 * searcher.act(seen)[0]
         path.append(place)
         low = min(low, -place[2])

@@ -28,10 +28,14 @@ def test_two_gaussians_have_the_divergence_of_the_closed_form(mean: float, sprea
     numbers = np.random.default_rng(1)
     estimate = jax.jit(divergence)
     found = [
-        float(estimate(numbers.normal(0.0, 1.0, (1500, 2)).astype(np.float32),
-                       numbers.normal(mean, spread, (2000, 2)).astype(np.float32)))
+        float(
+            estimate(
+                numbers.normal(0.0, 1.0, (1500, 2)).astype(np.float32),
+                numbers.normal(mean, spread, (2000, 2)).astype(np.float32),
+            )
+        )
         for _ in range(20)
-    ]  # fmt: skip
+    ]
     expected = 2.0 * (np.log(spread) + (1.0 + mean**2) / (2.0 * spread**2) - 0.5)
     assert abs(np.mean(found) - expected) < 4.0 * np.std(found) / np.sqrt(20.0) + 0.03
 

@@ -57,9 +57,15 @@ def test_cats_see_by_what_they_carry() -> None:
     names = [axis.name for axis in env.observation_axes]
     assert names[:4] == ["position_north", "position_east", "velocity_north", "velocity_east"]
     assert names[4:12] == [
-        "eyes_0_x", "eyes_0_y", "eyes_0_z", "eyes_0_velocity_x", "eyes_0_velocity_y", "eyes_0_velocity_z",
-        "eyes_0_mate", "eyes_0_seen",
-    ]  # fmt: skip
+        "eyes_0_x",
+        "eyes_0_y",
+        "eyes_0_z",
+        "eyes_0_velocity_x",
+        "eyes_0_velocity_y",
+        "eyes_0_velocity_z",
+        "eyes_0_mate",
+        "eyes_0_seen",
+    ]
     assert names[28:] == ["lidar_0", "lidar_1", "lidar_2", "lidar_3"]
     space = env.observation_space("cat_0")
     assert space.low[4:7].tolist() == [-40.0] * 3

@@ -82,8 +82,13 @@ def test_cats_are_placed_as_published_and_the_mouse_flees_along_the_sum() -> Non
     np.testing.assert_allclose(seen[:, 0, 6:8], place[:, 1, :2] - place[:, 0, :2], atol=1e-5)
     after, step = steer(game, episode, np.zeros((1, 3, 2)))
     away = np.sum(-place[..., :2] / distance[..., None] ** 2, axis=1)
-    asked = np.stack([np.asarray(after.state.fleets[1].setpoint.velocity_north)[:, 0],
-                      np.asarray(after.state.fleets[1].setpoint.velocity_east)[:, 0]], axis=-1)  # fmt: skip
+    asked = np.stack(
+        [
+            np.asarray(after.state.fleets[1].setpoint.velocity_north)[:, 0],
+            np.asarray(after.state.fleets[1].setpoint.velocity_east)[:, 0],
+        ],
+        axis=-1,
+    )
     expected = 3.0 * away / np.linalg.norm(away, axis=-1, keepdims=True)
     cosine = np.sum(asked * expected, axis=-1) / 9.0
     assert (cosine > 0.95).all(), "a second later the mouse has moved by some metres"

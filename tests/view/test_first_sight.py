@@ -290,9 +290,13 @@ def test_the_page_says_what_it_shows(show: Callable[..., Shown], browser: Browse
 
 @pytest.mark.parametrize(
     "text",
-    ["<img src=x onerror='window.beacon = 1'>", "<script>window.beacon = 1</script>", "{window.beacon = 1}",
-     "[x](javascript:window.beacon=1)"],
-)  # fmt: skip
+    [
+        "<img src=x onerror='window.beacon = 1'>",
+        "<script>window.beacon = 1</script>",
+        "{window.beacon = 1}",
+        "[x](javascript:window.beacon=1)",
+    ],
+)
 def test_what_others_wrote_is_shown_and_not_run(text: str, show: Callable[..., Shown], browser: Browser):
     """Names and reasons come from run folders, which may be somebody else's."""
     shown = show(2, {0: text})

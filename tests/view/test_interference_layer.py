@@ -58,8 +58,11 @@ def test_fences_stand_while_something_acts_and_cost_nothing_else(layer: Interfer
 
 
 def test_a_world_says_the_same_as_its_scenario() -> None:
-    fleet = {"sensors": {"gnss": {"type": "gnss"}}, "vehicles": [{"position_ned": [0.0, 0.0, -10.0]}],
-             "controller": {"type": "waypoint", "feed": "truth"}}  # fmt: skip
+    fleet = {
+        "sensors": {"gnss": {"type": "gnss"}},
+        "vehicles": [{"position_ned": [0.0, 0.0, -10.0]}],
+        "controller": {"type": "waypoint", "feed": "truth"},
+    }
     content = {"name": "x", "duration": 60.0, "world": {"interference": ENTRIES}, "fleets": {"a": fleet}}
     scenario = load_scenario(content)
     said = {item.text: item for item in of_scenario(scenario.spec.model_dump()["world"]["interference"])}

@@ -50,12 +50,18 @@ def test_sizes():
 
 def test_layers_are_those_named_or_all_but_those():
     assert parsed_layers("vehicles, true paths", SHOWN) == {
-        "vehicles": True, "true paths": True, "gusts": False, "GNSS positions": False,
-    }  # fmt: skip
+        "vehicles": True,
+        "true paths": True,
+        "gusts": False,
+        "GNSS positions": False,
+    }
     # What is hidden at first stays hidden.
     assert parsed_layers("-gusts", SHOWN) == {
-        "vehicles": True, "true paths": True, "gusts": False, "GNSS positions": False,
-    }  # fmt: skip
+        "vehicles": True,
+        "true paths": True,
+        "gusts": False,
+        "GNSS positions": False,
+    }
     assert all(parsed_layers("all", SHOWN).values())
 
 

@@ -83,12 +83,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two vehicles, one of which is jammed from 2 s on."""
     path = tmp_path_factory.mktemp("sky") / "run"
     content = {
-        "name": "sky", "duration": DURATION,
+        "name": "sky",
+        "duration": DURATION,
         "world": {"interference": [{"kind": "disc", "position_ned": [0.0, 200.0, 0.0], "radius": 50.0, "start": 2.0}]},
-        "fleets": {"a": {"sensors": {"gnss": {"type": "gnss", "per_satellite": True, "delay": 0}},
-                         "controller": {"type": "waypoint", "feed": "truth"},
-                         "vehicles": [{"position_ned": [0.0, 200.0 * i, -10.0]} for i in range(2)]}},
-    }  # fmt: skip
+        "fleets": {
+            "a": {
+                "sensors": {"gnss": {"type": "gnss", "per_satellite": True, "delay": 0}},
+                "controller": {"type": "waypoint", "feed": "truth"},
+                "vehicles": [{"position_ned": [0.0, 200.0 * i, -10.0]} for i in range(2)],
+            }
+        },
+    }
     qrsim.fly(qrsim.load_scenario(content), path, seed=1, precision="float32")
     return path
 
@@ -117,10 +122,14 @@ def test_a_recording_a_page_and_a_state_say_the_same(folder: Path) -> None:
     assert times == 5
     sky = {name: values.reshape(-1, times)[:, row] for name, values in unpacked(found["sky-1"]).items()}
     shown = [
-        (about["sky"]["names"][str(int(number))], *(int(sky[name][k]) for name in ("azimuth", "elevation", "cn0")),
-         int(sky["satellite_state"][k]))
-        for k, number in enumerate(sky["satellite"].tolist()) if number >= 0 and sky["elevation"][k] >= 0
-    ]  # fmt: skip
+        (
+            about["sky"]["names"][str(int(number))],
+            *(int(sky[name][k]) for name in ("azimuth", "elevation", "cn0")),
+            int(sky["satellite_state"][k]),
+        )
+        for k, number in enumerate(sky["satellite"].tolist())
+        if number >= 0 and sky["elevation"][k] >= 0
+    ]
     assert shown == jammed
 
 

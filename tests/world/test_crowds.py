@@ -50,8 +50,10 @@ def found(points: Any) -> dict[str, Any]:
     mates = mates_of(place, place, jnp.float32(REACH), KNOWN)
     inbox = InboxSize(size=KNOWN, candidates=KNOWN, reach=REACH)  # type: ignore[arg-type]
     packet = Packet(model="probability", probability=1.0, range=1000.0)  # type: ignore[arg-type]
-    radio = cast(Network(path_loss=PathLoss(shadowing_db=0.0, waves=2), delay=Delay(), packet=packet, inbox=inbox),
-                 np.dtype(np.float32))  # fmt: skip
+    radio = cast(
+        Network(path_loss=PathLoss(shadowing_db=0.0, waves=2), delay=Delay(), packet=packet, inbox=inbox),
+        np.dtype(np.float32),
+    )
     waves = Key.root(1).stream("field", jnp.arange(radio.field_ids, dtype=jnp.uint32))
     ids, tick = np.arange(COUNT, dtype=np.uint32), jnp.int32(0)
     start = radio.init(Draw(waves, tick, jnp.float32(0)), Key.root(1).streams(STREAMS), place.x)

@@ -11,12 +11,17 @@ from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Piloted
 
 CONTENT = {
-    "name": "fallen", "description": "A multirotor without power.", "duration": 2.0,
-    "fleets": {"quads": {
-        "vehicle": {"type": "multirotor", "model": "x500"}, "controller": {"type": "cascade", "feed": "truth"},
-        "vehicles": [{"position_ned": [0.0, 0.0, -50.0], "waypoints_ned": [[20.0, 0.0, -50.0]]}],
-    }},
-}  # fmt: skip
+    "name": "fallen",
+    "description": "A multirotor without power.",
+    "duration": 2.0,
+    "fleets": {
+        "quads": {
+            "vehicle": {"type": "multirotor", "model": "x500"},
+            "controller": {"type": "cascade", "feed": "truth"},
+            "vehicles": [{"position_ned": [0.0, 0.0, -50.0], "waypoints_ned": [[20.0, 0.0, -50.0]]}],
+        }
+    },
+}
 
 
 @pytest.mark.long

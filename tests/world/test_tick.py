@@ -130,10 +130,15 @@ def test_every_reason_is_flown() -> None:
     # The fence is flown into below: it is another area, and another program. The ground is touched in test_standing.py;
     # what only multirotors stop for is in their own tests.
     elsewhere = {
-        ("valid", ""), ("out_of_area", "fence"),
-        ("hit_ground", "position_ned.z"), ("hit_ground", "speed"), ("hit_ground", "tilt"),
-        ("crashed", "hub_contact"), ("crashed", "impact_speed"), ("brown_out", "power"),
-    }  # fmt: skip
+        ("valid", ""),
+        ("out_of_area", "fence"),
+        ("hit_ground", "position_ned.z"),
+        ("hit_ground", "speed"),
+        ("hit_ground", "tilt"),
+        ("crashed", "hub_contact"),
+        ("crashed", "impact_speed"),
+        ("brown_out", "power"),
+    }
     assert set(REASON_CASES) == set(REASONS) - elsewhere
 
 

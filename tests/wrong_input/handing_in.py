@@ -114,9 +114,12 @@ class Workshop:
     def logs(self) -> list[tuple[str, bytes, bool]]:
         """Logs in the formats that are read: name, content, whether it is binary."""
         return [
-            ("log.csv", csv_log(), False), ("rig.csv", rig_log(), False), ("log.ulg", ulog(), True),
-            ("rest.ulg", inertial_ulog(), True), ("log.bin", dataflash(), True),
-        ]  # fmt: skip
+            ("log.csv", csv_log(), False),
+            ("rig.csv", rig_log(), False),
+            ("log.ulg", ulog(), True),
+            ("rest.ulg", inertial_ulog(), True),
+            ("log.bin", dataflash(), True),
+        ]
 
     @cached_property
     def bag(self) -> Path:

@@ -99,9 +99,13 @@ class Betaflight:
         streams = ("truth", "measurements", "commands", "wind") if self.every > 1 else ()
         try:
             pace = fly(
-                scenario, folder, seed=self.seed, precision="float32", flown_by=flown_by,
+                scenario,
+                folder,
+                seed=self.seed,
+                precision="float32",
+                flown_by=flown_by,
                 every=dict.fromkeys(streams, self.every),
-            )  # fmt: skip
+            )
         finally:
             for flight in flights:
                 flight.close()
@@ -186,9 +190,13 @@ class Ardupilot:
         streams = ("truth", "measurements", "commands", "wind") if self.every > 1 else ()
         try:
             pace = fly(
-                scenario, folder, seed=self.seed, precision="float32", flown_by=flown_by,
+                scenario,
+                folder,
+                seed=self.seed,
+                precision="float32",
+                flown_by=flown_by,
                 every=dict.fromkeys(streams, self.every),
-            )  # fmt: skip
+            )
         finally:
             for flight in flights:
                 flight.close()
@@ -225,11 +233,14 @@ def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tup
     stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
     rows: list[dict[str, Any]] = [
         {
-            "vehicle": row.vehicle, "distance_m": row.distance_m, "tracking_rms_m": row.tracking_error_rms_m,
-            "waypoints": row.waypoints, "stopped": stopped.get(row.vehicle),
+            "vehicle": row.vehicle,
+            "distance_m": row.distance_m,
+            "tracking_rms_m": row.tracking_error_rms_m,
+            "waypoints": row.waypoints,
+            "stopped": stopped.get(row.vehicle),
         }
         for row in summarise(recorded)
-    ]  # fmt: skip
+    ]
     if options.json:
         result = {"run": str(folder), "fleets": fleets, "simulated_s": pace.simulated_s, "wall_s": pace.wall_s}
         print(json.dumps(result | {"vehicles": rows}, indent=2))

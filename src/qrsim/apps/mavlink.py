@@ -95,9 +95,13 @@ class Mavlink:
         world = FlownWorld(
             prepared(load_scenario(self.scenario, self.set)),
             stack_of(self.flavour, self.local_origin),  # type: ignore[arg-type]
-            seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, respawn=self.respawn,
+            seed=self.seed,
+            first_system=self.first_sysid,
+            factor=self.realtime,
+            truth=self.truth,
+            respawn=self.respawn,
             log=say,
-        )  # fmt: skip
+        )
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
         server = Server(world, ports, Wire(self.realtime, HERE, ground, self.stream_time == "sim", self.lockstep), say)
         self._describe(world, ports, ground, say)

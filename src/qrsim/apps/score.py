@@ -126,17 +126,26 @@ class Score:
         persons = ("persons found",) if search else ()
         others = [f"return of {fleet}" for fleet in found[0].others]
         for column in (
-            "policy", "mean return", "95 % interval", "flown to the end", *others, *persons, f"less {found[0].name}"
-        ):  # fmt: skip
+            "policy",
+            "mean return",
+            "95 % interval",
+            "flown to the end",
+            *others,
+            *persons,
+            f"less {found[0].name}",
+        ):
             table.add_column(column, justify="left" if column == "policy" else "right")
         for row in rows:
             less, finds = row["difference"], row.get("persons_found")
             table.add_row(
-                row["policy"], f"{row['mean']:.4g}", _span(row), f"{row['flown_to_the_end']:.3g}",
+                row["policy"],
+                f"{row['mean']:.4g}",
+                _span(row),
+                f"{row['flown_to_the_end']:.3g}",
                 *(f"{told['mean']:.4g} {_span(told)}" for told in row.get("others", {}).values()),
                 *([f"{finds['mean']:.3g} {_span(finds)}"] if finds else []),
                 "-" if less is None else f"{less['mean']:.3g} {_span(less)}",
-            )  # fmt: skip
+            )
         Console(width=None if sys.stdout.isatty() else 130 if search or others else 110).print(table)
         if self.out is not None:
             print(f"figure: {self.out}")
@@ -150,8 +159,13 @@ def _row(each: Any, first: Any) -> dict[str, Any]:
     less = None if each is first else _told(each.less(first))
     returns = [float(value) for value in each.returns]
     flown = float(each.alive.mean())
-    row = {"policy": each.name, **_told(each.interval), "flown_to_the_end": flown, "difference": less,
-           "returns": returns}  # fmt: skip
+    row = {
+        "policy": each.name,
+        **_told(each.interval),
+        "flown_to_the_end": flown,
+        "difference": less,
+        "returns": returns,
+    }
     if each.others:
         row["others"] = {fleet: _told(Interval.of(returns)) for fleet, returns in each.others.items()}
     if each.persons_found is not None:

@@ -152,9 +152,19 @@ class Serve:
                 raise RunError(f"--record {self.record}: {error.strerror or error}") from None
         own = 1.0 if self.pace == "free" else 0.0
         return Options(
-            self.host, self.port, checked_factor(self.realtime or own), self.allow_quit, self.max_clients, self.record,
-            self.sessions, self.seed, self.episodes, self.idle_timeout, self._page(), **shared,
-        )  # fmt: skip
+            self.host,
+            self.port,
+            checked_factor(self.realtime or own),
+            self.allow_quit,
+            self.max_clients,
+            self.record,
+            self.sessions,
+            self.seed,
+            self.episodes,
+            self.idle_timeout,
+            self._page(),
+            **shared,
+        )
 
     def _shared(self) -> dict[str, Any]:
         """Return the options of a world that clients share."""

@@ -60,9 +60,12 @@ class CascadeController(Controller):
     climb_integral_gain: Array = parameter(default=2.0, unit="1/s^2", doc="the same per integrated error")
     climb_integral_limit: Array = parameter(default=6.0, unit="m/s^2", doc="largest vertical integral", minimum=0.0)
     tilt_limit: Array = parameter(
-        default=0.611, unit="rad", doc="largest wanted tilt of the thrust, as flown and not as commanded", above=0.0,
+        default=0.611,
+        unit="rad",
+        doc="largest wanted tilt of the thrust, as flown and not as commanded",
+        above=0.0,
         maximum=1.4,
-    )  # fmt: skip
+    )
     thrust_fraction: Array = parameter(
         default=0.98, unit="1", doc="part of the vehicle's largest thrust that may lift", above=0.0, maximum=1.0
     )
@@ -184,8 +187,8 @@ class CascadeController(Controller):
         else:
             level = isinstance(setpoint, VelocityHeightSetpoint)
             north, east = (setpoint.velocity_north, setpoint.velocity_east) if level else (none, none)
-            place = Vec3(estimate.position_ned.x, estimate.position_ned.y, setpoint.z)
-            down = -self.height_gain * estimate.offset_from(place).z
+            here_at_height = Vec3(estimate.position_ned.x, estimate.position_ned.y, setpoint.z)
+            down = -self.height_gain * estimate.offset_from(here_at_height).z
         north, east = _shortened(north, east, self.speed_limit)
         return Vec3(north, east, jnp.clip(down, -self.climb_limit, self.sink_limit)), acceleration
 

@@ -263,9 +263,12 @@ class AttitudeController(QuadrotorController):
     """Hands tilt and normalised thrust to the platform, holding the heading."""
 
     hover_throttle: Array = parameter(
-        default=0.59, unit="1", doc="throttle that carries the weight, used until the first set-point",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
+        default=0.59,
+        unit="1",
+        doc="throttle that carries the weight, used until the first set-point",
+        minimum=0.0,
+        maximum=1.0,
+    )
     tilt_limit: Array = _tilt_limit()
     yaw_gain: Array = _yaw_gain()
     yaw_rate_limit: Array = _yaw_rate_limit()
@@ -339,9 +342,12 @@ class OffboardController(QuadrotorController):
         """Return the new state and the command (n,)."""
         fresh = self.init(estimate)
         shared: dict[str, Any] = {
-            "tilt_limit": self.tilt_limit, "yaw_gain": self.yaw_gain, "yaw_rate_limit": self.yaw_rate_limit,
-            "battery": self.battery, "feed": self.feed,
-        }  # fmt: skip
+            "tilt_limit": self.tilt_limit,
+            "yaw_gain": self.yaw_gain,
+            "yaw_rate_limit": self.yaw_rate_limit,
+            "battery": self.battery,
+            "feed": self.feed,
+        }
         if isinstance(setpoint, WaypointSetpoint):
             gains = (self.position_gain, self.speed_limit, self.velocity_gain)
             waypoint = WaypointController(*gains, height=self.height, **shared)

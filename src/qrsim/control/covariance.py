@@ -117,9 +117,9 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
         known = [
             [[[i not in variances and j not in variances] for j in _of(b)] for i in _of(a)] for b in range(a, count)
         ]
-        kept = jnp.asarray(known, row.dtype) * row
+        unchanged = jnp.asarray(known, row.dtype) * row
         own = _diagonal([variances.get(i, zero) for i in _of(a)])
-        return jnp.where(where[None, None, None], _with_own(kept, own), row)
+        return jnp.where(where[None, None, None], _with_own(unchanged, own), row)
 
     return tuple(fresh(a, row) for a, row in enumerate(covariance))
 

@@ -51,7 +51,7 @@ from qrsim.control.reading_fields import AIRSPEED, FIELD, field_of, known, sourc
 from qrsim.control.setpoints import Estimate
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
-from qrsim.core.tree import record, replace, select
+from qrsim.core.tree import computed, record, replace, select
 from qrsim.core.vectors import Euler, Vec3
 
 # Share of turns about the level axes that is not turned back.
@@ -69,12 +69,12 @@ class ErrorStateKalmanFilter(KalmanParameters):
     are, and the filter begins there again. Slow errors of fixes are considered in what it reports, and not estimated.
     """
 
-    def _late(self, readings: Mapping[str, Any]) -> int:
+    def _delay_ticks(self, readings: Mapping[str, object]) -> int:
         """Return how late a fix is [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
-    @property
-    def first_normals(self) -> int:  # type: ignore[override]
+    @computed
+    def first_normals(self) -> int:
         """Standard normals of a start."""
         return NORMALS if self.start == "aligned" or self.calibration_time > 0.0 else 0
 
@@ -83,7 +83,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return self.begin(readings, start, None)
 
     def begin(
-        self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight | None
+        self, readings: Mapping[str, object], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
         """Return state and estimate (n,) at the first readings, and of the start where they are missing (F7)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
@@ -100,9 +100,9 @@ class ErrorStateKalmanFilter(KalmanParameters):
         bias = calibrated(self, preflight)
         inner = self._first_inner(readings, begun, none, preflight)
         first = self.first_inner(inner, bias is not None)
-        place = self._variances(readings, "position_ned", zero, by_height)
+        spread = self._variances(readings, "position_ned", zero, by_height)
         covariance = independent(
-            [*place, *self._variances(readings, "velocity_ned", zero), *turn, *(self._as(zero, std) for std in first)]
+            [*spread, *self._variances(readings, "velocity_ned", zero), *turn, *(self._as(zero, std) for std in first)]
         )
         state = KalmanState(
             position, none, speed, begun, inner if bias is None else replace(inner, gyroscope_bias=bias),
@@ -112,14 +112,14 @@ class ErrorStateKalmanFilter(KalmanParameters):
                 zero, zero, zero, zero, None if inner.earth_field_ned is None else zero,
                 None if inner.wind_north is None else zero,
             ),
-            (Past(position, none, speed),) * self._late(readings), self._slow(place, by_height, zero),
+            (Past(position, none, speed),) * self._delay_ticks(readings), self._slow(spread, by_height, zero),
         )  # fmt: skip
         if preflight is not None and preflight.at_rest is not None and self.start == "aligned":
             state = select(preflight.at_rest, levelled(self, state, readings), state)
         return state, _estimate(state)
 
     def _first_attitude(
-        self, readings: Mapping[str, Any], true: Euler, zero: Array, preflight: Preflight | None
+        self, readings: Mapping[str, object], true: Euler, zero: Array, preflight: Preflight | None
     ) -> tuple[Quaternion, list[Array]]:
         """Return the attitude (n,) of a start in flight, and the variance of each axis of its error."""
         attitude = field_of(readings, "attitude")
@@ -137,7 +137,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return Vec3(level, level, self._as(zero, self.height_drift_std) if by_height else down)
 
     def _first_inner(
-        self, readings: Mapping[str, Any], turned: Quaternion, none: Vec3, preflight: Preflight | None
+        self, readings: Mapping[str, object], turned: Quaternion, none: Vec3, preflight: Preflight | None
     ) -> Inner:
         """Return the other estimates (n,) at the start; their structure is that of the filter's errors."""
         field, zero = field_of(readings, FIELD), none.x
@@ -189,10 +189,10 @@ class ErrorStateKalmanFilter(KalmanParameters):
         """Return how large its errors are beside what it states (n,); of magnetic field and wind nothing is said."""
         biases = (truth.gyroscope_bias, truth.accelerometer_bias)
         known_biases = None not in biases
-        place = truth.position_ned - state.position_ned - state.position_low_ned
+        position_error = truth.position_ned - state.position_ned - state.position_low_ned
         if truth.position_low_ned is not None:
-            place = place + truth.position_low_ned
-        parts = [place, truth.velocity_ned - state.velocity_ned, turned(truth.attitude, state.attitude)]
+            position_error = position_error + truth.position_low_ned
+        parts = [position_error, truth.velocity_ned - state.velocity_ned, turned(truth.attitude, state.attitude)]
         if known_biases:
             own = (state.inner.gyroscope_bias, state.inner.accelerometer_bias)
             parts += [bias - mean for bias, mean in zip(biases, own, strict=True) if bias is not None]
@@ -211,7 +211,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return jnp.zeros_like(like) + std * std
 
     def _variances(
-        self, readings: Mapping[str, Any], what: str, like: Array, by_height: bool = False
+        self, readings: Mapping[str, object], what: str, like: Array, by_height: bool = False
     ) -> tuple[Array, Array, Array]:
         """Return the variance of each axis of a fix (n,): by the accuracy that it states, else by the parameters."""
         if what == "velocity_ned":
@@ -231,7 +231,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
             down = known(stated * stated, down)
         return level, level, down
 
-    def _predicted(self, state: KalmanState, readings: Mapping[str, Any], dt: float) -> KalmanState:
+    def _predicted(self, state: KalmanState, readings: Mapping[str, object], dt: float) -> KalmanState:
         """Return the state a tick later, by body rates and the mean specific force of the tick (F1)."""
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
@@ -282,7 +282,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         ]
 
     def _measured(
-        self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
         """Return the state corrected by what is new (F2)."""
         none = jnp.zeros((state.places.size // BLOCK, BLOCK, *state.since_fix.shape), state.since_fix.dtype)
@@ -325,7 +325,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return worst
 
     def _groups(
-        self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
         """Yield what is measured: the kind, its scalars, whether it is new (n,), and whether at all, () or (n,)."""
         one = jnp.ones_like(state.since_fix)
@@ -351,7 +351,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
             yield "airspeed", airspeeds(state, airspeed, self._as(one, self.airspeed_std)), fast, due
 
     def _by_fix(
-        self, state: KalmanState, readings: Mapping[str, Any], new: Callable[[str], tuple[Array, Array]], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], new: Callable[[str], tuple[Array, Array]], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
         """Yield what a fix measures: place and velocity of as many ticks ago as it is late (F2)."""
         one = jnp.ones_like(state.since_fix)
@@ -372,13 +372,15 @@ def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], wher
 
     Accuracies that change are those of another slow error, of which a part of the position is not known.
     """
-    after = [*(jnp.where(where, new, old) for new, old in zip(stated, slow.axes, strict=False)),
-             *slow.axes[len(stated):]]  # fmt: skip
+    after = [
+        *(jnp.where(where, new, old) for new, old in zip(stated, slow.axes, strict=False)),
+        *slow.axes[len(stated) :],
+    ]
     jump = {PLACE + i: jnp.abs(new - old) for i, (new, old) in enumerate(zip(after, slow.axes, strict=True))}
     return widened(covariance, {k: jump[k] for k in list(jump)[: len(stated)]}), Vec3(*after)
 
 
-def _shares(readings: Mapping[str, Any]) -> tuple[Any, Any]:
+def _shares(readings: Mapping[str, object]) -> tuple[Any, Any]:
     """Return the share of a fix's variance on each level axis and down, a third each where it has no dilutions."""
     level, down = field_of(readings, "hdop"), field_of(readings, "vdop")
     if level is None or down is None:

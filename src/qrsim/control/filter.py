@@ -97,10 +97,15 @@ class ComplementaryFilter(Estimator):
         velocity = known(velocity, start.velocity_ned)
         own = attitude is None and field_of(readings, "rates_body") is not None
         state = FilterState(
-            known(position, start.position_ned), none, velocity, none,
-            start.attitude if attitude is None else known(attitude, start.attitude), zero, zero,
+            known(position, start.position_ned),
+            none,
+            velocity,
+            none,
+            start.attitude if attitude is None else known(attitude, start.attitude),
+            zero,
+            zero,
             Turning.start(Quaternion.of(start.attitude), velocity) if own else None,
-        )  # fmt: skip
+        )
         return state, _estimate(state)
 
     def step(
@@ -118,7 +123,9 @@ class ComplementaryFilter(Estimator):
         state = self._by_height(state, readings, fresh)
         return state, _estimate(state)
 
-    def _turned(self, turning: Turning, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float) -> Turning:
+    def _turned(
+        self, turning: Turning, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
+    ) -> Turning:
         """Return the own attitude a tick later (docs/estimators.md, F8)."""
         turning = turning.waited(dt)
         velocity, force = field_of(readings, "velocity_ned"), field_of(readings, "specific_force")
@@ -137,7 +144,7 @@ class ComplementaryFilter(Estimator):
         return turning.turned(rates, correction, learned, dt)
 
     def _heading_error(
-        self, turning: Turning, readings: Mapping[str, Any], fresh: Mapping[str, Array]
+        self, turning: Turning, readings: Mapping[str, object], fresh: Mapping[str, Array]
     ) -> tuple[Array, Array]:
         """Return by how much the own heading is wrong (n,) [rad], and whether that is new (n,)."""
         nothing = jnp.full_like(turning.since_fix, jnp.nan)
@@ -162,11 +169,15 @@ class ComplementaryFilter(Estimator):
         way = (state.velocity_ned + 0.5 * change) * dt
         position, low = added(state.position_ned, state.position_low_ned + way)
         return replace(
-            state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
-            since_fix=state.since_fix + dt, since_height=state.since_height + dt,
-        )  # fmt: skip
+            state,
+            position_ned=position,
+            position_low_ned=low,
+            velocity_ned=state.velocity_ned + change,
+            since_fix=state.since_fix + dt,
+            since_height=state.since_height + dt,
+        )
 
-    def _by_fix(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
+    def _by_fix(self, state: FilterState, readings: Mapping[str, object], fresh: Mapping[str, Array]) -> FilterState:
         """Return the state corrected by horizontal place and velocity, where a fix is new (C17)."""
         place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         if place is None:
@@ -187,7 +198,7 @@ class ComplementaryFilter(Estimator):
         state = _corrected(state, *(Vec3(**part, z=zero) for part in (moved, gained, learned)))
         return replace(state, since_fix=jnp.where(new, 0.0, state.since_fix))
 
-    def _by_height(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
+    def _by_height(self, state: FilterState, readings: Mapping[str, object], fresh: Mapping[str, Array]) -> FilterState:
         """Return the state corrected by height and climb, where they are new (C17)."""
         height, rate = field_of(readings, "height"), field_of(readings, "height_rate")
         if height is None:
@@ -223,6 +234,9 @@ def _estimate(state: FilterState) -> Estimate:
 def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> FilterState:
     position, low = added(state.position_ned, state.position_low_ned + moved)
     return replace(
-        state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + gained,
+        state,
+        position_ned=position,
+        position_low_ned=low,
+        velocity_ned=state.velocity_ned + gained,
         bias_ned=state.bias_ned + learned,
-    )  # fmt: skip
+    )

@@ -161,9 +161,7 @@ class FixedWingController(Controller):
         """Return the acceleration (n,) [m/s^2] to the right towards a line; straight to its end where it has none."""
         v, away = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
-        way_north, way_east = (
-            track.position_ned.x - track.begin_ned.x, track.position_ned.y - track.begin_ned.y,
-        )  # fmt: skip
+        way_north, way_east = (track.position_ned.x - track.begin_ned.x, track.position_ned.y - track.begin_ned.y)
         length = root(way_north * way_north + way_east * way_east)
         has_line = length > 1e-3
         distance = jnp.maximum(root(away.x * away.x + away.y * away.y), 1e-3)

@@ -86,7 +86,7 @@ class RouteFollower(Guidance):
         return WaypointSetpoint(route.position_ned.map(pick), pick(route.yaw))
 
 
-def _each(value: Array, route: Route) -> Array:
+def _per_vehicle(value: Array, route: Route) -> Array:
     """Return a parameter for each vehicle (n,)."""
     return jnp.broadcast_to(jnp.asarray(value), route.count.shape)
 
@@ -114,7 +114,7 @@ class VelocityGuidance(Guidance):
     def setpoint(self, state: RouteState, route: Route) -> VelocitySetpoint:
         """Return the set-point of each vehicle (n,)."""
         wanted = Vec3(self.velocity_north, self.velocity_east, self.velocity_down)
-        return VelocitySetpoint(wanted.map(lambda axis: _each(axis, route)), route.yaw[0])
+        return VelocitySetpoint(wanted.map(lambda axis: _per_vehicle(axis, route)), route.yaw[0])
 
 
 @record
@@ -138,7 +138,7 @@ class VelocityHeightGuidance(Guidance):
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
         """Return the set-point of each vehicle (n,)."""
-        north, east = _each(self.velocity_north, route), _each(self.velocity_east, route)
+        north, east = _per_vehicle(self.velocity_north, route), _per_vehicle(self.velocity_east, route)
         return VelocityHeightSetpoint(north, east, route.position_ned.z[0], route.yaw[0])
 
 
@@ -163,7 +163,7 @@ class AttitudeHeightGuidance(Guidance):
 
     def setpoint(self, state: RouteState, route: Route) -> AttitudeHeightSetpoint:
         """Return the set-point of each vehicle (n,)."""
-        roll, pitch = _each(self.roll_rad, route), _each(self.pitch_rad, route)
+        roll, pitch = _per_vehicle(self.roll_rad, route), _per_vehicle(self.pitch_rad, route)
         return AttitudeHeightSetpoint(roll, pitch, route.position_ned.z[0], route.yaw[0])
 
 
@@ -189,5 +189,5 @@ class AttitudeGuidance(Guidance):
 
     def setpoint(self, state: RouteState, route: Route) -> AttitudeSetpoint:
         """Return the set-point of each vehicle (n,)."""
-        roll, pitch = _each(self.roll_rad, route), _each(self.pitch_rad, route)
-        return AttitudeSetpoint(roll, pitch, route.yaw[0], _each(self.throttle, route))
+        roll, pitch = _per_vehicle(self.roll_rad, route), _per_vehicle(self.pitch_rad, route)
+        return AttitudeSetpoint(roll, pitch, route.yaw[0], _per_vehicle(self.throttle, route))

@@ -19,8 +19,8 @@ Filter = TypeVar("Filter", bound="KalmanParameters")
 
 def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Any:
     """Declare a number that is that of the sensors where a scenario leaves it out."""
-    bound = {"above": 0.0} if positive else {"minimum": 0.0}
-    return parameter(default=default, unit=unit, doc=doc, of_sensors=True, **bound)  # type: ignore[arg-type]
+    least, above = (None, 0.0) if positive else (0.0, None)
+    return parameter(default=default, unit=unit, doc=doc, of_sensors=True, minimum=least, above=above)
 
 
 @record
@@ -57,17 +57,22 @@ class KalmanParameters(Estimator):
         default="aligned", doc="alignment by readings on the ground and by a drawn error in flight, or no error"
     )
     calibration_time: float = setting(
-        default=2.0, unit="s", doc="time at rest before the flight over which the gyroscope is averaged; 0: none",
+        default=2.0,
+        unit="s",
+        doc="time at rest before the flight over which the gyroscope is averaged; 0: none",
         minimum=0.0,
-    )  # fmt: skip
+    )
     tilt_std: Array = parameter(default=0.015, unit="rad", doc="of roll and pitch at a start in flight", minimum=0.0)
     heading_std: Array = parameter(default=0.03, unit="rad", doc="of the yaw at a start in flight", minimum=0.0)
     sampling: Array = parameter(
-        default=0.2, unit="1", doc="error of the turn in a tick over the change of rate in it, for motion in between",
+        default=0.2,
+        unit="1",
+        doc="error of the turn in a tick over the change of rate in it, for motion in between",
         minimum=0.0,
-    )  # fmt: skip
-    gate: Array = parameter(default=5.0, unit="1", doc="stds from what is expected beyond which nothing is believed",
-                            above=0.0)  # fmt: skip
+    )
+    gate: Array = parameter(
+        default=5.0, unit="1", doc="stds from what is expected beyond which nothing is believed", above=0.0
+    )
     reset_after: Array = parameter(
         default=7.0, unit="s", doc="time without a believed fix after which the next is", above=0.0
     )
@@ -79,21 +84,25 @@ class KalmanParameters(Estimator):
         default=0.15, unit="uT", doc="of the Earth's field at the start, per axis", minimum=0.0
     )
     field_walk: Array = parameter(
-        default=0.005, unit="uT/sqrt(s)", doc="random walk of the Earth's field as flown through, and of the bias",
+        default=0.005,
+        unit="uT/sqrt(s)",
+        doc="random walk of the Earth's field as flown through, and of the bias",
         minimum=0.0,
-    )  # fmt: skip
+    )
     airspeed_least: Array = parameter(default=5.0, unit="m/s", doc="airspeed below which none is believed", minimum=0.0)
     wind_std: Array = parameter(default=6.0, unit="m/s", doc="of the wind at the start, per axis", minimum=0.0)
-    wind_walk: Array = parameter(default=0.5, unit="m/s/sqrt(s)", doc="random walk of the wind, gusts included",
-                                 minimum=0.0)  # fmt: skip
+    wind_walk: Array = parameter(
+        default=0.5, unit="m/s/sqrt(s)", doc="random walk of the wind, gusts included", minimum=0.0
+    )
     height_bias: bool = setting(
         default=False, doc="whether the barometer's error is estimated, so that fixes hold the height for long"
     )
     height_bias_std: Array = parameter(default=0.5, unit="m", doc="of it at the start", minimum=0.0)
     height_bias_walk: Array = parameter(default=0.02, unit="m/sqrt(s)", doc="its random walk", minimum=0.0)
     earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
-    ages: tuple[tuple[str, int], ...] = derived(default=(), doc="sensors by name, and ticks their readings are late by",
-                                                static=True)  # fmt: skip
+    ages: tuple[tuple[str, int], ...] = derived(
+        default=(), doc="sensors by name, and ticks their readings are late by", static=True
+    )
 
     # Barometer, heading, magnetometer and airspeed are of use, and not needed.
     reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "accelerometer", "gyroscope")
@@ -112,18 +121,30 @@ class KalmanParameters(Estimator):
     def first_inner(self, inner: Inner, calibrated: bool) -> list[Array]:
         """Return the std of each error at the start but those of the motion."""
         gyroscope = self.gyroscope_calibrated_std if calibrated else self.gyroscope_bias_std
-        stds = (gyroscope, self.accelerometer_bias_std, self.earth_field_std, self.field_bias_std, self.wind_std,
-                self.height_bias_std)  # fmt: skip
-        return _each(inner, stds)
+        stds = (
+            gyroscope,
+            self.accelerometer_bias_std,
+            self.earth_field_std,
+            self.field_bias_std,
+            self.wind_std,
+            self.height_bias_std,
+        )
+        return _std_of_each_error(inner, stds)
 
     def walks(self, inner: Inner) -> list[Array]:
         """Return the random walk of each error but those of the motion."""
-        stds = (self.gyroscope_walk, self.accelerometer_walk, self.field_walk, self.field_walk, self.wind_walk,
-                self.height_bias_walk)  # fmt: skip
-        return _each(inner, stds)
+        stds = (
+            self.gyroscope_walk,
+            self.accelerometer_walk,
+            self.field_walk,
+            self.field_walk,
+            self.wind_walk,
+            self.height_bias_walk,
+        )
+        return _std_of_each_error(inner, stds)
 
 
-def _each(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
+def _std_of_each_error(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
     """Return the std of each error that the filter has besides those of the motion: whole blocks, 0 for none."""
     *first, wind, height = stds
     own = first[:2] if inner.earth_field_ned is None else first

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -43,7 +42,7 @@ def calibrated(kalman: KalmanParameters, preflight: Preflight | None) -> Vec3 | 
     return Vec3(*(bias + std * normal for bias, normal in normals))
 
 
-def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str, Any]) -> KalmanState:
+def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str, object]) -> KalmanState:
     """Return the state (n,) of vehicles at rest: level by the accelerometer, headed by the magnetometer."""
     force, field = field_of(readings, "specific_force"), field_of(readings, FIELD)
     if force is None:
@@ -61,10 +60,7 @@ def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str
         own = jnp.where(strong, YAW_BEFORE * YAW_BEFORE, own)
     attitude = Quaternion.of(known(Euler(roll, pitch, yaw), before))
     tilt = zero + TILT_BEFORE * TILT_BEFORE
-    state = replace(
-        state, attitude=attitude,
-        covariance=with_turn(state.covariance, (tilt, tilt, own)),
-    )  # fmt: skip
+    state = replace(state, attitude=attitude, covariance=with_turn(state.covariance, (tilt, tilt, own)))
     noise = kalman.accelerometer_noise
     scalars = gravities(state, force, kalman.gravity, zero + noise * noise * (1.0 / FIRST_S) + 1e-6)
     if field is not None and state.places.field is not None:

@@ -82,9 +82,11 @@ class KalmanState:
     innovations: Innovations = quantity(doc="of the last readings")
     past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
     slow: Vec3 | None = quantity(
-        default=None, unit="m^2", doc="variance of the slow errors of what measures the position, which the covariance "
+        default=None,
+        unit="m^2",
+        doc="variance of the slow errors of what measures the position, which the covariance "
         "does not contain; None: they have none",
-    )  # fmt: skip
+    )
 
     @property
     def places(self) -> Places:
@@ -113,9 +115,12 @@ class Places(NamedTuple):
         last = SIZE if none else SIZE + 6
         wind, height = inner.wind_north is not None, inner.height_bias is not None
         return Places(
-            None if none else SIZE, None if none else SIZE + 3, last if wind else None, last + 2 if height else None,
+            None if none else SIZE,
+            None if none else SIZE + 3,
+            last if wind else None,
+            last + 2 if height else None,
             last + 3 if wind or height else last,
-        )  # fmt: skip
+        )
 
 
 def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
@@ -209,9 +214,10 @@ def _inner(inner: Inner, errors: Array) -> Inner:
         assert inner.earth_field_ned is not None
         assert inner.field_bias is not None
         inner = replace(
-            inner, earth_field_ned=inner.earth_field_ned + _three(errors, places.field),
+            inner,
+            earth_field_ned=inner.earth_field_ned + _three(errors, places.field),
             field_bias=inner.field_bias + _three(errors, places.field_bias),
-        )  # fmt: skip
+        )
     if places.wind is not None:
         assert inner.wind_north is not None
         assert inner.wind_east is not None
@@ -242,10 +248,14 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
         return None if first is None else Vec3(*own[first : first + 3])
 
     return Inner(
-        Vec3(*own[GYROSCOPE:ACCELEROMETER]), Vec3(*own[ACCELEROMETER:SIZE]), three(places.field),
-        three(places.field_bias), None if places.wind is None else own[places.wind],
-        None if places.wind is None else own[places.wind + 1], None if places.height is None else own[places.height],
-    )  # fmt: skip
+        Vec3(*own[GYROSCOPE:ACCELEROMETER]),
+        Vec3(*own[ACCELEROMETER:SIZE]),
+        three(places.field),
+        three(places.field_bias),
+        None if places.wind is None else own[places.wind],
+        None if places.wind is None else own[places.wind + 1],
+        None if places.height is None else own[places.height],
+    )
 
 
 def _three(errors: Array, first: int) -> Vec3:

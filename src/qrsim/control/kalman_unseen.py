@@ -48,9 +48,9 @@ def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array)
         gravity: [m/s^2].
     """
     one = 0.0 * state.since_fix + 1.0
-    found = [] if state.slow is None else [
-        Unseen(variance, {PLACE + i: one}) for i, variance in enumerate(state.slow.axes)
-    ]  # fmt: skip
+    found = (
+        [] if state.slow is None else [Unseen(variance, {PLACE + i: one}) for i, variance in enumerate(state.slow.axes)]
+    )
     # Its part along a level axis of the body is that of gravity and looks like a tilt.
     for i, axis in enumerate(body_axes(state.rotation)[:2]):
         lean = {TURN: axis.y, TURN + 1: -axis.x, ACCELEROMETER + i: one * gravity}

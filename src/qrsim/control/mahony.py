@@ -48,9 +48,11 @@ class Turning:
             return Vec3(*(jnp.where(new, a, b) for a, b in zip(now.axes, before.axes, strict=True)))
 
         return replace(
-            self, velocity_ned=chosen(velocity_ned, self.velocity_ned),
-            acceleration_ned=chosen(change, self.acceleration_ned), since_fix=jnp.where(new, 0.0, self.since_fix),
-        )  # fmt: skip
+            self,
+            velocity_ned=chosen(velocity_ned, self.velocity_ned),
+            acceleration_ned=chosen(change, self.acceleration_ned),
+            since_fix=jnp.where(new, 0.0, self.since_fix),
+        )
 
     def tilt_error(self, force_body: Vec3, gravity: Array) -> Vec3:
         """Return the level rotation in NED (n,) [rad] that takes the measured specific force to the expected one."""
@@ -87,6 +89,8 @@ class Turning:
         half = (way + rotation.to_body(correction)) * 0.5
         turn = Quaternion(jnp.ones_like(half.x), half.x, half.y, half.z)
         return replace(
-            self, attitude=(self.attitude * turn).normalised(), rates_body=rates_body,
+            self,
+            attitude=(self.attitude * turn).normalised(),
+            rates_body=rates_body,
             gyroscope_bias=self.gyroscope_bias + rotation.to_body(learned),
-        )  # fmt: skip
+        )

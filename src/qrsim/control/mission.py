@@ -192,7 +192,7 @@ class MissionGuidance(Guidance):
         above, sinking = due.position_ned.z - position_ned.z, velocity_ned.z
         touched = (above > TOUCHED) & (jnp.abs(sinking) < HELD_SPEED) & (state.time > ends + STEADY)
         level = leg.lands & (standing | touched)
-        asked = _asked(due, rate, (idle, level), low)
+        asked = _slowed_setpoint(due, rate, (idle, level), low)
         goal = leg.position_ned + shift.map(lambda axis: jnp.where(leg.rises, axis, 0.0))
         distance = (goal - position_ned).norm()
         near = state.near | (distance < leg.accept_radius)
@@ -284,7 +284,7 @@ def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
     return ticks.astype(state.time.dtype) * dt
 
 
-def _asked(due: PathSetpoint, rate: Array, grounded: tuple[Array, Array], low: Array) -> PathSetpoint:
+def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Array], low: Array) -> PathSetpoint:
     """Return what is asked for (n,): the point that is due, its motion slower by ``rate``; who is low moves up only."""
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 

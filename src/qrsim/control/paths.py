@@ -15,9 +15,10 @@ from typing import Any, Literal
 import numpy as np
 
 from qrsim.control.mission import Facing, Mission, Orbits
+from qrsim.core.arrays import Floats
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 
-Floats = np.ndarray[Any, Any]
 # A duration that no flight reaches, and yet no infinity, so that no difference of two is NaN.
 FOREVER = 1e9
 # Shorter lines have no direction.
@@ -304,11 +305,12 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     faces = any(leg.facing_ned for leg in flat)
     counts = np.array([len(parts) for parts in plans], np.int32)
     after = [len(parts) - 1 if number is None else number for parts, number in zip(plans, again, strict=True)]
-    return Mission(
+    return record_of(
+        Mission,
         position_ned=vector(lambda part: part.leg.position_ned),
         yaw=_headings(rows),
-        count=counts,  # type: ignore[arg-type]
-        following=np.array(after, np.int32),  # type: ignore[arg-type]
+        count=counts,
+        following=np.array(after, np.int32),
         begin_ned=vector(lambda part: part.begin),
         direction=vector(lambda part: part.direction),
         onward=vector(lambda part: part.onward),
@@ -325,7 +327,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
         last=table(lambda part: part.leg.last, bool),
         circle=_circles(table) if circles else None,
         facing=_facing(table) if faces else None,
-    )  # fmt: skip
+    )
 
 
 def _headings(rows: list[list[_Part]]) -> Any:

@@ -18,7 +18,7 @@ def source_of(readings: Mapping[str, Any], field: str) -> str:
     return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
 
 
-def field_of(readings: Mapping[str, Any], field: str) -> Any:
+def field_of(readings: Mapping[str, object], field: str) -> Any:
     """Return a field of the first reading that has it, None if none has."""
     name = source_of(readings, field)
     return getattr(readings[name], field) if name else None

@@ -85,10 +85,10 @@ class RoverController(Controller):
         if isinstance(setpoint, VelocitySetpoint):
             nowhere = Vec3(none, none, none)
             return TrackSetpoint(nowhere, nowhere, zero, _level(setpoint.velocity_ned), zero)
-        place = setpoint.position_ned
+        position_ned = setpoint.position_ned
         if isinstance(setpoint, PathSetpoint):
-            return TrackSetpoint(place, place, zero, _level(setpoint.velocity_ned), zero)
-        return TrackSetpoint(place, place, zero, zero, zero + 1.0)
+            return TrackSetpoint(position_ned, position_ned, zero, _level(setpoint.velocity_ned), zero)
+        return TrackSetpoint(position_ned, position_ned, zero, zero, zero + 1.0)
 
     def step(
         self, state: RoverControllerState, estimate: Estimate, setpoint: Any, dt: float

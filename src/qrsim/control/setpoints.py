@@ -13,12 +13,12 @@ from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Euler, Vec3
 
 
-def library(*values: Any) -> Any:
+def library(*values: object) -> Any:
     """Return jax.numpy where a value is a JAX array, else NumPy."""
     return jnp if any(isinstance(value, Array) for value in values) else np
 
 
-def number(values: Any) -> Any:
+def number(values: object) -> Any:
     """Convert values to an array of floating-point numbers."""
     lib = library(values)
     array = lib.asarray(values)
@@ -60,7 +60,7 @@ class Estimate:
         return offset if self.position_low_ned is None else offset + self.position_low_ned
 
     @staticmethod
-    def of(position_ned: Any, velocity_ned: Any, attitude: Any) -> Estimate:
+    def of(position_ned: object, velocity_ned: object, attitude: object) -> Estimate:
         """Return the estimate of arrays (n, 3) each: [m], [m/s] and roll, pitch, yaw [rad]; NumPy or JAX."""
         angles = axes(attitude)
         return Estimate(axes(position_ned), axes(velocity_ned), Euler(angles.x, angles.y, angles.z))
@@ -74,7 +74,7 @@ class WaypointSetpoint:
     yaw: Array = quantity(unit="rad", doc="heading")
 
     @staticmethod
-    def of(position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
+    def of(position_ned: object, yaw_rad: object = 0.0) -> WaypointSetpoint:
         """Return the set-point of positions (n, 3) [m] and headings (n,) or one [rad]; NumPy or JAX."""
         position = axes(position_ned)
         return WaypointSetpoint(position, like(position.x, yaw_rad))
@@ -97,9 +97,11 @@ class PathSetpoint:
 
     @staticmethod
     def of(
-        position_ned: Any, velocity_ned: Any = (0.0, 0.0, 0.0), acceleration_ned: Any = (0.0, 0.0, 0.0),
-        yaw_rad: Any = 0.0,
-    ) -> PathSetpoint:  # fmt: skip
+        position_ned: object,
+        velocity_ned: object = (0.0, 0.0, 0.0),
+        acceleration_ned: object = (0.0, 0.0, 0.0),
+        yaw_rad: object = 0.0,
+    ) -> PathSetpoint:
         """Return the set-point of (n, 3) arrays [m], [m/s], [m/s^2], or one row for all, and headings [rad]."""
         position = axes(position_ned)
 
@@ -127,7 +129,7 @@ class TrackSetpoint:
         return TrackSetpoint(begin, end, like(end.x, 0.0), like(end.x, speed), like(end.x, stops))
 
     @staticmethod
-    def orbit(centre_ned: Any, radius: Any, speed: Any = 0.0) -> TrackSetpoint:
+    def orbit(centre_ned: object, radius: object, speed: object = 0.0) -> TrackSetpoint:
         """Return circles about centres (n, 3) [m] with radii (n,) or one [m], clockwise positive; NumPy or JAX."""
         centre = axes(centre_ned)
         return TrackSetpoint(centre, centre, like(centre.x, radius), like(centre.x, speed), like(centre.x, 0.0))
@@ -141,7 +143,7 @@ class VelocitySetpoint:
     yaw: Array = quantity(unit="rad", doc="heading")
 
     @staticmethod
-    def of(velocity_ned: Any, yaw_rad: Any = 0.0) -> VelocitySetpoint:
+    def of(velocity_ned: object, yaw_rad: object = 0.0) -> VelocitySetpoint:
         """Return the set-point of velocities (n, 3) [m/s] and headings (n,) or one [rad]; NumPy or JAX."""
         velocity = axes(velocity_ned)
         return VelocitySetpoint(velocity, like(velocity.x, yaw_rad))
@@ -157,7 +159,7 @@ class VelocityHeightSetpoint:
     yaw: Array = quantity(unit="rad", doc="heading")
 
     @staticmethod
-    def of(velocity_north_east: Any, z: Any, yaw_rad: Any = 0.0) -> VelocityHeightSetpoint:
+    def of(velocity_north_east: object, z: object, yaw_rad: object = 0.0) -> VelocityHeightSetpoint:
         """Return the set-point of velocities (n, 2) [m/s], and positions down [m] and headings [rad], (n,) or one."""
         north, east = axes(velocity_north_east, 2)
         return VelocityHeightSetpoint(north, east, like(north, z), like(north, yaw_rad))
@@ -176,7 +178,7 @@ class AttitudeHeightSetpoint:
     yaw: Array = quantity(unit="rad", doc="heading")
 
     @staticmethod
-    def of(roll_rad: Any, pitch_rad: Any, z: Any, yaw_rad: Any = 0.0) -> AttitudeHeightSetpoint:
+    def of(roll_rad: object, pitch_rad: object, z: object, yaw_rad: object = 0.0) -> AttitudeHeightSetpoint:
         """Return the set-point of roll (n,) [rad], and pitch, heading [rad] and position down [m], (n,) or one."""
         roll = number(roll_rad)
         return AttitudeHeightSetpoint(roll, like(roll, pitch_rad), like(roll, z), like(roll, yaw_rad))
@@ -192,7 +194,7 @@ class AttitudeSetpoint:
     throttle: Array = quantity(unit="1", doc="normalised thrust, 0 to 1")
 
     @staticmethod
-    def of(roll_rad: Any, pitch_rad: Any, yaw_rad: Any, throttle: Any) -> AttitudeSetpoint:
+    def of(roll_rad: object, pitch_rad: object, yaw_rad: object, throttle: object) -> AttitudeSetpoint:
         """Return the set-point of roll (n,) [rad], and pitch, heading [rad] and thrust [0, 1], (n,) or one."""
         roll = number(roll_rad)
         return AttitudeSetpoint(roll, like(roll, pitch_rad), like(roll, yaw_rad), like(roll, throttle))

@@ -195,9 +195,12 @@ def _reciprocal_root(x: Array) -> tuple[Array]:
 
 
 _RECIPROCAL_ROOT = Kernel(
-    "reciprocal_root", ("float32",), ("float32",), _reciprocal_root,
+    "reciprocal_root",
+    ("float32",),
+    ("float32",),
+    _reciprocal_root,
     lambda x, tangent, found: (-0.5 * tangent[0] * found[0] * (found[0] * found[0]),),
-)  # fmt: skip
+)
 
 
 def reciprocal_root(x: Array) -> Array:

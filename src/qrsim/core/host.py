@@ -36,7 +36,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
     traced: dict[Any, Any] = {}
 
     @functools.wraps(function)
-    def call(*trees: Any) -> Any:
+    def call(*trees: object) -> Any:
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
         # As text and by types too: to JAX, structures whose records differ in nothing but their type are equal.
@@ -65,7 +65,7 @@ def _run(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[Any]) -> list
     for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
         known[variable] = np.asarray(value)
 
-    def read(atom: Any) -> Any:
+    def read(atom: object) -> Any:
         if not isinstance(atom, jex.Literal):
             return known[atom]
         of: Any = atom.aval
@@ -131,10 +131,11 @@ def _scan(parameters: Any, *inputs: Any) -> list[Any]:
 
 _WHOLE: dict[str, Rule] = {
     **dict.fromkeys(("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "checkpoint"), _called),
-    "cond": _cond, "scan": _scan,
+    "cond": _cond,
+    "scan": _scan,
     "unstack": lambda p, x: [np.take(x, i, p["axis"]) for i in range(x.shape[p["axis"]])],
     "split": lambda p, x: np.split(x, np.cumsum(p["sizes"])[:-1], p["axis"]),
-}  # fmt: skip
+}
 
 
 # Operations
@@ -181,13 +182,19 @@ def _quotient(parameters: Any, a: Any, b: Any) -> Any:
 
 
 def _padded(parameters: Any, x: Any, value: Any) -> Any:
-    sizes = [low + high + n + max(n - 1, 0) * gap for n, (low, high, gap) in zip(x.shape, parameters["padding_config"],
-                                                                                 strict=True)]  # fmt: skip
+    sizes = [
+        low + high + n + max(n - 1, 0) * gap
+        for n, (low, high, gap) in zip(x.shape, parameters["padding_config"], strict=True)
+    ]
     if any(min(low, high) < 0 for low, high, _ in parameters["padding_config"]):
         return jax.lax.pad(jax.numpy.asarray(x), jax.numpy.asarray(value), parameters["padding_config"])
     found = np.full(sizes, value, x.dtype)
-    found[tuple(slice(low, size - high, gap + 1) for size, (low, high, gap) in zip(sizes, parameters["padding_config"],
-                                                                                  strict=True))] = x  # fmt: skip
+    found[
+        tuple(
+            slice(low, size - high, gap + 1)
+            for size, (low, high, gap) in zip(sizes, parameters["padding_config"], strict=True)
+        )
+    ] = x
     return found
 
 
@@ -235,14 +242,25 @@ _ELEMENTWISE: dict[str, Rule] = {
     "clamp": lambda low, x, high: np.minimum(np.maximum(low, x), high),
 }  # fmt: skip
 _REDUCTIONS: dict[str, Rule] = {
-    "max": np.maximum, "min": np.minimum, "or": np.bitwise_or, "and": np.bitwise_and, "prod": np.multiply,
-}  # fmt: skip
+    "max": np.maximum,
+    "min": np.minimum,
+    "or": np.bitwise_or,
+    "and": np.bitwise_and,
+    "prod": np.multiply,
+}
 _RULES: dict[str, Rule] = {
     **{name: _of(function) for name, function in _ELEMENTWISE.items()},
     **{f"reduce_{name}": _along(function) for name, function in _REDUCTIONS.items()},
-    "reduce_sum": _sum, "broadcast_in_dim": _broadcast,
-    "slice": _slice, "select_n": _select, "convert_element_type": _converted,
-    "round": _rounded, "integer_pow": _power, "div": _quotient, "pad": _padded, "iota": _iota,
+    "reduce_sum": _sum,
+    "broadcast_in_dim": _broadcast,
+    "slice": _slice,
+    "select_n": _select,
+    "convert_element_type": _converted,
+    "round": _rounded,
+    "integer_pow": _power,
+    "div": _quotient,
+    "pad": _padded,
+    "iota": _iota,
     "reshape": lambda p, x: x.reshape(p["new_sizes"]),
     "squeeze": lambda p, x: np.squeeze(x, tuple(p["dimensions"])),
     "transpose": lambda p, x: x.transpose(p["permutation"]),
@@ -250,6 +268,7 @@ _RULES: dict[str, Rule] = {
     "stack": lambda p, *parts: np.stack(parts, p["axis"]),
     "bitcast_convert_type": lambda p, x: np.ascontiguousarray(x).view(p["new_dtype"]).reshape(x.shape),
     "empty2": lambda p: np.zeros((), p["dtype"]),
-    "shift_left": _shifted(np.left_shift), "shift_right_logical": _shifted(np.right_shift),
+    "shift_left": _shifted(np.left_shift),
+    "shift_right_logical": _shifted(np.right_shift),
     "shift_right_arithmetic": lambda p, a, b: np.right_shift(a, np.minimum(b, a.dtype.type(8 * a.dtype.itemsize - 1))),
-}  # fmt: skip
+}

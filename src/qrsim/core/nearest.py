@@ -33,5 +33,5 @@ def nearest_squared(x: Array, y: Array, z: Array, reach: Array) -> Array:
         x, y, z: coordinates (n,) [m]; a point with a NaN is far from all others.
         reach: () [m] up to which distances are wanted; beyond it what is returned may be larger than the truth.
     """
-    found: Array = nearest_squared_p.bind(x, y, z, jnp.asarray(reach, x.dtype))
-    return found
+    result: Array = nearest_squared_p.bind(x, y, z, jnp.asarray(reach, x.dtype))
+    return result

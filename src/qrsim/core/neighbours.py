@@ -42,20 +42,20 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
             wanted, at least 32. Where there are no more points than in three such stretches, all pairs are looked at,
             and nothing is ever overfull.
     """
-    room = _room(count) if room is None else room
+    room = _capacity(count) if room is None else room
     reach = jnp.asarray(reach, x.dtype)
     if always_room(x.shape[0], count, room):
         return _nearest_of(*_all_others(x, y, z), reach, count, jnp.zeros(x.shape, bool))
     candidates, overfull = _in_cells(x, y, z, reach, room)
-    return _nearest_of(*_apart(x, y, z, candidates), reach, count, overfull)
+    return _nearest_of(*_squared_distances(x, y, z, candidates), reach, count, overfull)
 
 
 def always_room(points: int, count: int, room: int | None = None) -> bool:
     """Return whether ``neighbours`` of so many points, with this ``count`` and ``room``, can never be overfull."""
-    return points - 1 <= 3 * (_room(count) if room is None else room)
+    return points - 1 <= 3 * (_capacity(count) if room is None else room)
 
 
-def _room(count: int) -> int:
+def _capacity(count: int) -> int:
     return max(2 * count, 32)
 
 
@@ -72,7 +72,7 @@ def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
     return number, jnp.where(number == jnp.arange(n, dtype=jnp.int32)[None, :], jnp.inf, squared)
 
 
-def _apart(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
+def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
     """Return numbers and squared distances (M, n) of candidates; infinite of itself and of nobody."""
     there = jnp.maximum(candidates, 0)
     squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
@@ -115,8 +115,10 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
     members = jnp.zeros(columns, jnp.int32).at[jnp.where(known, column, columns)].add(1, mode="drop")
     # From 0 on: where the points of each column begin.
     begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(jnp.minimum(members, _DEEPEST), dtype=jnp.int32)])
-    place = begin.at[jnp.minimum(column, columns - 1)].get(mode="promise_in_bounds") + rank
-    order = jnp.zeros(n, jnp.int32).at[jnp.where(inside, place, n)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+    slot_in_order = begin.at[jnp.minimum(column, columns - 1)].get(mode="promise_in_bounds") + rank
+    order = (
+        jnp.zeros(n, jnp.int32).at[jnp.where(inside, slot_in_order, n)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+    )
     parts, overfull = [], known & (rank < 0)
     slot = jnp.arange(room, dtype=jnp.int32)[:, None]
     for row in (-1, 0, 1):
@@ -144,7 +146,7 @@ def _ranks(column: Array, columns: int) -> Array:
     n = column.shape[0]
     number = jnp.arange(n, dtype=jnp.int32)
     somewhere = column < columns
-    place = jnp.minimum(column, columns - 1)
+    clipped_column = jnp.minimum(column, columns - 1)
 
     def waits(carry: tuple[Array, Array]) -> Array:
         turn, rank = carry
@@ -153,8 +155,8 @@ def _ranks(column: Array, columns: int) -> Array:
     def one_more(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         turn, rank = carry
         left = somewhere & (rank < 0)
-        lowest = jnp.full(columns, n, jnp.int32).at[place].min(jnp.where(left, number, n), mode="drop")
-        mine = left & (lowest.at[place].get(mode="promise_in_bounds") == number)
+        lowest = jnp.full(columns, n, jnp.int32).at[clipped_column].min(jnp.where(left, number, n), mode="drop")
+        mine = left & (lowest.at[clipped_column].get(mode="promise_in_bounds") == number)
         return turn + 1, jnp.where(mine, turn, rank)
 
     return lax.while_loop(waits, one_more, (jnp.int32(0), jnp.full(n, -1, jnp.int32)))[1]

@@ -121,8 +121,8 @@ class Key:
         """
         if isinstance(seed, int) and isinstance(world, int):
             # On the host: what is known before a program runs is not worth compiling.
-            words = [np.array([word], np.uint32) for word in (seed & 0xFFFFFFFF, seed >> 32, world, 0)]
-            high, low = threefry2x32((words[0], words[1]), (words[2], words[3]), 20)  # type: ignore[arg-type]
+            words: list[Any] = [np.array([word], np.uint32) for word in (seed & 0xFFFFFFFF, seed >> 32, world, 0)]
+            high, low = threefry2x32((words[0], words[1]), (words[2], words[3]), 20)
             return Key(high[0], low[0])
         if isinstance(seed, int):
             low, high = jnp.uint32(seed & 0xFFFFFFFF), jnp.uint32(seed >> 32)
@@ -133,8 +133,10 @@ class Key:
     @staticmethod
     def roots(seeds: npt.NDArray[np.int64], worlds: npt.NDArray[np.int64]) -> Key:
         """Return the keys (B,) of many worlds, computed on the host; ``root`` of each seed and world."""
-        words = [part.astype(np.uint32) for part in (seeds & 0xFFFFFFFF, seeds >> 32, worlds, np.zeros_like(worlds))]
-        high, low = threefry2x32((words[0], words[1]), (words[2], words[3]), 20)  # type: ignore[arg-type]
+        words: list[Any] = [
+            part.astype(np.uint32) for part in (seeds & 0xFFFFFFFF, seeds >> 32, worlds, np.zeros_like(worlds))
+        ]
+        high, low = threefry2x32((words[0], words[1]), (words[2], words[3]), 20)
         return Key(high, low)
 
     def streams(self, names: Sequence[str]) -> StreamKeys:

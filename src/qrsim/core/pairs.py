@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
-
-Floats = np.ndarray[Any, Any]
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
@@ -39,7 +38,7 @@ def parts_of(values: Floats, dtype: Any) -> tuple[Floats, Floats]:
         return high, np.asarray(values - high.astype(np.float64), dtype)
 
 
-def joined(high: Any, low: Any) -> Any:
+def joined(high: object, low: object) -> Any:
     """Join arrays, or records of them, with their second parts (None: there are none), in double precision."""
     if low is None:
         return high

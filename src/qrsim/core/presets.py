@@ -38,7 +38,9 @@ def with_presets(cls: Any) -> Any:
             if not isinstance(chosen, str) or chosen not in presets:
                 raise UsageError(f"{cls.__name__}: no preset is called {chosen!r}{did_you_mean(str(chosen), presets)}")
             given |= {
-                name: _made(value, fields[name].default) for name, value in presets[chosen].items() if name not in named
+                name: _preset_value(value, fields[name].default)
+                for name, value in presets[chosen].items()
+                if name not in named
             }
         plain(self, *args, **given)
 
@@ -55,6 +57,6 @@ def filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]
     return both
 
 
-def _made(value: Any, usual: Any) -> Any:
-    """Return a parameter as a preset says it; of a part with parameters of its own it says some, by their names."""
+def _preset_value(value: Any, usual: Any) -> Any:
+    """Return the value of a parameter in a preset; a mapping replaces some parameters of a part, by name."""
     return dataclasses.replace(usual, **value) if isinstance(value, Mapping) else value

@@ -37,7 +37,7 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
         return jax.vmap(function, in_axes=tuple(axes))(*arguments), 0
 
     def differentiated(primals: Any, tangents: Any, **parameters: Any) -> Any:
-        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)  # type: ignore[no-untyped-call]
+        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         return primitive.bind(*primals), jax.jvp(function, tuple(primals), given)[1]
 
     batching.primitive_batchers[primitive] = batched
@@ -80,8 +80,8 @@ class Kernel:
         """Apply the kernel to arrays of one shape, or to such arrays and scalars."""
         if len({argument.shape for argument in arguments} - {()}) > 1:
             arguments = tuple(jnp.broadcast_arrays(*arguments))
-        found: tuple[Array, ...] = tuple(self.primitive.bind(*arguments))
-        return found
+        result: tuple[Array, ...] = tuple(self.primitive.bind(*arguments))
+        return result
 
     def _results(self, *avals: Any) -> list[Any]:
         assert self.takes == tuple(aval.dtype.name for aval in avals)
@@ -102,11 +102,11 @@ class Kernel:
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
     def _differentiated(self, primals: Any, tangents: Any) -> tuple[Any, Any]:
-        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)  # type: ignore[no-untyped-call]
-        found = self.primitive.bind(*primals)
+        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
+        result = self.primitive.bind(*primals)
         if self.jvp is None:
-            return found, jax.jvp(self.body, tuple(primals), given)[1]
-        return found, self.jvp(primals, given, found)
+            return result, jax.jvp(self.body, tuple(primals), given)[1]
+        return result, self.jvp(primals, given, result)
 
 
 # Every kernel, by its name.

@@ -17,9 +17,14 @@ import numpy as np
 DEPTH = 4
 _PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _CODE = (
-    type, types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.ModuleType, functools.partial,
+    type,
+    types.FunctionType,
+    types.BuiltinFunctionType,
+    types.MethodType,
+    types.ModuleType,
+    functools.partial,
     jax.stages.Wrapped,
-)  # fmt: skip
+)
 
 
 class Itself:
@@ -52,7 +57,7 @@ class Itself:
         return self._id
 
 
-def sameness(given: Any, depth: int = DEPTH) -> Hashable:
+def sameness(given: object, depth: int = DEPTH) -> Hashable:
     """Return a key that changes with the identity of an object and with its attributes.
 
     A program has the attributes of a policy as constants. Functions and classes are told by their identity: as with

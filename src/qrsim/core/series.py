@@ -26,7 +26,7 @@ def interval_at(rows: Array, parts: Array, seconds: Array, fraction: Array) -> t
         Row () int32, seconds since it (), and seconds from it to the next one ().
     """
 
-    def halve(_: Any, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: object, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
         middle = (low + high) // 2
         passed = (rows[middle] < seconds) | ((rows[middle] == seconds) & (parts[middle] <= fraction))

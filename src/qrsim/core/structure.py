@@ -52,7 +52,7 @@ def to_plain(structure: Any) -> Any:
     }
 
 
-def from_plain(plain: Any, leaves: Iterator[Any]) -> Any:
+def from_plain(plain: object, leaves: Iterator[object]) -> Any:
     """Rebuild a tree from the result of ``to_plain`` and its leaves in order.
 
     Raises:
@@ -65,13 +65,13 @@ def from_plain(plain: Any, leaves: Iterator[Any]) -> Any:
             raise ValueError("too few leaves") from None
     if isinstance(plain, list) and plain:
         children = [from_plain(child, leaves) for child in plain[1:]]
-        made = {"tuple": tuple(children), "list": children, "NoneType": None}
-        if plain[0] in made:
-            return made[plain[0]]
+        containers = {"tuple": tuple(children), "list": children, "NoneType": None}
+        if plain[0] in containers:
+            return containers[plain[0]]
     if isinstance(plain, dict) and plain.keys() == {"dict"}:
         return {key: from_plain(child, leaves) for key, child in plain["dict"].items()}
     if isinstance(plain, dict) and plain.keys() == {"record", "parts", "settings"}:
-        kind = _found(plain["record"])
+        kind = _record_named(plain["record"])
         data, static = _fields(kind)
         if list(plain["parts"]) == data and list(plain["settings"]) == static:
             parts = {name: from_plain(child, leaves) for name, child in plain["parts"].items()}
@@ -79,7 +79,7 @@ def from_plain(plain: Any, leaves: Iterator[Any]) -> Any:
     raise ValueError("no structure")
 
 
-def _is_record(kind: Any) -> bool:
+def _is_record(kind: object) -> bool:
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
@@ -90,7 +90,7 @@ def _fields(kind: type) -> tuple[list[str], list[str]]:
     return [field.name for field in fields if field.name not in static], static
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     if type(value) is tuple:
         return {"tuple": [_plain(part) for part in value]}
     if type(value) not in _PLAIN:
@@ -98,25 +98,25 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _unplain(value: Any) -> Any:
+def _unplain(value: object) -> Any:
     if isinstance(value, dict):
         return tuple(_unplain(part) for part in value["tuple"])
     return value
 
 
-def _found(name: Any) -> Any:
-    """Return a record by its name; of this package, nothing else is imported for it."""
+def _record_named(name: object) -> Any:
+    """Return the record class of a name; only modules of this package are imported for it."""
     if not isinstance(name, str):
         raise ValueError("no name")
     module, _, path = name.partition(":")
-    place: Any = sys.modules.get(module)
-    if place is None and module.startswith("qrsim."):
+    value: Any = sys.modules.get(module)
+    if value is None and module.startswith("qrsim."):
         try:
-            place = importlib.import_module(module)
+            value = importlib.import_module(module)
         except ImportError:
             raise ValueError(f"no module {module}") from None
     for part in path.split("."):
-        place = getattr(place, part, None)
-    if not _is_record(place) or name_of(place) != name:
+        value = getattr(value, part, None)
+    if not _is_record(value) or name_of(value) != name:
         raise ValueError(f"no record {name}")
-    return place
+    return value

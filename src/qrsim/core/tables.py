@@ -54,9 +54,7 @@ class Table:
     def html(self) -> str:
         """Return the table as HTML."""
         head = "".join(f"<th>{html.escape(heading)}</th>" for heading in self.headings)
-        body = "".join(
-            f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown()
-        )  # fmt: skip
+        body = "".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown())
         caption = f"<caption>{html.escape(self.title)}</caption>"
         return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
@@ -84,7 +82,7 @@ class Tabled:
         return self._table_or_fault().html()
 
 
-def number_text(value: Any, digits: int = 4) -> str:
+def number_text(value: object, digits: int = 4) -> str:
     """Return a number, or the first of several, in a few digits; of a traced one its type and shape."""
     if value is None:
         return ""
@@ -107,7 +105,7 @@ def cells_of(array: Any, columns: int, digits: int = 4) -> tuple[str, ...]:
     return (*cells, *["..."] * (columns - len(cells)))[:columns]
 
 
-def parameters_text(part: Any) -> str:
+def parameters_text(part: object) -> str:
     """Return the parameters of a component that are single numbers or words, with their units."""
     if not dataclasses.is_dataclass(part):
         return ""

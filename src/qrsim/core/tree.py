@@ -11,7 +11,7 @@ import dataclasses
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
-from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform, overload
+from typing import Any, ClassVar, Protocol, TypedDict, TypeVar, dataclass_transform, overload
 
 import jax
 import numpy as np
@@ -60,7 +60,7 @@ class FieldInfo:
 
 
 def parameter(
-    default: Any = MISSING,
+    default: object = MISSING,
     *,
     unit: str = "",
     doc: str = "",
@@ -71,7 +71,7 @@ def parameter(
     length: int = 0,
     nullable: bool = False,
     of_sensors: bool = False,
-) -> T:  # type: ignore[type-var]
+) -> Any:
     """Declare a number of a component: a leaf, so that changing it does not recompile.
 
     Each has a unit and a doc; one without is refused where its class becomes a component, which can name it. With a
@@ -85,14 +85,14 @@ def parameter(
 
 
 def setting(
-    default: Any = MISSING,
+    default: object = MISSING,
     *,
     unit: str = "",
     doc: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
-) -> T:  # type: ignore[type-var]
+) -> Any:
     """Declare a structural choice of a component (a period, an option): static under jit."""
     info = FieldInfo(unit, doc, minimum, maximum, above, True)
     return dataclasses.field(default=default, metadata={INFO: info})
@@ -100,12 +100,12 @@ def setting(
 
 def quantity(
     default: Any = MISSING, *, unit: str = "", doc: str = "", minimum: float | None = None, maximum: float | None = None
-) -> T:  # type: ignore[type-var]
+) -> Any:
     """Declare an array, or a record of arrays, of a state, a reading or a command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
-def derived(default: Any = None, *, doc: str, static: bool = False) -> Any:
+def derived(default: object = None, *, doc: str, static: bool = False) -> Any:
     """Declare a part of a component that is set while a world is built, None before; no scenario can give it."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True, static=static)})
 
@@ -116,11 +116,11 @@ def record(cls: type[T]) -> type[T]:
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
-    cls = with_presets(dataclasses.dataclass(frozen=True)(cls))
-    static = [f.name for f in dataclasses.fields(cls) if field_info(f).static]  # type: ignore[arg-type]
-    data = [f.name for f in dataclasses.fields(cls) if f.name not in static]  # type: ignore[arg-type]
-    _register(cls, data, static)
-    return cls
+    component: Any = with_presets(dataclasses.dataclass(frozen=True)(cls))
+    static = [f.name for f in dataclasses.fields(component) if field_info(f).static]
+    data = [f.name for f in dataclasses.fields(component) if f.name not in static]
+    _register(component, data, static)
+    return component
 
 
 def _register(cls: Any, data: list[str], static: list[str]) -> None:
@@ -132,10 +132,10 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     of_data, of_static = _getter(data), _getter(static)
     keys = [jax.tree_util.GetAttrKey(name) for name in data]
 
-    def flatten(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         return of_data(item), of_static(item)
 
-    def flatten_with_keys(item: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+    def flatten_with_keys(item: object) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
         return list(zip(keys, of_data(item), strict=True)), of_static(item)
 
     # By place, which is quicker, where a constructor takes parts and settings in this order.
@@ -164,9 +164,29 @@ def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
     return field.metadata.get(INFO, FieldInfo())
 
 
+class Bounds(TypedDict, total=False):
+    """Bounds of a parameter, as ``parameter`` takes them."""
+
+    minimum: float | None
+    maximum: float | None
+    above: float | None
+
+
+def computed(function: Callable[[Any], T]) -> T:
+    """Declare a property in the place of a class attribute of a contract, where it depends on settings."""
+    attribute: Any = property(function)
+    return attribute
+
+
+def record_of(kind: Callable[..., T], *parts: object, **named: object) -> T:
+    """Return a record of NumPy arrays or Python numbers, where its fields are declared as arrays of JAX."""
+    return kind(*parts, **named)
+
+
 def replace(item: T, **changes: Any) -> T:
     """Return a copy of a record with some fields changed."""
-    return dataclasses.replace(item, **changes)  # type: ignore[type-var]
+    original: Any = item
+    return dataclasses.replace(original, **changes)
 
 
 def cast(item: T, dtype: Any) -> T:
@@ -214,7 +234,7 @@ def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
             yield from _walked(value, f"{prefix}{field.name}", info)
 
 
-def _walked(value: Any, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
+def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
     if isinstance(value, tuple):
         for number, part in enumerate(value):
             yield from _walked(part, f"{name}.{number}", info)

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine import by_llvm, by_xla, forked
 from qrsim.engine.by_llvm import state_bytes
 from qrsim.engine.functions import Extent, Function
@@ -73,7 +74,7 @@ class Program(Protocol):
         """So many worlds are started in one call; None: any number."""
 
     @property
-    def slot(self) -> np.ndarray[Any, Any] | None:
+    def slot(self) -> NumpyArray | None:
         """Place of the numbers given, leaf after leaf, to be overwritten; None: they have no such place."""
 
     def give(self, leaves: Sequence[object]) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.cache import GENERATOR, Known, identity, keep, kept, look_up
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned, aligned_copy
@@ -196,7 +197,7 @@ class LlvmProgram:
         self._make = partial(LaneProgram, program, shared.buffers, workers=threads())
         self._mode = program.mode
         self._program: LaneProgram | None = None
-        self._flat: np.ndarray[Any, Any] | None = None
+        self._flat: NumpyArray | None = None
         # The state that was advanced last, and the same as lanes.
         self._last: tuple[Any, Lanes | None] = (None, None)
 
@@ -216,7 +217,7 @@ class LlvmProgram:
             self._flat = own.flat
 
     @property
-    def slot(self) -> np.ndarray[Any, Any] | None:
+    def slot(self) -> NumpyArray | None:
         """Place of the numbers that one world was given; None where they are not all floats."""
         return self._flat if self._own_layout.slices else np.zeros(0, self._extent.dtype)
 

@@ -12,12 +12,12 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.forked import refuse
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import WORLDS, quick_to_compile
 
-Array = np.ndarray[Any, Any]
 _Layouts = tuple[Packer, Packer]
 # So many functions keep what was compiled of them; there are a start and a tick for each kind of worlds.
 KEPT = 16
@@ -106,7 +106,7 @@ class XlaProgram:
         assert self._layout is not None
         return self._layout
 
-    def give(self, leaves: Sequence[Any]) -> None:
+    def give(self, leaves: Sequence[object]) -> None:
         """Take what the world has for itself."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
@@ -152,7 +152,7 @@ def _first_of_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
 def _advance_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
     one = jax.vmap(function.call, in_axes=(None, 0, 0, None))
 
-    def advance(shared: Any, own: Any, states: Any, tick: Any, count: Any) -> Any:
+    def advance(shared: object, own: object, states: object, tick: object, count: object) -> Any:
         # The tick is the same for all, so that slow sensors are really skipped.
         return lax.fori_loop(jnp.int32(0), count, lambda i, now: one(shared, own, now, tick + i), states)
 
@@ -165,11 +165,11 @@ def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
-def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: Any) -> Any:
+def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> Any:
     """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
-        cut, same = PartitionSpec(WORLDS), PartitionSpec()  # type: ignore[no-untyped-call]
+        cut, same = PartitionSpec(WORLDS), PartitionSpec()
         specs = tuple(cut if kind == "r" else same for kind in arguments)
         function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
     return _jit(function, few, **more)
@@ -193,14 +193,14 @@ class Arrays:
         """Return a part of the tree."""
         return select(self.tree)
 
-    def put(self, worlds: Array, tree: Any) -> None:
+    def put(self, worlds: NumpyArray, tree: Any) -> None:
         """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
         count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
         # What goes beyond the end is dropped, so that parts of one length share a program.
         target = np.concatenate([worlds, np.full(rows - len(worlds), count)])
         self.tree = _replace_rows()(self.tree, tree, target)
 
-    def take(self, worlds: Array, other: Any) -> None:
+    def take(self, worlds: NumpyArray, other: Any) -> None:
         """Take the first len(worlds) of other states."""
         self.put(worlds, other.get(lambda tree: tree))
 
@@ -219,7 +219,7 @@ class XlaWorldsProgram:
         self._own: Any = None
         self.part = max(1, extent.worlds // PARTS)
 
-    def give(self, leaves: Sequence[Any]) -> None:
+    def give(self, leaves: Sequence[object]) -> None:
         """Take what each world has for itself, leaves (B, ...)."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
@@ -242,6 +242,6 @@ class XlaWorldsProgram:
         # So that the next tick may overwrite it, which JAX does not do with arrays of NumPy.
         return Arrays(jax.device_put(tree))
 
-    def record(self, state: Any, tick: int, count: int, capacity: int) -> Any:
+    def record(self, state: object, tick: int, count: int, capacity: int) -> Any:
         """Refuse: only one world is recorded tick by tick."""
         raise TypeError("many worlds are not recorded tick by tick")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Any
 
 import jax
 
@@ -28,13 +27,13 @@ def refuse() -> None:
         )
 
 
-def _begins(event: str, value: float, **_: Any) -> None:
+def _begins(event: str, value: float, **_: object) -> None:
     # At the start: lowering a function of several parts waits for threads already.
     if event == _LOWERING:
         refuse()
 
 
-def _ended(event: str, duration_secs: float, **_: Any) -> None:
+def _ended(event: str, duration_secs: float, **_: object) -> None:
     if event == _COMPILED:
         _known["compiled"] = True
 

@@ -66,7 +66,7 @@ class Packer:
     def __hash__(self) -> int:
         return hash(self._identity)
 
-    def pack(self, tree: Any) -> Buffers:
+    def pack(self, tree: object) -> Buffers:
         """Return the two flat buffers of a tree; a tree of NumPy arrays gives NumPy buffers."""
         leaves = jax.tree.leaves(tree)
         # On the host where all leaves are: JAX would send each of them to the device and back.
@@ -108,10 +108,10 @@ class Packer:
 
 def struct(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
     """Make a placeholder of an array of a shape and type."""
-    return jax.ShapeDtypeStruct(shape, dtype)  # type: ignore[no-untyped-call]
+    return jax.ShapeDtypeStruct(shape, dtype)
 
 
-def layout_of_each(tree: Any) -> Packer:
+def layout_of_each(tree: object) -> Packer:
     """Return the layout of one world's part of a tree, each leaf (B, ...)."""
     return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
 
@@ -145,7 +145,7 @@ class Shared:
     buffers: Buffers
 
     @classmethod
-    def of(cls, tree: Any) -> Shared:
+    def of(cls, tree: object) -> Shared:
         """Return a tree of arrays, packed."""
         host = jax.tree.map(np.asarray, tree)
         layout = Packer(host)

@@ -65,7 +65,7 @@ def discard_unused(made: dict[Any, Any]) -> None:
         left, size = left - 1, size - _bytes(program)
 
 
-def _bytes(program: Any) -> int:
+def _bytes(program: object) -> int:
     return getattr(program, "code_bytes", 0)
 
 

@@ -57,7 +57,7 @@ def configure(*, cpu_devices: int | None = None, compiler: str | None = None) ->
             ) from None
 
 
-def _checked_compiler(name: Any, where: str) -> str:
+def _checked_compiler(name: object, where: str) -> str:
     if name not in COMPILERS:
         raise UsageError(f"{where}: '{name}' is not known; expected one of {', '.join(COMPILERS)}")
     return str(name)
@@ -127,7 +127,7 @@ def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
     compiled = lru_cache(maxsize=1)(lambda: jax.jit(function, compiler_options=quick_to_compile(), **options))
 
     @wraps(function)
-    def call(*arguments: Any, **named: Any) -> Any:
+    def call(*arguments: object, **named: object) -> Any:
         return compiled()(*arguments, **named)
 
     return call

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
 from qrsim.errors import RunError, UsageError, did_you_mean, shortened
@@ -17,7 +18,6 @@ from qrsim.tasks.episodes import Episodes, score
 from qrsim.tasks.teams import Side, axes_of_agents, part_of
 from qrsim.world.episode import refuse_unplaced
 
-FloatArray = np.ndarray[Any, Any]
 # What a reset may be told; the mask is of batches alone.
 OPTIONS = ("difficulty", "reset_mask")
 # PettingZoo's own test of environments gives an option of this name.
@@ -41,7 +41,7 @@ def checked_seed(seed: Any) -> int:
     return int(seed)
 
 
-def numbers(given: Any, what: str, shape: tuple[int, ...]) -> FloatArray:
+def numbers(given: Any, what: str, shape: tuple[int, ...]) -> Floats:
     """Return an array of integers, truth values or real numbers, as it is; ``shape`` is for the message.
 
     Raises:
@@ -56,7 +56,7 @@ def numbers(given: Any, what: str, shape: tuple[int, ...]) -> FloatArray:
     return array
 
 
-def one_line(value: Any) -> str:
+def one_line(value: object) -> str:
     """Describe a value for a message."""
     return shortened(" ".join(repr(value).split()), 80)
 
@@ -100,15 +100,15 @@ class Batch:
         self.numbers = np.zeros(self.size, np.int64)
         # Steps done of each episode, and whether it has ended: what comes after has no meaning.
         self._steps, self._ended = np.zeros(self.size, np.int64), np.zeros(self.size, bool)
-        self._answers: FloatArray | None = None
+        self._answers: Floats | None = None
         self.seen: Any = None
-        self.gone: FloatArray | None = None
-        self.truth: dict[str, FloatArray] = {}
+        self.gone: Floats | None = None
+        self.truth: dict[str, Floats] = {}
 
     def _precision(self) -> Any:
         return jax.enable_x64(self.dtype == np.float64)
 
-    def reset(self, seeds: Iterable[Any], rows: FloatArray | None = None) -> None:
+    def reset(self, seeds: Iterable[object], rows: Floats | None = None) -> None:
         """Reset the episodes ``rows`` (None: all) with new seeds, one each.
 
         Raises:
@@ -120,7 +120,7 @@ class Batch:
         self.seeds[which], self.numbers[which] = np.array(given, np.int64), 0
         self._start(which)
 
-    def again(self, rows: FloatArray) -> None:
+    def again(self, rows: Floats) -> None:
         """Start the next episode of each of ``rows``, in its seed's series."""
         self.numbers[rows] += 1
         self._start(rows)
@@ -147,7 +147,7 @@ class Batch:
         if options and "difficulty" in options:
             self.set_difficulty(options["difficulty"])
 
-    def _start(self, rows: FloatArray) -> None:
+    def _start(self, rows: Floats) -> None:
         if self._answers is not None:
             self._answers[rows] = 0.0
         self._steps[rows], self._ended[rows] = 0, False
@@ -160,7 +160,7 @@ class Batch:
         for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
             jax.tree.map(lambda old, new: _set(old, rows, new), whole, part)
 
-    def step(self, action: Any, words: Any = None, who: str = "action") -> tuple[FloatArray, FloatArray, FloatArray]:
+    def step(self, action: Any, words: Any = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
         """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
@@ -196,7 +196,7 @@ class Batch:
         agents = self.functional.agents
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
-    def checked(self, action: Any, who: str) -> FloatArray:
+    def checked(self, action: object, who: str) -> Floats:
         """Check actions and return them as (B, n, W)."""
         agents = self.functional.agents
         shape = (self.size, len(agents), self.width)
@@ -222,7 +222,7 @@ class Batch:
         mine = self.axes[agent]
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
-    def of_agent(self, seen: Any, number: int) -> Any:
+    def of_agent(self, seen: object, number: int) -> Any:
         """Return what one agent sees, leaves (B, ...), of what all do (B, n, ...), of several fleets by fleet."""
         return part_of(self.sides, seen, number)
 
@@ -231,7 +231,7 @@ class Batch:
         """How many vehicles there are in all fleets of a world."""
         return sum(fleet.size for fleet in self.functional.play.world.fleets)
 
-    def state(self, row: int) -> FloatArray:
+    def state(self, row: int) -> Floats:
         """Return the true state of an episode, (STATE V + 1,) for the V vehicles of all fleets in their order.
 
         Of each vehicle: position NED [m], roll, pitch and yaw [rad], velocity in body axes [m/s], body rates [rad/s],
@@ -255,7 +255,7 @@ class Batch:
         """Shape of each agent's answer; () for a task in which nothing is handed in."""
         return tuple(self.functional.play.task.answer_shape(self.functional.play.world))
 
-    def hand_in(self, answers: Any, rows: FloatArray, agents: FloatArray) -> None:
+    def hand_in(self, answers: object, rows: Floats, agents: Floats) -> None:
         """Keep the answers (b, a, ...) of some agents of some episodes, in place of what they handed in before.
 
         Args:
@@ -275,7 +275,7 @@ class Batch:
             self._answers = np.zeros((self.size, len(self.functional.agents), *self.answer_shape), self.dtype)
         self._answers[np.ix_(rows, agents)] = checked
 
-    def scores(self, rows: FloatArray) -> FloatArray:
+    def scores(self, rows: Floats) -> Floats:
         """Score what the agents of episodes have handed in, (b, n); zeros count for those who have not."""
         agents = len(self.functional.agents)
         if not self.functional.play.task.hands_in:
@@ -284,7 +284,7 @@ class Batch:
         found = [self.score(int(row), nothing if self._answers is None else self._answers[row]) for row in rows]
         return np.asarray(found, float).reshape(len(rows), agents)
 
-    def score(self, row: int, answer: Any) -> FloatArray:
+    def score(self, row: int, answer: Any) -> Floats:
         """Score the answers (n, ...) of the agents of an episode; (n,).
 
         Raises:
@@ -299,7 +299,7 @@ class Batch:
             raise RunError(f"{self._place(row, agent)}: the score of what was handed in is {found[agent]:g}")
         return found
 
-    def _answer(self, answer: Any, lead: tuple[int, ...]) -> FloatArray:
+    def _answer(self, answer: object, lead: tuple[int, ...]) -> Floats:
         """Check answers and return them as (*lead, ...)."""
         try:
             array = np.asarray(answer, self.dtype)
@@ -314,9 +314,9 @@ class Batch:
         return array
 
 
-def _empty(tree: Any, size: int) -> Any:
+def _empty(tree: object, size: int) -> Any:
     return jax.tree.map(lambda leaf: np.zeros((size, *leaf.shape[1:]), leaf.dtype), tree)
 
 
-def _set(old: FloatArray, rows: FloatArray, new: Any) -> None:
+def _set(old: Floats, rows: Floats, new: object) -> None:
     old[rows] = new

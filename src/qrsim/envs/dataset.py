@@ -14,13 +14,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.envs import ANY_TASK, SINGLE, gymnasium_id, register
 from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError
 from qrsim.extras import load
 
 EXTRA, PURPOSE = "datasets", "a dataset of Minari"
-Floats = np.ndarray[Any, Any]
 
 
 @dataclass

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
 from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError
@@ -17,7 +18,6 @@ from qrsim.runs.picture import new_figure
 from qrsim.tasks.places import places_of
 from qrsim.world.episode import surroundings
 
-Floats = np.ndarray[Any, Any]
 RENDER_MODES = ("rgb_array",)
 # Of a picture, 640 x 480 pixels.
 WIDTH_IN, HEIGHT_IN, DPI = 6.4, 4.8, 100
@@ -203,7 +203,7 @@ class _Scene:
             self._levels += self._heights.plot([], [], "o", color=colour, ms=7, mec="white")
         self._heights.set_xlim(-0.7, len(names) - 0.3)
 
-    def _persons(self, episode: Any) -> list[Any]:
+    def _persons(self, episode: object) -> list[Any]:
         kinds = (("person not found", MISSING), ("person found", FOUND))
         look: dict[str, Any] = {"ms": 8, "mec": "black", "ls": "none"}
         return [

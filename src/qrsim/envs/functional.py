@@ -69,7 +69,7 @@ class Functional:
         axes: tuple[Axis, ...] | dict[str, Any] = self.play.task.sees(self.play.world)
         return axes
 
-    def keys(self, seeds: Any, numbers: Any = 0) -> Any:
+    def keys(self, seeds: object, numbers: object = 0) -> Any:
         """Return the keys of episodes, one for each seed (B,), made on the host.
 
         Args:
@@ -102,7 +102,7 @@ class Functional:
         grown = tuple(_grown(item, _number_at(world, item.paths[0]), part) for item in world.ranges)
         return replace(self, play=replace(self.play, world=replace(world, ranges=grown)))
 
-    def reset(self, seed: Any) -> tuple[Episode, Any]:
+    def reset(self, seed: object) -> tuple[Episode, Any]:
         """Start an episode; return it and the observations, (n, O) or a dict of arrays (n, ...).
 
         Args:

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import STATE, Batch
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.single import shaped
@@ -49,9 +50,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     ):
         self.render_mode = checked_mode(render_mode)
         self.batch = Batch(scenario, 1, overrides, precision)
-        self.metadata = {
-            **self.metadata, "name": self.batch.functional.name, "render_fps": self.batch.steps_per_second
-        }  # fmt: skip
+        self.metadata = {**self.metadata, "name": self.batch.functional.name, "render_fps": self.batch.steps_per_second}
         self._drawing = None if render_mode is None else Drawing(self.batch)
         self.possible_agents = list(self.batch.functional.agents)
         self.agents: list[str] = []
@@ -128,7 +127,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.agents = [] if ended or over else still
         return found
 
-    def _checked(self, actions: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
         """Return what all agents do (n, W) and say (n, D); of those that have left nobody looks at it."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
@@ -156,7 +155,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         """Space of ``state``."""
         return spaces.Box(-np.inf, np.inf, (STATE * self.batch.vehicles + 1,), self.batch.dtype.type)
 
-    def state(self) -> np.ndarray[Any, Any]:
+    def state(self) -> NumpyArray:
         """Return what is really the case, for a critic that may know it: see ``Batch.state``.
 
         Raises:

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.vector import VectorTask
 from qrsim.errors import UsageError
 
@@ -20,8 +21,6 @@ except ModuleNotFoundError:
     raise UsageError(
         "qrsim.envs.sb3 needs Stable-Baselines3: python -m pip install stable-baselines3 (with torch, which is large)"
     ) from None
-
-Array = np.ndarray[Any, Any]
 
 
 class VecTask(VecEnv):  # type: ignore[misc]
@@ -65,11 +64,11 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self._reset_options()
         return seen
 
-    def step_async(self, actions: Any) -> None:
+    def step_async(self, actions: object) -> None:
         """Keep actions (num_envs, A) for ``step_wait``."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Any, Array, Array, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, NumpyArray, NumpyArray, list[dict[str, Any]]]:
         """Advance by a step; return what is seen, rewards, ends and infos.
 
         Raises:
@@ -83,26 +82,28 @@ class VecTask(VecEnv):  # type: ignore[misc]
         for i in map(int, np.flatnonzero(ended)):
             last = jax.tree.map(lambda leaf, i=i: leaf[i].copy(), infos["final_obs"])
             told[i] = _row(infos["final_info"], i) | {
-                "terminal_observation": last, "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "terminal_observation": last,
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                 "episode": {
-                    "r": float(self._returns[i]), "l": int(self._lengths[i]),
+                    "r": float(self._returns[i]),
+                    "l": int(self._lengths[i]),
                     "t": round(time.monotonic() - self._begun, 6),
                 },
-            }  # fmt: skip
+            }
             self.reset_infos[i] = _row(infos, i)
         self._returns[ended], self._lengths[ended] = 0.0, 0
         return seen, rewards.astype(np.float32), ended, told
 
-    def get_images(self) -> Sequence[Array | None]:
+    def get_images(self) -> Sequence[NumpyArray | None]:
         """Return a picture of each environment; None of each without a render mode."""
         return self.tasks.render() or [None] * self.num_envs
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: object = None) -> list[Any]:
         """Return an attribute of the batch, which all environments share."""
         found = getattr(self.tasks, attr_name)
         return [found for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+    def set_attr(self, attr_name: str, value: object, indices: object = None) -> None:
         """Refuse: all environments are one batch.
 
         Raises:
@@ -110,7 +111,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """
         raise UsageError(f"set_attr {attr_name}: all environments are one batch; give the scenario other numbers")
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **options: Any) -> list[Any]:
+    def env_method(self, method_name: str, *args: object, indices: object = None, **options: object) -> list[Any]:
         """Refuse: there are no single environments.
 
         Raises:
@@ -118,7 +119,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """
         raise UsageError(f"env_method {method_name}: all environments are one batch, .tasks")
 
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: object, indices: object = None) -> list[bool]:
         """Return that none is."""
         return [False for _ in self._get_indices(indices)]
 

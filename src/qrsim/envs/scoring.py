@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch, numbers, one_line
 from qrsim.envs.dataset import Recording
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
@@ -21,7 +22,6 @@ from qrsim.tasks.simple import Commanded
 from qrsim.tasks.speaking import ACT, SAY
 from qrsim.tasks.teams import apart, axes_of_agents, by_fleet
 
-Floats = np.ndarray[Any, Any]
 BASELINE, HOVER, RANDOM, ORACLE = "baseline", "hover", "random", "oracle"
 BUILT_IN = (BASELINE, HOVER, RANDOM, ORACLE)
 CONFIDENCE, RESAMPLES, RESAMPLE_SEED = 0.95, 2000, 20261123
@@ -31,7 +31,7 @@ CONFIDENCE, RESAMPLES, RESAMPLE_SEED = 0.95, 2000, 20261123
 class Policy(Protocol):
     """Policy of all agents of one episode; see ``Answering`` too."""
 
-    def act(self, seen: Any) -> Floats:
+    def act(self, seen: object) -> Floats:
         """Return the actions (n, A) in [-1, 1], from what the agents see, (n, O) or a dict of arrays (n, ...).
 
         With a radio it may return a dict of ``act``, which is that, and ``say`` (n, D), NaN for who says nothing. Where
@@ -44,7 +44,7 @@ class Policy(Protocol):
 class Informed(Protocol):
     """Policy that is told the truth: an oracle, which bounds what others can reach."""
 
-    def know(self, state: Any) -> None:
+    def know(self, state: object) -> None:
         """Take the true ``State`` of the world before each ``act``."""
         ...
 
@@ -56,7 +56,7 @@ class Hover:
         rows = [[_neutral(play, axis) for axis in axes] for axes in axes_of_agents(play.sides)]
         self._still = apart(play.sides, np.array([row + [0.0] * (play.width - len(row)) for row in rows]))
 
-    def act(self, seen: Any) -> Any:
+    def act(self, seen: object) -> Any:
         """Return the same actions (n, A) every time."""
         return self._still
 
@@ -68,7 +68,7 @@ class Uniform:
         self._sides, self._shape = play.sides, (len(play.agents), play.width)
         self._random = np.random.default_rng(seed)
 
-    def act(self, seen: Any) -> Any:
+    def act(self, seen: object) -> Any:
         """Return new actions (n, A)."""
         return apart(self._sides, self._random.uniform(-1.0, 1.0, self._shape))
 
@@ -79,7 +79,7 @@ class _Function:
     def __init__(self, function: Callable[[Any], Any]):
         self._function = function
 
-    def act(self, seen: Any) -> Any:
+    def act(self, seen: object) -> Any:
         return self._function(seen)
 
 
@@ -216,8 +216,10 @@ def play_policy(
                     each.know(batch.episodes.episode(row).state)
             given = [policies[i].act(seen[i]) if flies[i] else None for i in range(batch.size)]
         silent = np.full((len(nothing), play.message), np.nan)
-        parts = [(nothing, silent) if done is None and not flies[i] else _together(batch, done, name)
-                 for i, done in enumerate(given)]  # fmt: skip
+        parts = [
+            (nothing, silent) if done is None and not flies[i] else _together(batch, done, name)
+            for i, done in enumerate(given)
+        ]
         actions, words = np.stack([act for act, _ in parts]), np.stack([said for _, said in parts])
         reward, terminated, truncated = batch.step(actions, words, f"policy {name}")
         total += np.where(flies[:, None], reward.astype(np.float64), 0.0)
@@ -284,7 +286,7 @@ def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
     return np.concatenate(acts), np.concatenate(said)
 
 
-def _parted(batch: Batch, given: Any, agents: int, name: str) -> tuple[Any, Floats]:
+def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[Any, Floats]:
     """Return what a policy does, and what its agents say over the radio, (n, D); NaN for who says nothing.
 
     Raises:
@@ -309,7 +311,7 @@ def _parted(batch: Batch, given: Any, agents: int, name: str) -> tuple[Any, Floa
         raise UsageError(f"policy {name}: {SAY}: expected numbers of shape {shape}, found {one_line(said)}") from None
 
 
-def checked(action: Any, like: Floats, name: str) -> Floats:
+def checked(action: object, like: Floats, name: str) -> Floats:
     """Return actions (n, A) of a policy.
 
     Raises:
@@ -349,11 +351,15 @@ def score_task(
         first = not found
         found.append(
             play_policy(
-                batch, name, make, seeds, drawn and first,
+                batch,
+                name,
+                make,
+                seeds,
+                drawn and first,
                 lambda step, name=name: told(name, step),  # type: ignore[misc]
                 recording if first else None,
             )
-        )  # fmt: skip
+        )
     return found
 
 

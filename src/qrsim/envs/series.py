@@ -9,11 +9,10 @@ import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch, checked_seed
 from qrsim.envs.drawing import Drawing, checked_mode
 from qrsim.errors import UsageError, did_you_mean
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -29,12 +28,12 @@ class Moved:
         ended: (E,) of which these are.
     """
 
-    rewards: Array
-    terminated: Array
-    truncated: Array
-    gone: Array | None
-    last: tuple[Any, dict[str, Array]] | None
-    ended: Array
+    rewards: NumpyArray
+    terminated: NumpyArray
+    truncated: NumpyArray
+    gone: NumpyArray | None
+    last: tuple[Any, dict[str, NumpyArray]] | None
+    ended: NumpyArray
 
 
 class Series:
@@ -55,7 +54,7 @@ class Series:
         self._drawings = [] if render_mode is None else [Drawing(batch, row) for row in range(batch.size)]
         self._over = np.zeros(batch.size, bool)
 
-    def reset(self, seed: Any, options: dict[str, Any] | None) -> None:
+    def reset(self, seed: object, options: dict[str, Any] | None) -> None:
         """Start all episodes, or those of ``options["reset_mask"]``; as ``VectorTask.reset``."""
         size = self.batch.size
         rows = self.rows((options or {}).get("reset_mask"), "reset_mask")
@@ -74,7 +73,7 @@ class Series:
         self._over[rows] = False
         self._begun(rows)
 
-    def rows(self, given: Any, what: str) -> Array:
+    def rows(self, given: object, what: str) -> NumpyArray:
         """Return the numbers of the environments of a mask, of all for None.
 
         Raises:
@@ -97,7 +96,7 @@ class Series:
                 f"the episode of environment {np.flatnonzero(self._over)[0]} has ended: call reset() with a reset_mask"
             )
 
-    def step(self, actions: Array, words: Array) -> Moved:
+    def step(self, actions: NumpyArray, words: NumpyArray) -> Moved:
         """Advance all by actions (E, n, A) and what is said (E, n, D), and begin the next of those that have ended.
 
         Raises:
@@ -131,11 +130,11 @@ class Series:
         """Return a picture of each environment; None without a render mode."""
         return tuple(drawing.frame() for drawing in self._drawings) or None
 
-    def _again(self, rows: Array) -> None:
+    def _again(self, rows: NumpyArray) -> None:
         self.batch.again(rows)
         self._begun(rows)
 
-    def _begun(self, rows: Array) -> None:
+    def _begun(self, rows: NumpyArray) -> None:
         for row in rows if self._drawings else ():
             self._drawings[row].begin()
 
@@ -155,7 +154,7 @@ def mode_of(given: AutoresetMode | str) -> AutoresetMode:
     return named[str(given)]
 
 
-def _where(ended: Array, leaf: Array) -> Array:
+def _where(ended: NumpyArray, leaf: NumpyArray) -> NumpyArray:
     """Return a copy that is zero where an episode goes on."""
     shaped = ended.reshape(-1, *(1,) * (leaf.ndim - 1))
     return np.where(shaped, leaf, np.zeros((), leaf.dtype))

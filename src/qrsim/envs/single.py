@@ -10,6 +10,7 @@ import gymnasium
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch, checked_seed, numbers
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
@@ -30,7 +31,7 @@ def only_one(batch: Batch) -> None:
         )
 
 
-def shaped(batch: Batch, flight: Any, who: str, *lead: int, agent: int = 0) -> np.ndarray[Any, Any]:
+def shaped(batch: Batch, flight: object, who: str, *lead: int, agent: int = 0) -> NumpyArray:
     """Check the flight part of an agent's actions, (*lead, A), and return it as an array (*lead, W).
 
     Raises:
@@ -134,7 +135,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         """
         return None if self._drawing is None else self._drawing.frame()
 
-    def hand_in(self, samples: Any) -> None:
+    def hand_in(self, samples: object) -> None:
         """Hand in the answer of a task that has one (``answer_space``); the last of an episode counts, at its end.
 
         Whoever hands in nothing is scored as if it were zeros.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.tasks import Play
@@ -43,17 +44,19 @@ def observation_space(play: Play, seen: Any, agent: int = 0) -> spaces.Space[Any
         return _space(seen, axes)
     vehicles = sum(fleet.size for fleet in play.world.fleets)
     size = seen[SENDER].shape[2:]
-    return spaces.Dict({
-        SEE: _space(seen[SEE], axes),
-        HEARD: _space(seen[HEARD]),
-        SENDER: spaces.Box(-1, vehicles - 1, size, np.int32),
-        AGE: spaces.Box(0.0, np.inf, size, seen[AGE].dtype.type),
-        RSSI: _space(seen[RSSI]),
-        MASK: spaces.MultiBinary(size),
-    })  # fmt: skip
+    return spaces.Dict(
+        {
+            SEE: _space(seen[SEE], axes),
+            HEARD: _space(seen[HEARD]),
+            SENDER: spaces.Box(-1, vehicles - 1, size, np.int32),
+            AGE: spaces.Box(0.0, np.inf, size, seen[AGE].dtype.type),
+            RSSI: _space(seen[RSSI]),
+            MASK: spaces.MultiBinary(size),
+        }
+    )
 
 
-def split_say(batch: Batch, action: Any, who: str, *lead: int) -> tuple[Any, np.ndarray[Any, Any]]:
+def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[Any, NumpyArray]:
     """Split an action into what is done and what is said, (*lead, D); NaN for who says nothing, D = 0 without a radio.
 
     Raises:

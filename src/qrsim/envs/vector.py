@@ -11,14 +11,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.series import Series
 from qrsim.envs.single import only_one, shaped
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError
-
-Array = np.ndarray[Any, Any]
 
 
 class VectorTask(VectorEnv[Any, Any, Any]):
@@ -90,7 +89,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self._series.reset(seed, options)
         return self._seen(), self._truth(self.batch.truth, np.ones(self.num_envs, bool))
 
-    def step(self, actions: Any) -> tuple[Any, Array, Array, Array, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, NumpyArray, NumpyArray, NumpyArray, dict[str, Any]]:
         """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
 
         Raises:
@@ -105,13 +104,15 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         if moved.last is not None:
             seen, truth = moved.last
             infos = {
-                "final_obs": jax.tree.map(lambda leaf: leaf[:, 0], seen), "final_info": self._truth(truth, moved.ended),
-                "_final_obs": moved.ended.copy(), "_final_info": moved.ended.copy(),
-            }  # fmt: skip
+                "final_obs": jax.tree.map(lambda leaf: leaf[:, 0], seen),
+                "final_info": self._truth(truth, moved.ended),
+                "_final_obs": moved.ended.copy(),
+                "_final_info": moved.ended.copy(),
+            }
         infos |= self._truth(self.batch.truth, np.ones(self.num_envs, bool))
         return self._seen(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
 
-    def hand_in(self, samples: Any, mask: Any = None) -> None:
+    def hand_in(self, samples: object, mask: object = None) -> None:
         """Hand in the answers of all episodes, or of those of a mask; the last of an episode counts, at its end.
 
         Args:
@@ -142,6 +143,6 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     def _seen(self) -> Any:
         return jax.tree.map(lambda leaf: leaf[:, 0].copy(), self.batch.seen)
 
-    def _truth(self, truth: dict[str, Array], there: Array) -> dict[str, Any]:
+    def _truth(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, Any]:
         values = {name: leaf[:, 0].copy() for name, leaf in truth.items()}
         return values | {f"_{name}": there.copy() for name in values}

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.series import Series
@@ -18,7 +19,6 @@ from qrsim.envs.single import shaped
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError, did_you_mean
 
-Array = np.ndarray[Any, Any]
 Spaces = dict[str, spaces.Space[Any]]
 
 
@@ -62,9 +62,11 @@ class VectorParallelTask:
         self.num_envs = self.batch.size
         self._series = Series(self.batch, autoreset_mode, render_mode)
         self.metadata = {
-            **self.metadata, "name": self.batch.functional.name, "autoreset_mode": self._series.mode,
+            **self.metadata,
+            "name": self.batch.functional.name,
+            "autoreset_mode": self._series.mode,
             "render_fps": self.batch.steps_per_second,
-        }  # fmt: skip
+        }
         self.possible_agents = list(self.batch.functional.agents)
         self.observation_axes, self.answer_space = self.batch.functional.observation_axes, answer_space(self.batch)
         shapes = jax.eval_shape(self.batch.functional.reset, np.zeros(2, np.uint32))[1]
@@ -130,7 +132,7 @@ class VectorParallelTask:
             infos,
         )
 
-    def hand_in(self, samples: dict[str, Any], mask: Any = None) -> None:
+    def hand_in(self, samples: dict[str, Any], mask: object = None) -> None:
         """Hand in answers by agent, (num_envs, ...) each of ``answer_space``; see ``VectorTask.hand_in``.
 
         Raises:
@@ -146,7 +148,7 @@ class VectorParallelTask:
                 )
             self.batch.hand_in(array[rows][:, None], rows, np.array([self.possible_agents.index(agent)]))
 
-    def state(self) -> Array:
+    def state(self) -> NumpyArray:
         """Return what is really the case, for a critic that may know it: (num_envs, S), see ``Batch.state``.
 
         Raises:
@@ -171,11 +173,11 @@ class VectorParallelTask:
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
 
-    def _known(self, agent: Any, what: str) -> None:
+    def _known(self, agent: object, what: str) -> None:
         if agent not in self.possible_agents:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
-    def _checked(self, actions: Any) -> tuple[Array, Array]:
+    def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
         """Return what agents do (num_envs, n, W) and what they say (num_envs, n, D)."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
@@ -192,11 +194,11 @@ class VectorParallelTask:
         flown, said = zip(*each, strict=True)
         return np.stack(flown, axis=1), np.stack(said, axis=1)
 
-    def _seen_by_each(self, seen: Any) -> dict[str, Any]:
+    def _seen_by_each(self, seen: object) -> dict[str, Any]:
         """Return what is seen by agent, (num_envs, ...)."""
         return {agent: self.batch.of_agent(seen, i) for i, agent in enumerate(self.possible_agents)}
 
-    def _of_each(self, tree: Any) -> dict[str, Any]:
+    def _of_each(self, tree: object) -> dict[str, Any]:
         """Return arrays (num_envs, n, ...) by agent, (num_envs, ...)."""
         return {
             agent: jax.tree.map(lambda leaf, i=i: leaf[:, i].copy(), tree)

@@ -24,7 +24,7 @@ FileModules = dict[str, tuple[str, tuple[Way, ...]]]
 _TAKEN_IN: dict[str, list[Way]] = {}
 
 
-def is_code(source: Any) -> bool:
+def is_code(source: object) -> bool:
     """Return whether a text names code: a module or file, a colon, and a name in it."""
     place, colon, name = source.rpartition(":") if isinstance(source, str) else ("", "", "")
     return bool(colon and place and name.isidentifier())

@@ -41,8 +41,16 @@ def read_arrays(file: str, data: bytes, most_numbers: int) -> dict[str, np.ndarr
     except UsageError:
         raise
     # What readers of ZIP files raise depends on what is wrong with one.
-    except (ValueError, OSError, EOFError, RuntimeError, LookupError, OverflowError, NotImplementedError,
-            zipfile.BadZipFile):  # fmt: skip
+    except (
+        ValueError,
+        OSError,
+        EOFError,
+        RuntimeError,
+        LookupError,
+        OverflowError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+    ):
         raise UsageError(f"{file}: is no NumPy archive of numbers, or it is damaged") from None
 
 

@@ -12,7 +12,7 @@ import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from qrsim import extras
 from qrsim.errors import RunError, UsageError, did_you_mean
@@ -127,7 +127,7 @@ def data_file(name: str) -> Path:
     return status.path
 
 
-def fetch_file(name: str, folder: Path, progress_bar: Any = None) -> Path:
+def fetch_file(name: str, folder: Path, progress_bar: object = None) -> Path:
     """Fetch one recording; a good file is kept, an altered one is replaced.
 
     Args:

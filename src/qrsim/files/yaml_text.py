@@ -147,12 +147,12 @@ class _Builder:
             self.anchors.pop(event.anchor, None)
         self.stack.append(_Open([] if sequence else {}, event.anchor, self.count - 1, mark, {}))
 
-    def _add(self, nodes: int, mark: Any) -> None:
+    def _add(self, nodes: int, mark: object) -> None:
         self.count += nodes
         if self.count > self.most:
             raise _FaultError(f"more than {self.most} values, those that aliases stand for included", mark)
 
-    def _keep(self, anchor: str | None, value: Any, size: int) -> None:
+    def _keep(self, anchor: str | None, value: object, size: int) -> None:
         if anchor:
             self.anchors[anchor] = value, size, _depth(value)
 
@@ -169,7 +169,7 @@ class _Builder:
             raise _FaultError(f"'*{name}': nested deeper than {DEEPEST} levels", mark)
         return _copied(value)
 
-    def _place(self, value: Any, mark: Any, plain: str = "") -> None:
+    def _place(self, value: object, mark: object, plain: str = "") -> None:
         """Put a value where the document has it."""
         if not self.stack:
             self.result = value
@@ -194,13 +194,13 @@ class _Builder:
         parent.key = key
 
 
-def _depth(value: Any) -> int:
+def _depth(value: object) -> int:
     """Return how deeply a value is nested; limited by DEEPEST where it was built."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
     return 0 if parts is None else 1 + max(map(_depth, parts), default=0)
 
 
-def _copied(value: Any) -> Any:
+def _copied(value: object) -> Any:
     """Return a copy of lists and mappings, and of those in them; nothing else that YAML has can be changed."""
     if isinstance(value, dict):
         return {key: _copied(part) for key, part in value.items()}
@@ -229,7 +229,7 @@ def _scalar(event: Any) -> Any:
     return read(text, mark)
 
 
-def _plain(text: str, mark: Any) -> Any:
+def _plain(text: str, mark: object) -> Any:
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
@@ -245,7 +245,7 @@ def _plain(text: str, mark: Any) -> Any:
     return float("nan") if _NAN.fullmatch(text) else text
 
 
-def _refuse_tag(tag: str, mark: Any) -> NoReturn:
+def _refuse_tag(tag: str, mark: object) -> NoReturn:
     shown = f"!!{tag.removeprefix(_TAG)}" if tag.startswith(_TAG) else tag
     raise _FaultError(f"the tag {shown[:60]} is not supported; known: !!str, !!int, !!float, !!bool, !!null", mark)
 
@@ -254,15 +254,13 @@ class _Dumper(yaml.SafeDumper):
     """Quotes what a reader of YAML 1.2, or of 1.1, would not take for a text."""
 
 
-_Dumper.yaml_implicit_resolvers = {
-    key: list(value) for key, value in yaml.SafeDumper.yaml_implicit_resolvers.items()
-}  # fmt: skip
+_Dumper.yaml_implicit_resolvers = {key: list(value) for key, value in yaml.SafeDumper.yaml_implicit_resolvers.items()}
 for _first in "-+.0123456789":
     for _kind, _pattern in (("int", _INT), ("float", _FLOAT)):
         _whole = re.compile(f"^(?:{_pattern.pattern})$")
         _Dumper.yaml_implicit_resolvers.setdefault(_first, []).append((f"{_TAG}{_kind}", _whole))
 
 
-def dump_yaml(content: Any) -> str:
+def dump_yaml(content: object) -> str:
     """Write a value as YAML text that ``parse_yaml`` reads back unchanged."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)

@@ -21,6 +21,7 @@ from qrsim.control import (
     VelocityHeightSetpoint,
     WaypointSetpoint,
 )
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import map_tree, walk
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
@@ -30,9 +31,8 @@ from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.world.state import Action, Fleet, Piloted, Saying, Some, World
 
 T = TypeVar("T")
-FloatArray = np.ndarray[Any, Any]
 # Says which vehicles (n,) fly; called only where something is not finite.
-Flying = Callable[[], FloatArray]
+Flying = Callable[[], Floats]
 _NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
 
 
@@ -187,7 +187,7 @@ class ActionChecker:
             return command
         return library_for(self.traced).asarray(command)[None] if flat else command
 
-    def _filled(self, size: int, asked: Mapping[int, Any]) -> tuple[Any, Any]:
+    def _filled(self, size: int, asked: Mapping[int, object]) -> tuple[Any, Any]:
         """Return which vehicles (n,) of a fleet something is asked of, and that as (n,) each."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
@@ -235,9 +235,10 @@ class ActionChecker:
             taken = fleet.vehicle.actions if given else (fleet.vehicle.command_type,)
             if kind not in taken:
                 alike = any(kind.__name__ == each.__name__ for each in fleet.vehicle.actions)
-                names = " or ".join(_named(each, alike) for each in fleet.vehicle.actions)
+                names = " or ".join(_command_name(each, alike) for each in fleet.vehicle.actions)
+                name = _command_name(kind, alike, article=True)
                 raise UsageError(
-                    f"command: {_named(kind, alike, article=True)} is not for the vehicles of fleet '{fleet.name}', "
+                    f"command: {name} is not for the vehicles of fleet '{fleet.name}', "
                     f"which take {names}; give each fleet its own, by name"
                 )
         return self.kinds[kind]
@@ -245,8 +246,8 @@ class ActionChecker:
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
-                name = _named(type(setpoint), article=True)
-                raise UsageError(f"command: {name} is not for {_instead(fleet, setpoint)}")
+                name = _command_name(type(setpoint), article=True)
+                raise UsageError(f"command: {name} is not for {_accepted_setpoints(fleet, setpoint)}")
         checked = self._cast(setpoint, "command", len(names))
         if not self.traced and isinstance(checked, VelocityHeightSetpoint | AttitudeHeightSetpoint):
             below = np.asarray(checked.z) > 0.0
@@ -272,7 +273,7 @@ class ActionChecker:
         if not self.traced and all(_is_row(leaf, size) for leaf in leaves):
             return jax.tree.unflatten(structure, [np.ascontiguousarray(leaf, self.dtype) for leaf in leaves])
 
-        def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> FloatArray | Array:
+        def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> Floats | Array:
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
@@ -286,7 +287,7 @@ class ActionChecker:
     def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
         shape = (len(names), len(kind.fields))
         try:
-            array: FloatArray = (jnp if self.traced else np).asarray(command, self.dtype)
+            array: Floats = (jnp if self.traced else np).asarray(command, self.dtype)
         except (TypeError, ValueError, OverflowError):
             array = np.zeros(0)
         if array.shape != shape:
@@ -298,20 +299,18 @@ class ActionChecker:
             return kind.kind(*np.ascontiguousarray(array.T))
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
-    def _all_fine(self, kind: CommandKind, array: FloatArray) -> bool:
+    def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
         """Return whether nothing in commands (n, C) is to be said."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.
         return bool((np.isfinite(array) & (array >= kind.lowest) & (array <= kind.highest)).all())
 
-    def _in_range(
-        self, kind: CommandKind, columns: list[FloatArray], names: list[str], flying: Flying | None
-    ) -> object:
+    def _in_range(self, kind: CommandKind, columns: list[Floats], names: list[str], flying: Flying | None) -> object:
         """Return the command of columns (n,); a traced one is clipped by the tick itself."""
         if self.traced:
             return kind.kind(*columns)
-        checked: list[FloatArray] = []
+        checked: list[Floats] = []
         for field, values in zip(kind.fields, columns, strict=True):
             low, high = kind.limits[field]
             column = np.ascontiguousarray(values)
@@ -326,7 +325,7 @@ class ActionChecker:
             checked.append(column)
         return kind.kind(*checked)
 
-    def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Floats:
         """Return numbers of a shape, or one for all."""
         try:
             array = np.asarray(values, self.dtype)
@@ -335,14 +334,14 @@ class ActionChecker:
             raise UsageError(f"{what}: expected numbers of shape {shape}, found {shape_of(values)}") from None
 
 
-def _named(kind: type[Any], with_module: bool = False, article: bool = False) -> str:
+def _command_name(kind: type[Any], with_module: bool = False, article: bool = False) -> str:
     """Return the name of a command; with its module where another one has the same name."""
     name = f"{kind.__module__}.{kind.__name__}" if with_module else kind.__name__
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" if article else name
 
 
-def _instead(fleet: Fleet, setpoint: object) -> str:
-    """Describe what takes a fleet's set-points, and which ones."""
+def _accepted_setpoints(fleet: Fleet, setpoint: object) -> str:
+    """Describe which set-points a fleet accepts, and what accepts them."""
     if not fields_of(fleet.vehicle.command_type):
         return f"fleet '{fleet.name}', whose vehicles take no commands; give each fleet its own, by name"
     taken = ", ".join(cls.__name__ for cls in fleet.controller.setpoints)
@@ -359,18 +358,18 @@ def _rows(own: slice, leaf: Array) -> Array:
     return leaf[own]
 
 
-def _arrays(record: Any) -> Any:
+def _arrays(record: object) -> Any:
     """Return a record with arrays in place of numbers."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 
 
-def _part(flying: Flying, own: slice) -> FloatArray:
+def _part(flying: Flying, own: slice) -> Floats:
     return flying()[own]
 
 
-def _missing(values: FloatArray, flying: Flying | None) -> FloatArray:
+def _missing(values: Floats, flying: Flying | None) -> Floats:
     """Return which of the numbers (n,) for vehicles that fly are not finite."""
-    missing: FloatArray = ~np.isfinite(values)
+    missing: Floats = ~np.isfinite(values)
     return missing & flying() if flying is not None and missing.any() else missing
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +12,8 @@ import numpy.typing as npt
 from jax import Array
 
 from qrsim.control.setpoints import library
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Euler, Vec3
-
-Floats = np.ndarray[Any, Any]
 
 
 class Library(Protocol):

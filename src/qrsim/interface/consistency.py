@@ -37,7 +37,7 @@ class Looks:
         """Look again at some ticks, at vehicles (n,) that fly; where nothing is stated, sums become NaN."""
 
         def look() -> Looks:
-            parts = [_seen(fleet, part) for fleet, part in zip(world.fleets, state.fleets, strict=True)]
+            parts = [_consistency_of(fleet, part) for fleet, part in zip(world.fleets, state.fleets, strict=True)]
             now: Consistency = concatenated(parts)
             sums = {
                 name: total + jnp.where(flying, getattr(now, name), 0.0) for name, total in vars(self.total).items()
@@ -54,9 +54,13 @@ def truth_of(fleet: Fleet, state: FleetState) -> Truth:
     found = dict(_biases(fleet, state))
     velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
     return Truth(
-        pose.position_ned, velocity, pose.attitude, state.position_low_ned, found.get("rates_body"),
+        pose.position_ned,
+        velocity,
+        pose.attitude,
+        state.position_low_ned,
+        found.get("rates_body"),
         found.get("specific_force"),
-    )  # fmt: skip
+    )
 
 
 def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
@@ -72,7 +76,7 @@ def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
             seen.add(name)
 
 
-def _seen(fleet: Fleet, state: FleetState) -> Consistency:
+def _consistency_of(fleet: Fleet, state: FleetState) -> Consistency:
     """Return how large the errors are beside what is stated (n,), NaN where nothing is."""
     found, estimator = None, fleet.own_estimator
     if state.belief is not None and estimator is not None:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import concatenated, quantity, record, replace
 from qrsim.models.vehicles.contracts import Charged
 from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, State, World
 
-Floats = np.ndarray[Any, Any]
 # Without a contact that reports it, a vehicle is in the air at this height [m], or under way at this speed [m/s].
 AIRBORNE_M, AIRBORNE_M_S = 0.1, 0.1
 

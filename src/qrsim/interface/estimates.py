@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from qrsim.control import Estimate
+from qrsim.core.arrays import Floats
 from qrsim.core.tables import Table, Tabled, cells_of, columns_of
-from qrsim.interface.arrays import Floats, as_array
+from qrsim.interface.arrays import as_array
 from qrsim.world.state import FleetState
 
 FIELDS = {"position_ned": "m", "velocity_ned": "m/s", "attitude": "rad"}

@@ -34,7 +34,9 @@ class FixErrors:
     def none(world: World, state: State, like: Array) -> FixErrors:
         """Return the start, for vehicles (n,)."""
         count, zero, nothing = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like), Extreme.none(like)
-        past = tuple((_truth(now),) * _late(fleet, now) for fleet, now in zip(world.fleets, state.fleets, strict=True))
+        past = tuple(
+            (_truth(now),) * _delay_periods(fleet, now) for fleet, now in zip(world.fleets, state.fleets, strict=True)
+        )
         return FixErrors(nothing.position_ned, count, zero, zero, count, nothing, past)
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> FixErrors:
@@ -89,7 +91,7 @@ def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...],
     return found
 
 
-def _late(fleet: Fleet, now: FleetState) -> int:
+def _delay_periods(fleet: Fleet, now: FleetState) -> int:
     """Return how many periods after it is taken a fix of the first receiver is reported, 0 without one."""
     return int(fleet.sensors[_receiver(now)].delay) if _receiver(now) >= 0 else 0
 

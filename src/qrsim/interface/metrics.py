@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from jax import Array
 
 from qrsim.control import Mission, MissionState, OffboardSetpoint, PathSetpoint, TrackSetpoint, WaypointSetpoint
+from qrsim.core.arrays import Floats
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3, root
@@ -24,7 +25,6 @@ from qrsim.models.vehicles.commands import fields_of
 from qrsim.world.state import FleetState, State, World
 
 T = TypeVar("T")
-Floats = np.ndarray[Any, Any]
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
 # A set-point so far below the ground [m] is one of a landing.
@@ -74,27 +74,40 @@ class FlightMetrics:
 
     def init(self, world: World, state: State) -> Flight:
         """Start the metrics with the first state, which counts as a tick."""
-        position = _together(state, lambda fleet: fleet.vehicle.position_ned)
+        position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         goal = _goal(world, state)
         like = position.x
         zero, count, none = jnp.zeros_like(like), jnp.zeros(like.shape, jnp.int32), Extreme.none(like)
         nothing = Flight(
-            ticks=count, distance=zero, position_ned=position, leg_start=position, leg_end=goal,
-            tracked=count, tracking_square=zero, tracking=none,
+            ticks=count,
+            distance=zero,
+            position_ned=position,
+            leg_start=position,
+            leg_end=goal,
+            tracked=count,
+            tracking_square=zero,
+            tracking=none,
             fixes=FixErrors.none(world, state, like),
-            wind=none, closeness=none, outwards=none,
-            sides=none.value, ceiling=none.value, floor=none.value,
+            wind=none,
+            closeness=none,
+            outwards=none,
+            sides=none.value,
+            ceiling=none.value,
+            floor=none.value,
             charge=none.value,
-            clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
-            position_low_ned=_low(state), distance_low=None if _low(state) is None else zero,
-            looks=Looks.none(world, state), consumption=Consumption.none(world, state),
-        )  # fmt: skip
+            clipped=count,
+            stopped=jnp.full(like.shape, -1, jnp.int32),
+            position_low_ned=_low(state),
+            distance_low=None if _low(state) is None else zero,
+            looks=Looks.none(world, state),
+            consumption=Consumption.none(world, state),
+        )
         return self.update(nothing, world, state, jnp.int32(0))
 
     def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:
         """Update with the state at a tick."""
-        flying = _together(state, lambda fleet: fleet.violation.code) == 0
-        position = _together(state, lambda fleet: fleet.vehicle.position_ned)
+        flying = _of_all_fleets(state, lambda fleet: fleet.violation.code) == 0
+        position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         low = _low(state)
         goal = _goal(world, state)
         start = select(_differs(goal, flight.leg_end), _known(flight.leg_end, flight.position_ned), flight.leg_start)
@@ -103,8 +116,8 @@ class FlightMetrics:
         if radius is not None:
             error = jnp.where(radius == 0.0, error, _distance_from_circle(_minus(position, low, goal), radius))
         counted = flying & jnp.isfinite(error)
-        air = _together(state, lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
-        clipped = _together(state, lambda fleet: fleet.command_clipped)
+        air = _of_all_fleets(state, lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
+        clipped = _of_all_fleets(state, lambda fleet: fleet.command_clipped)
         distance, distance_low = _farther(flight, position, low, flying)
         inside = flying & _moves(world)
         sides, ceiling, floor = _clearances(world, position)
@@ -123,9 +136,9 @@ class FlightMetrics:
             tracking=flight.tracking.update(error, tick, position, counted),
             wind=flight.wind.update(air.norm(), tick, position, flying),
             outwards=flight.outwards.update(-nearest, tick, position, inside),
-            sides=_least(flight.sides, sides, inside),
-            ceiling=_least(flight.ceiling, ceiling, inside),
-            floor=_least(flight.floor, floor, inside),
+            sides=_smaller(flight.sides, sides, inside),
+            ceiling=_smaller(flight.ceiling, ceiling, inside),
+            floor=_smaller(flight.floor, floor, inside),
             charge=jnp.fmin(flight.charge, charges(world, state)),
             clipped=flight.clipped + _one(clipped & flying),
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
@@ -194,7 +207,7 @@ class FlightMetrics:
         return {name: np.asarray(values) for name, values in found.items()}
 
 
-def _together(state: State, pick: Callable[[FleetState], T]) -> T:
+def _of_all_fleets(state: State, pick: Callable[[FleetState], T]) -> T:
     """Return something of all fleets, one after the other."""
     return concatenated([pick(fleet) for fleet in state.fleets])
 
@@ -203,7 +216,7 @@ def _low(state: State) -> Vec3 | None:
     """Return the rounding errors of positions (n,) in single precision, None in double precision."""
     if state.fleets[0].position_low_ned is None:
         return None
-    return _together(state, lambda fleet: fleet.position_low_ned)
+    return _of_all_fleets(state, lambda fleet: fleet.position_low_ned)
 
 
 def _minus(position: Vec3, low: Vec3 | None, place: Vec3) -> Vec3:
@@ -258,7 +271,7 @@ def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
     return sides, ceiling, jnp.where(above_ground & jnp.isfinite(floor), floor, jnp.nan)
 
 
-def _least(known: Array, new: Array, counts: Array) -> Array:
+def _smaller(known: Array, new: Array, counts: Array) -> Array:
     """Return the smaller of two numbers (n,), where the new one counts."""
     return jnp.fmin(known, jnp.where(counts & jnp.isfinite(new), new, jnp.nan))
 

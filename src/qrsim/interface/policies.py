@@ -105,8 +105,8 @@ class UserFunction:
         except QrsimError:
             raise
         except Exception as error:
-            place = where_raised(error)
-            raised = f"{type(error).__name__}: {error}" + (f" ({place})" if place else "")
+            location = where_raised(error)
+            raised = f"{type(error).__name__}: {error}" + (f" ({location})" if location else "")
             raise RunError(f"{self.what} {self.name}{where}: {raised}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -11,10 +11,11 @@ import jax
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tables import Table, Tabled, cells_of, columns_of, number_text
 from qrsim.core.tree import Record, field_info, map_tree
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
+from qrsim.interface.arrays import as_array, library_of, quaternion_of
 from qrsim.interface.estimates import EstimateReading, estimate_of, std_of
 from qrsim.interface.messages import user_key, user_normals
 from qrsim.interface.sources import FleetSource, whole

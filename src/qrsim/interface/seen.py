@@ -15,10 +15,10 @@ import jax
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import Record
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.layout import Buffers, Packer
-from qrsim.interface.arrays import Floats
 from qrsim.world.state import FleetState, State, World
 
 Offsets = npt.NDArray[np.intp]
@@ -76,12 +76,12 @@ class StateOffsets:
             pick: called with the world, a state and the number of a fleet.
         """
         if name not in self._of_vehicles:
-            parts = [self._picked(pick, number) for number in range(len(self._world.fleets))]
+            parts = [self._offsets_of(pick, number) for number in range(len(self._world.fleets))]
             known = [part for part in parts if part is not None]
             self._of_vehicles[name] = np.concatenate(known) if len(known) == len(parts) else None
         return self._of_vehicles[name]
 
-    def _picked(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
+    def _offsets_of(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
         try:
             found = self._of(pick(self._world, self._tree, fleet))
         except Exception:

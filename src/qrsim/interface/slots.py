@@ -84,9 +84,7 @@ def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checke
     if kind in checker.kinds:
         limits = _limits(checker.kinds[kind])
     elif kind in SETPOINTS.values():
-        limits = [
-            (-np.inf, 0.0 if name == "z" and kind in _HEIGHTS else np.inf) for name, _, _ in walk(actions[0])
-        ]  # fmt: skip
+        limits = [(-np.inf, 0.0 if name == "z" and kind in _HEIGHTS else np.inf) for name, _, _ in walk(actions[0])]
     else:
         return None
     if isinstance(command, np.ndarray | list):
@@ -102,5 +100,5 @@ def _limits(kind: CommandKind) -> list[tuple[float, float]]:
     return list(zip(kind.lowest.tolist(), kind.highest.tolist(), strict=True))
 
 
-def _columns(command: Any) -> Any:
+def _columns(command: object) -> Any:
     return np.asarray(command).T

@@ -134,6 +134,6 @@ def whole(state: State) -> State:
 _developed = jax.jit(picture, static_argnums=(2, 3))
 
 
-def _on_host(value: Any) -> Any:
+def _on_host(value: object) -> Any:
     """Return an array as NumPy's, unless a program is being compiled."""
     return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value

@@ -8,8 +8,9 @@ from typing import cast
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tables import Table, Tabled, cells_of, columns_of
-from qrsim.interface.arrays import Floats, as_array
+from qrsim.interface.arrays import as_array
 from qrsim.interface.seen import Seen
 from qrsim.models.vehicles.contracts import Pose, velocity_of
 from qrsim.world.standing import on_ground
@@ -17,9 +18,17 @@ from qrsim.world.state import State, World
 
 # What a table shows, with its unit.
 _UNITS = {
-    "position_ned": "m", "attitude": "rad", "velocity_ned": "m/s", "velocity_body": "m/s", "rates_body": "rad/s",
-    "thrust": "N", "specific_force": "m/s^2", "wind_ned": "m/s", "on_ground": "", "command": "",
-}  # fmt: skip
+    "position_ned": "m",
+    "attitude": "rad",
+    "velocity_ned": "m/s",
+    "velocity_body": "m/s",
+    "rates_body": "rad/s",
+    "thrust": "N",
+    "specific_force": "m/s^2",
+    "wind_ned": "m/s",
+    "on_ground": "",
+    "command": "",
+}
 
 
 class Truth(Tabled):

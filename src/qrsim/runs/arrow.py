@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.runs.layout import numpy_dtype
 
 
-def column(values: np.ndarray[Any, Any]) -> Any:
+def column(values: NumpyArray) -> Any:
     """Return an Arrow array of a NumPy array (n,) of numbers or bools, none of them missing."""
     values = np.ascontiguousarray(values)
     kind = pa.from_numpy_dtype(values.dtype)
@@ -44,14 +45,14 @@ def names(values: Sequence[str | None]) -> Any:
     return pa.DictionaryArray.from_arrays(numbers(indices, pa.int32()), strings(known))
 
 
-def to_numpy(values: Any) -> np.ndarray[Any, Any]:
+def to_numpy(values: Any) -> NumpyArray:
     """Return a column of a table, or one chunk of it, as a NumPy array; missing numbers are NaN."""
     chunks = values.chunks if isinstance(values, pa.ChunkedArray) else [values]
     arrays = [_plain(chunk) for chunk in chunks]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0, numpy_dtype(values.type))])
 
 
-def _plain(chunk: Any) -> np.ndarray[Any, Any]:
+def _plain(chunk: Any) -> NumpyArray:
     dtype = numpy_dtype(chunk.type)
     if not len(chunk):
         return np.zeros(0, dtype)
@@ -59,6 +60,6 @@ def _plain(chunk: Any) -> np.ndarray[Any, Any]:
         bits = np.unpackbits(np.frombuffer(chunk.buffers()[1], np.uint8), bitorder="little")
         return bits[chunk.offset : chunk.offset + len(chunk)].astype(bool)
     if dtype.kind not in "fiu" or chunk.null_count:
-        found: np.ndarray[Any, Any] = chunk.to_numpy(zero_copy_only=False)
+        found: NumpyArray = chunk.to_numpy(zero_copy_only=False)
         return found
     return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)

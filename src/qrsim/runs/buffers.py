@@ -116,7 +116,7 @@ class VehicleRows(Buffer):
                 f"stream '{self.stream}', column '{name}': declared as {dtype}, got {array.dtype}"
             ) from None
 
-    def _wrong_names(self, values: Mapping[str, Any]) -> str:
+    def _wrong_names(self, values: Mapping[str, object]) -> str:
         for name in values:
             if name not in self.dtypes:
                 return f"stream '{self.stream}': no column '{name}' was declared{did_you_mean(name, self.dtypes)}"

@@ -10,17 +10,26 @@ from typing import Any
 
 import numpy as np
 
-Floats = np.ndarray[Any, Any]
+from qrsim.core.arrays import Floats
+
 Colour = tuple[int, int, int]
 
 # Vehicles, in their order, while they are few; else fleets.
 VEHICLES = np.array(
     [
-        (55, 114, 247), (231, 139, 1), (12, 146, 97), (91, 56, 178), (90, 168, 242),
-        (136, 55, 57), (181, 102, 159), (127, 189, 125), (110, 172, 157), (65, 114, 114),
+        (55, 114, 247),
+        (231, 139, 1),
+        (12, 146, 97),
+        (91, 56, 178),
+        (90, 168, 242),
+        (136, 55, 57),
+        (181, 102, 159),
+        (127, 189, 125),
+        (110, 172, 157),
+        (65, 114, 114),
     ],
     np.uint8,
-)  # fmt: skip
+)
 STOPPED: Colour = (197, 19, 12)
 MISSING: Colour = (245, 208, 13)
 FOUND: Colour = (12, 82, 87)

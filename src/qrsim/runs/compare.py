@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.runs.layout import EVENTS, INDEX, Event
 from qrsim.runs.reader import Run, Stream
 from qrsim.runs.settings import Setting, setting_differences
 
-Array = npt.NDArray[Any]
 Names = tuple[str, ...]
 
 
@@ -202,9 +201,9 @@ class _Side:
     def __init__(self, stream: Stream, names: list[str], vehicles: Names):
         self._batches = stream.batches(names)
         self._columns = [stream.vehicles.index(name) for name in vehicles]
-        self.keys: Array = np.zeros(0, np.int64)
-        self._times: Array = np.zeros(0)
-        self._arrays: dict[str, Array] = {}
+        self.keys: NumpyArray = np.zeros(0, np.int64)
+        self._times: NumpyArray = np.zeros(0)
+        self._arrays: dict[str, NumpyArray] = {}
 
     def fill(self) -> bool:
         """Read on where nothing is left; return whether there is something."""
@@ -217,7 +216,7 @@ class _Side:
             self._arrays = {name: array[:, self._columns] for name, array in batch.arrays.items()}
         return True
 
-    def take(self, until: int) -> tuple[Array, Array, dict[str, Array]]:
+    def take(self, until: int) -> tuple[NumpyArray, NumpyArray, dict[str, NumpyArray]]:
         """Return keys, times and arrays of the ticks up to a key, and forget them."""
         count = int(np.searchsorted(self.keys, until, side="right"))
         taken = self.keys[:count], self._times[:count], {name: a[:count] for name, a in self._arrays.items()}
@@ -233,7 +232,7 @@ class _Pair:
         self._sides = (first, second)
         self.only = [0, 0]
 
-    def pieces(self) -> Iterator[tuple[Array, dict[str, Array], dict[str, Array]]]:
+    def pieces(self) -> Iterator[tuple[NumpyArray, dict[str, NumpyArray], dict[str, NumpyArray]]]:
         """Yield times (T,) and the columns (T, n) of both sides at the ticks that both have."""
         first, second = self._sides
         while first.fill() & second.fill():
@@ -269,7 +268,7 @@ class _Tally:
     _unmatched: int = 0
     _range: list[float] = field(default_factory=lambda: [math.inf, -math.inf])
 
-    def add(self, times: Array, mine: Array, others: Array) -> None:
+    def add(self, times: NumpyArray, mine: NumpyArray, others: NumpyArray) -> None:
         """Count (T, n) values of the first and the second run."""
         if not mine.size:
             return
@@ -315,12 +314,12 @@ class _Tally:
             self.quantity, self.unit, self.first, self.largest, self.largest_difference, rms, self._unmatched, share
         )
 
-    def _moment(self, times: Array, x: Array, y: Array, place: int) -> Moment:
+    def _moment(self, times: NumpyArray, x: NumpyArray, y: NumpyArray, place: int) -> Moment:
         row, column = divmod(place, x.shape[1])
         return Moment(float(times[row]), self.vehicles[column], (float(x[row, column]), float(y[row, column])))
 
 
-def _same_bits(first: Array, second: Array) -> bool:
+def _same_bits(first: NumpyArray, second: NumpyArray) -> bool:
     """Return whether two arrays have one type and the same bits, or values that are both not a number."""
     if first.dtype != second.dtype:
         return False

@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError
-from qrsim.runs.picture import MOST_NAMED, Floats, colours_of, from_zero, name_vehicles, new_figure, spread, time_limits
+from qrsim.runs.picture import MOST_NAMED, colours_of, from_zero, name_vehicles, new_figure, spread, time_limits
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import vectors
 

@@ -49,7 +49,7 @@ def _print_settings(found: Comparison) -> None:
         print(f"... and {len(found.settings) - MOST_SETTINGS} more settings, see --json")
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = str(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
@@ -181,7 +181,7 @@ def _difference_json(item: Difference) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return a value that JSON can say: None for NaN and infinity, text for what is none of its types."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError
 from qrsim.runs.panels import read_data
 from qrsim.runs.picture import (
     MOST_NAMED,
-    Floats,
     binned_text,
     colours_of,
     name_vehicles,

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError
 from qrsim.runs.layout import Event
 from qrsim.runs.picture import (
     MOST_NAMED,
-    Floats,
     binned_text,
     colours_of,
     from_zero,
@@ -280,12 +280,20 @@ def _gnss(panels: Any, data: _Data) -> None:
     for row, item in enumerate(data.around.interference[:MOST_SAID]):
         # Each on a line of its own, where it begins.
         place = (max(item.start, data.span[0]), 1.0)
-        panels[0].annotate(item.text, place, (2, -2 - 9 * row), xycoords=panels[0].get_xaxis_transform(),
-                           textcoords="offset points", fontsize=7, va="top", color="0.25")  # fmt: skip
+        panels[0].annotate(
+            item.text,
+            place,
+            (2, -2 - 9 * row),
+            xycoords=panels[0].get_xaxis_transform(),
+            textcoords="offset points",
+            fontsize=7,
+            va="top",
+            color="0.25",
+        )
     panels[-1].set_xlabel("time [s]")
 
 
-def _wind(axes: Any, data: _Data) -> None:
+def _wind(axes: object, data: _Data) -> None:
     flying = data.flying("wind")
     mean = np.linalg.norm(data.mean, axis=-1) * flying
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
@@ -298,7 +306,7 @@ def _wind(axes: Any, data: _Data) -> None:
     from_zero(axes)
 
 
-def _lines(axes: Any, data: _Data, time: Floats, values: Floats, style: str = "-", colour: Any = FIRST) -> None:
+def _lines(axes: object, data: _Data, time: Floats, values: Floats, style: str = "-", colour: object = FIRST) -> None:
     """Draw a quantity (E, n): per vehicle, or its spread over many vehicles."""
     if not data.few:
         spread(axes, time, values, colour, style)

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.geometry import LOST
 from qrsim.models.gnss.interference import strength
 from qrsim.models.gnss.slots import SlottedSky
-from qrsim.runs.colours import Floats
 
 # What has no end ends here or later [s], and what is heard everywhere is heard within this or more [m].
 _FOREVER, _EVERYWHERE = 1e8, 1e8
@@ -66,9 +66,12 @@ def of_world(world: Any) -> tuple[Interferer, ...]:
     if present is None:
         return ()
     parts = {
-        "jammer": present.jammers, "disc": present.discs, "spoofer": present.spoofers, "outage": present.outages,
+        "jammer": present.jammers,
+        "disc": present.discs,
+        "spoofer": present.spoofers,
+        "outage": present.outages,
         "iono_storm": present.storms,
-    }  # fmt: skip
+    }
     return tuple(_interferer(kind, vars(item)) for kind, items in parts.items() for item in items)
 
 
@@ -94,7 +97,7 @@ def _interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
     return Interferer(kind, place, radius, number("start", 0.0), end if end < _FOREVER else math.inf, text)
 
 
-def _names(satellites: Any) -> list[str]:
+def _names(satellites: object) -> list[str]:
     """Return names of satellites, none where they are known by their numbers only."""
     return [name for name in satellites if isinstance(name, str)] if isinstance(satellites, list | tuple) else []
 

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.runs.layout import Event
 from qrsim.runs.picture import (
     MOST_NAMED,
-    Floats,
     binned_text,
     colours_of,
     is_long,
@@ -31,9 +31,7 @@ from qrsim.runs.quantities import Quantity, find_quantities
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import stops_of
 
-STYLES: tuple[Any, ...] = (
-    "-", "--", ":", "-.", (0, (6, 1)), (0, (1, 3)), (0, (4, 1, 1, 1, 1, 1)), (0, (9, 3)),
-)  # fmt: skip
+STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1)), (0, (1, 3)), (0, (4, 1, 1, 1, 1, 1)), (0, (9, 3)))
 DIRECTIONS = {"x": "north", "y": "east", "z": "down"}
 
 

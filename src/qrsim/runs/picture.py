@@ -13,12 +13,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
 from qrsim.runs.colours import VEHICLES
 from qrsim.runs.reader import Run
 
-Floats = np.ndarray[Any, Any]
 FORMATS = ("png", "pdf", "svg")
 # More vehicles have the range over all of them in place of single noisy lines, and no legend.
 MOST_NAMED = 10

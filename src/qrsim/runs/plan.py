@@ -13,9 +13,10 @@ from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import ScaledTranslation
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import FOUND, MISSING, PLUME, share
 from qrsim.runs.interferers import Interferer
-from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, Floats, path_rows
+from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, path_rows
 from qrsim.runs.surroundings import Surroundings
 from qrsim.runs.terrain import Terrain
 
@@ -79,8 +80,13 @@ def draw_plan(axes: Any, paths: Paths, around: Surroundings, terrain: Terrain) -
     low, high = _limits(np.concatenate([flown, around.goals[:, :2]]))
     whole = _is_whole(around, low, high)
     if whole:
-        low, high = (over([edge, corner], axis=0) for over, edge, corner in (
-            (np.min, low, around.outline.min(axis=0)), (np.max, high, around.outline.max(axis=0))))  # fmt: skip
+        low, high = (
+            over([edge, corner], axis=0)
+            for over, edge, corner in (
+                (np.min, low, around.outline.min(axis=0)),
+                (np.max, high, around.outline.max(axis=0)),
+            )
+        )
         low, high = low - 0.03 * (high - low), high + 0.03 * (high - low)
     low, high = _with_interferers(around, low, high)
     if not terrain.level:
@@ -144,15 +150,28 @@ def _surroundings(axes: Any, around: Surroundings) -> None:
         axes.add_artist(Polygon(around.outline[:, ::-1], fill=False, ec="black", lw=1.3, label="area"))
     for item in around.interference:
         if item.place_ned is not None and math.isfinite(item.radius):
-            circle = Circle((item.place_ned[1], item.place_ned[0]), item.radius, ec=INTERFERER, fill=False, lw=1.0,
-                            ls=CIRCLES[item.kind], zorder=2)  # fmt: skip
+            circle = Circle(
+                (item.place_ned[1], item.place_ned[0]),
+                item.radius,
+                ec=INTERFERER,
+                fill=False,
+                lw=1.0,
+                ls=CIRCLES[item.kind],
+                zorder=2,
+            )
             axes.add_artist(circle)
     marks = _marks(around)
     for label, points, look in marks:
         axes.plot(points[:, 1], points[:, 0], ls="none", zorder=4, label=label, **look)
     if around.unknown:
-        axes.text(0.0, -0.16, "not everything of the scenario is drawn: it cannot be built any more",
-                  transform=axes.transAxes, ha="left", fontsize=8)  # fmt: skip
+        axes.text(
+            0.0,
+            -0.16,
+            "not everything of the scenario is drawn: it cannot be built any more",
+            transform=axes.transAxes,
+            ha="left",
+            fontsize=8,
+        )
 
 
 def name_marks(axes: Any, around: Surroundings) -> None:
@@ -175,9 +194,12 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
         ("goal of the task", around.goals, goal),
         ("person not found", around.persons[~found], {**pin, "mfc": share(MISSING), "mec": "k", "mew": 1.5}),
         ("person found", around.persons[found], {**pin, "c": share(FOUND)}),
-    ]  # fmt: skip
-    every += [(_said(item), item.place_ned[None], SIGNS[item.kind]) for item in around.interference
-              if item.place_ned is not None]  # fmt: skip
+    ]
+    every += [
+        (_said(item), item.place_ned[None], SIGNS[item.kind])
+        for item in around.interference
+        if item.place_ned is not None
+    ]
     return [item for item in every if len(item[1])]
 
 
@@ -282,10 +304,16 @@ def _wind_arrow(axes: Any, mean: Floats) -> None:
     arrow = {"arrowstyle": "-|>", "lw": 1.5, "color": "dimgray", "shrinkA": 0, "shrinkB": 0}
     inches = axes.figure.dpi_scale_trans + ScaledTranslation(1.0, 0.0, axes.transAxes)
     drawn = axes.annotate(
-        "", (middle + step) / 72.0, (middle - step) / 72.0, xycoords=inches, textcoords=inches, arrowprops=arrow,
+        "",
+        (middle + step) / 72.0,
+        (middle - step) / 72.0,
+        xycoords=inches,
+        textcoords=inches,
+        arrowprops=arrow,
         annotation_clip=False,
-    )  # fmt: skip
-    text = axes.text(-0.33, -26.0 / 72.0, f"mean wind {speed:.1f} m/s", transform=inches, ha="right", va="center",
-                     fontsize=9)  # fmt: skip
+    )
+    text = axes.text(
+        -0.33, -26.0 / 72.0, f"mean wind {speed:.1f} m/s", transform=inches, ha="right", va="center", fontsize=9
+    )
     for artist in (drawn, text):
         artist.set_in_layout(False)

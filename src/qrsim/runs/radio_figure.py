@@ -11,8 +11,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError
-from qrsim.runs.picture import Floats, colours_of, new_figure, time_limits, title_of
+from qrsim.runs.picture import colours_of, new_figure, time_limits, title_of
 from qrsim.runs.radio_columns import LOGGED_LINKS
 from qrsim.runs.radio_links import Connectivity, Packets, connectivity, packets_of
 from qrsim.runs.reader import Run
@@ -80,9 +81,13 @@ def _graph(figure: Figure, axes: Any, run: Run, packets: Packets) -> None:
     worst_first = np.argsort(ratio[sender, receiver])
     width = _width(strength[sender, receiver])
     drawn = LineCollection(
-        list(lines[worst_first]), array=ratio[sender, receiver][worst_first], cmap=mpl.colormaps["viridis"],
-        norm=mpl.colors.Normalize(0.0, 1.0), linewidths=width[worst_first], zorder=1,
-    )  # fmt: skip
+        list(lines[worst_first]),
+        array=ratio[sender, receiver][worst_first],
+        cmap=mpl.colormaps["viridis"],
+        norm=mpl.colors.Normalize(0.0, 1.0),
+        linewidths=width[worst_first],
+        zorder=1,
+    )
     axes.add_collection(drawn)
     figure.colorbar(drawn, ax=axes, label="part of the packets that was heard", shrink=0.8)
     axes.scatter(east, north, c=colours_of(len(run.vehicles)), s=60, edgecolors="black", zorder=3)

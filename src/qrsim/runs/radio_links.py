@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError
 from qrsim.models.radio.links import Outcome
 from qrsim.runs.radio_columns import links_logged
@@ -15,7 +16,6 @@ from qrsim.runs.reader import Run
 from qrsim.runs.summary import stops_of
 from qrsim.world.state import period_ticks
 
-Array = np.ndarray[Any, Any]
 STREAM = "measurements"
 
 
@@ -31,19 +31,19 @@ class Packets:
         flies: (P, n) whether the receiver has not stopped.
     """
 
-    time: Array
-    sender: Array
-    outcome: Array
-    rssi: Array
-    flies: Array
+    time: NumpyArray
+    sender: NumpyArray
+    outcome: NumpyArray
+    rssi: NumpyArray
+    flies: NumpyArray
 
     @property
-    def meant(self) -> Array:
+    def meant(self) -> NumpyArray:
         """(P, K, n) whether a packet was sent, and for the receiver."""
         return (self.sender >= 0) & (self.outcome != Outcome.NOTHING)
 
     @property
-    def heard(self) -> Array:
+    def heard(self) -> NumpyArray:
         """(P, K, n) whether it was heard."""
         return (self.sender >= 0) & (self.outcome == Outcome.HEARD)
 
@@ -51,12 +51,12 @@ class Packets:
         """Return those of some periods."""
         return Packets(self.time[rows], self.sender[rows], self.outcome[rows], self.rssi[rows], self.flies[rows])
 
-    def counts(self) -> tuple[Array, Array, Array]:
+    def counts(self) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
         """Return packets sent and heard from i to j (n, n), and their mean strength [dBm], NaN where none was heard."""
         n = self.flies.shape[1]
         pair = np.where(self.sender >= 0, self.sender, 0) * n + np.arange(n)
 
-        def total(which: Array, weights: Array | None = None) -> Array:
+        def total(which: NumpyArray, weights: NumpyArray | None = None) -> NumpyArray:
             chosen = None if weights is None else weights[which].astype(np.float64)
             return np.bincount(pair[which], weights=chosen, minlength=n * n).reshape(n, n)
 
@@ -113,14 +113,14 @@ class Connectivity:
         largest: (B,) part of those that fly in the largest of these groups.
     """
 
-    time: Array
-    delivery: Array
-    lost: dict[str, Array]
-    components: Array
-    largest: Array
+    time: NumpyArray
+    delivery: NumpyArray
+    lost: dict[str, NumpyArray]
+    components: NumpyArray
+    largest: NumpyArray
 
 
-def connectivity(packets: Packets, bins: int, radios: Array) -> Connectivity:
+def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivity:
     """Return how connected the vehicles were; a link is a pair of which each has heard the other in the bin.
 
     Args:
@@ -141,7 +141,7 @@ def connectivity(packets: Packets, bins: int, radios: Array) -> Connectivity:
     return Connectivity(ends, delivery, dict(zip(kinds, lost, strict=True)), components, largest)
 
 
-def components_of(packets: Packets, radios: Array) -> tuple[int, float]:
+def components_of(packets: Packets, radios: NumpyArray) -> tuple[int, float]:
     """Return the number of groups of vehicles with radios that fly, and the part of them in the largest one."""
     there = np.flatnonzero(packets.flies[-1] & radios)
     if not len(there):

@@ -90,8 +90,8 @@ def fly(
     precision: str,
     every: Mapping[str, int] | None = None,
     realtime: bool = False,
-    policy: Any = None,
-    estimator: Any = None,
+    policy: object = None,
+    estimator: object = None,
     policy_ticks: int = 1,
     progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
     command_line: Sequence[str] | None = None,
@@ -125,10 +125,15 @@ def fly(
     check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
     info = RunInfo.collect(
-        scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
-        vehicles=simulation.vehicle_names, every=every, command_line=command_line,
+        scenario=scenario.name,
+        seed=seed,
+        precision=precision,
+        time_step=scenario.spec.time_step,
+        vehicles=simulation.vehicle_names,
+        every=every,
+        command_line=command_line,
         components=scenario.outside,
-    )  # fmt: skip
+    )
     make_parent(folder)
     simulation.reset()
     referee = _referee(scenario, simulation)
@@ -197,7 +202,7 @@ def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
 
 
 @contextmanager
-def _scored(referee: Referee | None, writer: RunWriter, policy: Any) -> Iterator[None]:
+def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Iterator[None]:
     """Note the score of what is flown meanwhile, also of a flight that is interrupted."""
     try:
         yield
@@ -212,7 +217,7 @@ def _scored(referee: Referee | None, writer: RunWriter, policy: Any) -> Iterator
         writer.note_score(referee.finish(answer).to_json())
 
 
-def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:
+def _pilot(simulation: Simulation, policy: object, estimator: object, policy_ticks: int) -> Pilot:
     # Imported here, because most runs have none.
     from qrsim.simulation.pilot import Pilot
 

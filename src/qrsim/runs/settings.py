@@ -36,7 +36,7 @@ def _scenario(run: Run) -> Any:
     return run.scenario
 
 
-def _differences(path: str, first: Any, second: Any) -> Iterator[Setting]:
+def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
     """Yield the differences of two trees; a list of plain values is one value."""
     mine, other = _children(first), _children(second)
     if mine is not None and other is not None:
@@ -46,7 +46,7 @@ def _differences(path: str, first: Any, second: Any) -> Iterator[Setting]:
         yield Setting(path, (first, second))
 
 
-def _children(tree: Any) -> Mapping[Any, Any] | None:
+def _children(tree: object) -> Mapping[Any, Any] | None:
     if isinstance(tree, Mapping):
         return tree
     if isinstance(tree, list) and any(isinstance(item, dict | list) for item in tree):

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.constellations import satellite_name
-from qrsim.runs.picture import Floats, new_figure, title_of
+from qrsim.runs.picture import new_figure, title_of
 from qrsim.runs.reader import Run
 
 SKY = "sky"

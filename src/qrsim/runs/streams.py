@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.host import on_host
 from qrsim.core.tree import walk
 from qrsim.interface.crowds import crowds_of
@@ -22,7 +23,7 @@ from qrsim.simulation.simulation import Simulation
 from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, World, position_of
 
-Values = dict[str, np.ndarray[Any, Any]]
+Values = dict[str, NumpyArray]
 STREAMS = ("truth", "measurements", "commands", "wind")
 # Where that of the radio is.
 OF_RADIO = "measurements"
@@ -36,7 +37,7 @@ _voltage = on_host(lambda battery, states, load: battery.voltage(states, load))
 _poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
 
 
-def _poses(fleet: Fleet, states: Any) -> Any:
+def _poses(fleet: Fleet, states: object) -> Any:
     """Return poses (T, n) of the vehicles' states (T, n), by NumPy: it is asked for at every part of a flight."""
     ticks = len(jax.tree.leaves(states)[0])
     if not ticks < _TICKS <= _MOST_POSES / fleet.size:
@@ -47,10 +48,17 @@ def _poses(fleet: Fleet, states: Any) -> Any:
 
 
 _UNITS = {
-    "specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s",
-    "estimate.position_ned.": "m", "estimate.velocity_ned.": "m/s", "estimate.attitude.": "rad",
-    "estimate_std.position_ned.": "m", "estimate_std.velocity_ned.": "m/s", "estimate_std.attitude.": "rad",
-}  # fmt: skip
+    "specific_force.": "m/s^2",
+    "mean_ned.": "m/s",
+    "gust_ned.": "m/s",
+    "gust_rates_ned.": "rad/s",
+    "estimate.position_ned.": "m",
+    "estimate.velocity_ned.": "m/s",
+    "estimate.attitude.": "rad",
+    "estimate_std.position_ned.": "m",
+    "estimate_std.velocity_ned.": "m/s",
+    "estimate_std.attitude.": "rad",
+}
 
 
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:
@@ -159,7 +167,7 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
     return result
 
 
-def _absent(shape: tuple[int, int], column: Column) -> np.ndarray[Any, Any]:
+def _absent(shape: tuple[int, int], column: Column) -> NumpyArray:
     """Return the value logged for a quantity that a fleet lacks: NaN, or 0 for types without NaN."""
     return np.full(shape, np.nan if column.dtype.startswith("float") else 0, column.dtype)
 
@@ -354,7 +362,7 @@ class EventFinder:
         own = self._positions(history, row)[vehicle]
         return self.names[self._nearest_to(history, row, own, vehicle)]
 
-    def _nearest_to(self, history: History, row: int, where: np.ndarray[Any, Any], but: int | None = None) -> int:
+    def _nearest_to(self, history: History, row: int, where: NumpyArray, but: int | None = None) -> int:
         """Return who is nearest to a place (3,), without one of them where that is asked for."""
         distance = np.linalg.norm(self._positions(history, row) - where, axis=1)
         if but is not None:
@@ -362,7 +370,7 @@ class EventFinder:
         return int(np.argmin(distance))
 
     @staticmethod
-    def _positions(history: History, row: int) -> np.ndarray[Any, Any]:
+    def _positions(history: History, row: int) -> NumpyArray:
         """Return the positions (n, 3) of all vehicles."""
         positions = [position_of(fleet) for fleet in history.state.fleets]
         return np.stack([np.concatenate([getattr(each, axis)[row] for each in positions]) for axis in "xyz"], axis=1)

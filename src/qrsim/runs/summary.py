@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.runs.layout import OVERFULL, Event
 from qrsim.runs.reader import Run, Stream
 from qrsim.runs.terrain import terrain_of
 
-Floats = np.ndarray[Any, Any]
-Rows = np.ndarray[Any, Any]
+Rows = NumpyArray
 STREAMS = ("truth", "measurements", "commands", "wind")
 CHARGE = "battery.charge"
 # A set-point so far below the ground [m] is one of a landing.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
 from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
@@ -21,7 +22,6 @@ from qrsim.runs.summary import vectors
 if TYPE_CHECKING:
     from qrsim.tasks.places import Places
 
-Floats = np.ndarray[Any, Any]
 # Of the picture of a plume: cells along north and east, and heights of which the strongest counts.
 CELLS, HEIGHTS = 100, 12
 ABSENT = ("none", "clear")
@@ -220,7 +220,7 @@ def drawn_contents(world: Any, keys: Any) -> tuple[tuple[Any, ...], Any]:
     return drawn, start_contents(world.with_drawn(drawn), draws)
 
 
-def _edges(area: Any) -> tuple[Floats, Floats]:
+def _edges(area: object) -> tuple[Floats, Floats]:
     """Return the edges (CELLS + 1,) of the cells, north and east."""
     bounds = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
     north, east = (np.linspace(low, high, CELLS + 1) for low, high in bounds)

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError, warn_user
 from qrsim.runs.reader import Run
-
-Floats = np.ndarray[Any, Any]
 
 
 class Terrain:

@@ -156,7 +156,7 @@ class RunWriter:
         events.last_time = float(time)
         self._added(1, int(tick))
 
-    def note_score(self, score: Mapping[str, Any]) -> None:
+    def note_score(self, score: Mapping[str, object]) -> None:
         """Note what the flight scored in its task; written with the next flush, or at the end."""
         self._check_open()
         self._info = replace(self._info, score=dict(score))

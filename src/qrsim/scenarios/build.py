@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from qrsim.control import Route
 from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.guidance import RouteFollower
-from qrsim.core.tree import cast, field_info, replace
+from qrsim.core.tree import cast, field_info, record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.gnss.contracts import Sky
@@ -44,7 +44,7 @@ from qrsim.scenarios.updraft_slot import footprint
 from qrsim.world.state import Fleet, Start, World
 
 
-def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: ScenarioSpec) -> Any:
+def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: ScenarioSpec) -> Any:
     """Build the component of a part of a scenario, with its inherited parameters."""
     cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
     values: dict[str, Any] = {}
@@ -150,7 +150,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
     prisms = {i: spec for i, spec in enumerate(scenario.world.obstacles) if spec.type == "prism"}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in prisms.values()]
     solid = prisms_of(solids, list(prisms), _largest_radius(scenario)) if prisms else None
-    return Obstacles(gather("box"), gather("cylinder"), np.array(numbers, np.float64), solid)  # type: ignore[arg-type]
+    return record_of(Obstacles, gather("box"), gather("cylinder"), np.array(numbers, np.float64), solid)
 
 
 def _largest_radius(scenario: ScenarioSpec) -> float:
@@ -165,7 +165,7 @@ def wind_of(scenario: ScenarioSpec) -> Any:
     return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
 
 
-def updraft_of(scenario: ScenarioSpec, number: int, **changes: Any) -> Any:
+def updraft_of(scenario: ScenarioSpec, number: int, **changes: object) -> Any:
     """Build an updraft, with some parameters changed, for the area and its obstacles.
 
     Raises:
@@ -209,7 +209,7 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
         return None
 
 
-def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: Any) -> Any:
+def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: object) -> Any:
     guidance = component(spec.guidance, known.GUIDANCE, scenario)
     if isinstance(guidance, RouteFollower) and isinstance(controller, FixedWingController):
         # Who goes round a place has reached it on the circle, and never comes nearer.
@@ -218,7 +218,7 @@ def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: Any) -> Any:
     return guidance
 
 
-def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
+def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -> Fleet:
     vehicle = vehicle_of(spec, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
     built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]
@@ -269,9 +269,9 @@ def _start(spec: FleetSpec) -> Start:
     zero = np.zeros_like(yaw)
     return Start(
         columns([vehicle.position_ned for vehicle in spec.vehicles]),
-        Euler(zero, zero, yaw),  # type: ignore[arg-type]
+        record_of(Euler, zero, zero, yaw),
         columns([vehicle.velocity_body for vehicle in spec.vehicles]),
-        Vec3(zero, zero, zero),  # type: ignore[arg-type]
+        record_of(Vec3, zero, zero, zero),
     )
 
 
@@ -283,4 +283,4 @@ def _route(spec: FleetSpec) -> Route:
     yaw = np.tile([vehicle.yaw_rad for vehicle in spec.vehicles], (longest, 1))
     count = np.array([len(route) for route in routes], np.int32)
     axes = (np.ascontiguousarray(padded[:, :, axis].T) for axis in range(3))
-    return Route(Vec3(*axes), yaw, count)  # type: ignore[arg-type]
+    return record_of(Route, record_of(Vec3, *axes), yaw, count)

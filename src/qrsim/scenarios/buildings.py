@@ -104,9 +104,13 @@ def _prism(building: Building, height: float, ground: Any) -> Any:
         places: Any = Vec3(north, east, np.zeros_like(north))
         down = float(np.max(down_at(ground, places)))
     return prism_model()(
-        type="prism", corners_ned=outline, holes_ned=holes, z_min=down - height, z_max=down - building.base,
+        type="prism",
+        corners_ned=outline,
+        holes_ned=holes,
+        z_min=down - height,
+        z_max=down - building.base,
         name=building.name,
-    )  # fmt: skip
+    )
 
 
 def _matters(building: Building, height: float, bounds: tuple[float, float, float, float] | None) -> bool:
@@ -121,7 +125,7 @@ def _matters(building: Building, height: float, bounds: tuple[float, float, floa
     return math.hypot(*away) * _LOWEST <= height
 
 
-def _elsewhere(found: BuildingsFile, bounds: Any) -> str:
+def _elsewhere(found: BuildingsFile, bounds: object) -> str:
     corners = np.concatenate([np.array(building.rings[0]) for building in found.buildings])
     (south, west), (north, east) = corners.min(axis=0), corners.max(axis=0)
     return (

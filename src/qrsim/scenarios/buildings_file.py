@@ -235,7 +235,7 @@ def _points(geometry: dict[str, Any]) -> int:
     )
 
 
-def _outline(rings: Any, frame: str, site: Site) -> list[Ring]:
+def _outline(rings: object, frame: str, site: Site) -> list[Ring]:
     """Return the rings of a polygon in NED; raises UsageError where they are none."""
     if not isinstance(rings, list) or not rings:
         raise UsageError("its coordinates are no rings of pairs of numbers")
@@ -252,7 +252,7 @@ def _crown(properties: dict[str, Any], geometry: dict[str, Any], frame: str, sit
     return [[north + radius * math.cos(angle), east + radius * math.sin(angle)] for angle in angles]
 
 
-def _placed(ring: Any, frame: str, site: Site) -> Ring:
+def _placed(ring: object, frame: str, site: Site) -> Ring:
     """Return the corners [north, east] [m] of a ring, without the last one, which is the first again."""
     corners = _pairs(ring)
     corners = corners[np.append((corners[1:] != corners[:-1]).any(axis=1), True)]
@@ -385,7 +385,7 @@ def _levels(properties: dict[str, Any], *names: str) -> float | None:
     return None
 
 
-def _plain(value: Any) -> float | None:
+def _plain(value: object) -> float | None:
     """Return a finite number that a property is, or None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from qrsim.control import (
     AttitudeController,
     AttitudeGuidance,
@@ -84,7 +86,7 @@ from qrsim.models.vehicles.rover import DifferentialRover, Rover
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
 
-Catalogue = dict[str, type]
+Catalogue = dict[str, Any]
 
 WINDS: Catalogue = {
     "calm": Calm,

@@ -26,7 +26,7 @@ def is_record(value: Any) -> bool:
     return not jax.tree_util.all_leaves([item])
 
 
-def _whole(value: Any) -> bool:
+def _whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
@@ -34,7 +34,7 @@ def _tuple_of(kind: type) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, tuple) and all(isinstance(part, kind) for part in value)
 
 
-def _feed(value: Any) -> bool:
+def _feed(value: object) -> bool:
     return value in ("measurements", "truth", "filter")
 
 

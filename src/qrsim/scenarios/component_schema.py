@@ -36,7 +36,7 @@ def _add_degrees(schema: dict[str, Any]) -> None:
             schema["required"].remove(name)
 
 
-def _radians(degrees: Any) -> Any:
+def _radians(degrees: object) -> Any:
     """Convert a number or each of a list; anything else is left for the check to find."""
     if isinstance(degrees, list):
         return [_radians(entry) for entry in degrees]
@@ -67,7 +67,7 @@ class Strict(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _degrees_to_radians(cls, data: Any) -> Any:
+    def _degrees_to_radians(cls, data: object) -> Any:
         if not isinstance(data, dict):
             return data
         converted = with_default_types(cls, data)
@@ -96,7 +96,7 @@ def _optional(info: FieldInfo) -> bool:
     return bool(info.inherits) or info.nullable or info.of_sensors
 
 
-def _one_or_each(value: Any) -> str:
+def _one_or_each(value: object) -> str:
     return "each" if isinstance(value, list) else "one"
 
 
@@ -117,7 +117,7 @@ class _Numbers:
 
     info: FieldInfo
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> core_schema.CoreSchema:
         number = core_schema.float_schema(strict=True, allow_inf_nan=False, **_bounds(self.info))
         one = core_schema.nullable_schema(number) if _optional(self.info) else number
         return core_schema.tagged_union_schema(
@@ -125,7 +125,7 @@ class _Numbers:
         )
 
 
-def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
+def _field(name: str, hint: object, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
     info = field_info(field)
     required = field.default is dataclasses.MISSING
     usual = None if info.of_sensors else field.default

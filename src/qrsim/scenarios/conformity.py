@@ -82,7 +82,7 @@ READABLE = {
 }
 
 
-def conformity_problem(kind: str, component: Any) -> str | None:
+def conformity_problem(kind: str, component: object) -> str | None:
     """Return the first fault of a class as a component of a kind, in one sentence, None if it conforms."""
     if not isinstance(component, type):
         return f"expected a class, found {component!r:.100}"
@@ -129,7 +129,7 @@ def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[st
             yield from _default_problems(title, field, info, hints[field.name])
 
 
-def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo, hint: Any) -> Iterator[str]:
+def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo, hint: object) -> Iterator[str]:
     default = field.default
     if field.default_factory is not dataclasses.MISSING:
         yield f"{title}: a default_factory has no place in a schema; give a number as its default"
@@ -241,7 +241,7 @@ def _arguments(component: Any, function: Any) -> tuple[list[str], list[str]]:
     return positional, named
 
 
-def _reads(component: Any) -> Any:
+def _reads(component: object) -> Any:
     """Return what a class reads; nothing is known of one whose objects read this or that."""
     reads = getattr(component, "reads", ())
     return () if isinstance(reads, property) else reads
@@ -250,8 +250,10 @@ def _reads(component: Any) -> Any:
 def _common(kind: str) -> list[str]:
     """Return the public methods that all built-in components of a kind have."""
     built_in = [known for known in catalogue.KINDS[kind].values() if known.__module__.startswith("qrsim.")]
-    methods = [{name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
-               for known in built_in]  # fmt: skip
+    methods = [
+        {name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
+        for known in built_in
+    ]
     return sorted(set.intersection(*methods)) if methods else []
 
 

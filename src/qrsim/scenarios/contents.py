@@ -42,7 +42,7 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
     yield from _ring_problems(scenario)
 
 
-def _order_problems(path: str, part: Any) -> Iterator[str]:
+def _order_problems(path: str, part: object) -> Iterator[str]:
     for low, high in PAIRS:
         if low in vars(part) and getattr(part, low) > getattr(part, high):
             yield f"{path}.{low}: {getattr(part, low):g}; allowed: at most {high}, {getattr(part, high):g}"
@@ -50,7 +50,7 @@ def _order_problems(path: str, part: Any) -> Iterator[str]:
 
 def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
     plume, wind = scenario.world.plume, scenario.world.wind
-    if not known.PLUMES[plume.type].needs_wind:  # type: ignore[attr-defined]
+    if not known.PLUMES[plume.type].needs_wind:
         return
     speed = vars(wind).get("speed_20ft", 0.0)
     if not speed > 0.0:

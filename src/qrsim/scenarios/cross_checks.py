@@ -204,14 +204,14 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """A battery's voltage falls as it empties, and some are drained by what only some vehicles say."""
     battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
-    if battery.needs_power and not vehicle.gives_power:  # type: ignore[attr-defined]
+    if battery.needs_power and not vehicle.gives_power:
         yield (
             f"fleets.{fleet_name}.battery: '{fleet.battery.type}' is drained by electrical power, which a "
             f"'{fleet.vehicle.type}' has not; allowed: given, lithium_polymer"
         )
     if fleet.battery.type != "lithium_polymer":
         return
-    if vehicle.rides or vehicle.launches:  # type: ignore[attr-defined]
+    if vehicle.rides or vehicle.launches:
         yield (
             f"fleets.{fleet_name}.battery: '{fleet.battery.type}' is drained by a thrust that carries the weight, "
             f"which a '{fleet.vehicle.type}' has not; allowed: given"
@@ -238,14 +238,10 @@ def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, Any]]:
 
 def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """The controller must take what the guidance gives."""
-    accepted = known.CONTROLLERS[fleet.controller.type].setpoints  # type: ignore[attr-defined]
+    accepted = known.CONTROLLERS[fleet.controller.type].setpoints
     # Tracks of both are of one kind, but a rover's end where it stops, and a wing's in a circle.
     others = {"rover": "fixed_wing", "fixed_wing": "rover"}.get(fleet.controller.type)
-    fitting = [
-        name
-        for name, cls in known.GUIDANCE.items()
-        if cls.gives in accepted and name != others  # type: ignore[attr-defined]
-    ]
+    fitting = [name for name, cls in known.GUIDANCE.items() if cls.gives in accepted and name != others]
     if fleet.guidance.type not in fitting:
         yield (
             f"fleets.{fleet_name}.guidance: '{fleet.guidance.type}' does not fit the controller "

@@ -56,9 +56,11 @@ def _level_flight(vehicle: FixedWing) -> dict[str, float]:
     """Return what straight level flight at the cruise airspeed takes, of the first where aeroplanes differ."""
     alpha, elevator, throttle = cruise(vehicle, np.asarray(vehicle.cruise_airspeed))  # type: ignore[arg-type]
     each: dict[str, Any] = {
-        "stall_speed_m_s": stall_speed(vehicle), "cruise_throttle": throttle, "cruise_angle_of_attack_rad": alpha,
+        "stall_speed_m_s": stall_speed(vehicle),
+        "cruise_throttle": throttle,
+        "cruise_angle_of_attack_rad": alpha,
         "cruise_elevator_rad": elevator,
-    }  # fmt: skip
+    }
     return {key: float(np.ravel(value)[0]) for key, value in each.items()}
 
 

@@ -41,7 +41,7 @@ LEAST: Mapping[str, float] = {
 CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 
 
-def sensed(sensors: Sequence[Any], calibration_time: float, errors: Any = None) -> Stds:
+def sensed(sensors: Sequence[object], calibration_time: float, errors: object = None) -> Stds:
     """Return the parameters of the filter that sensors determine, by name: of each, the first sensor that does.
 
     Args:
@@ -58,7 +58,7 @@ def sensed(sensors: Sequence[Any], calibration_time: float, errors: Any = None) 
     return found
 
 
-def with_sensed(kalman: Any, spec: Any, sensors: Sequence[Any], errors: Any) -> Any:
+def with_sensed(kalman: object, spec: object, sensors: Sequence[object], errors: object) -> Any:
     """Return an estimator with the parameters that its spec leaves out taken from the sensors."""
     if not isinstance(kalman, KalmanParameters):
         return kalman
@@ -66,7 +66,7 @@ def with_sensed(kalman: Any, spec: Any, sensors: Sequence[Any], errors: Any) -> 
     return replace(kalman, **{name: found[name] for name in left_out(spec) if name in found})
 
 
-def left_out(spec: Any) -> Iterator[str]:
+def left_out(spec: object) -> Iterator[str]:
     """Yield the parameters of a filter that are those of the sensors, of which its spec gives none."""
     for field in dataclasses.fields(KalmanParameters):
         if field_info(field).of_sensors and getattr(spec, field.name) is None:
@@ -84,15 +84,17 @@ def _imu(imu: Any, time: float, _: Any) -> Stds:
         axes = (np.square(getattr(levels, f"{name}_{axis}")) for axis in "xyz")
         return white + sum(axes) / 3.0 * imu.period
 
-    flicker = [np.square(SHARE * np.asarray(b)) for b in (imu.gyroscope_bias_instability,
-                                                          imu.accelerometer_bias_instability)]  # fmt: skip
+    flicker = [
+        np.square(SHARE * np.asarray(b)) for b in (imu.gyroscope_bias_instability, imu.accelerometer_bias_instability)
+    ]
     walk = sum(2.0 / constant for constant in TIMES)
     lever = np.square(imu.gyroscope_g_sensitivity) * GRAVITY**2
     scales = {
-        name: np.sqrt((np.square(getattr(imu, f"{name}_scale")) + 2.0 * np.square(getattr(imu, f"{name}_misalignment")))
-                      / 3.0)
+        name: np.sqrt(
+            (np.square(getattr(imu, f"{name}_scale")) + 2.0 * np.square(getattr(imu, f"{name}_misalignment"))) / 3.0
+        )
         for name in ("gyroscope", "accelerometer")
-    }  # fmt: skip
+    }
     return {
         "gyroscope_noise": np.sqrt(noise("gyroscope")),
         "accelerometer_noise": np.sqrt(noise("accelerometer")),
@@ -101,29 +103,36 @@ def _imu(imu: Any, time: float, _: Any) -> Stds:
         "gyroscope_bias_std": np.sqrt(np.square(imu.gyroscope_turn_on_bias) + lever + len(TIMES) * flicker[0]),
         "gyroscope_calibrated_std": np.sqrt(np.square(imu.gyroscope_noise) / max(time, 1e-3) + flicker[0]),
         "accelerometer_bias_std": np.sqrt(
-            np.square(imu.accelerometer_turn_on_bias) + np.square(scales["accelerometer"] * GRAVITY)
+            np.square(imu.accelerometer_turn_on_bias)
+            + np.square(scales["accelerometer"] * GRAVITY)
             + len(TIMES) * flicker[1]
         ),
-        "gyroscope_scale": scales["gyroscope"], "accelerometer_scale": scales["accelerometer"],
+        "gyroscope_scale": scales["gyroscope"],
+        "accelerometer_scale": scales["accelerometer"],
         "gyroscope_g_sensitivity": imu.gyroscope_g_sensitivity,
-    }  # fmt: skip
+    }
 
 
 def _gyroscope(sensor: Any, time: float, _: Any) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
-        "gyroscope_noise": density, "gyroscope_walk": 0.0, "gyroscope_bias_std": 0.0, "gyroscope_scale": 0.0,
+        "gyroscope_noise": density,
+        "gyroscope_walk": 0.0,
+        "gyroscope_bias_std": 0.0,
+        "gyroscope_scale": 0.0,
         "gyroscope_g_sensitivity": 0.0,
         "gyroscope_calibrated_std": density / math.sqrt(max(time, 1e-3)),
-    }  # fmt: skip
+    }
 
 
 def _accelerometer(sensor: Any, _: float, __: Any) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
-        "accelerometer_noise": density, "accelerometer_walk": 0.0, "accelerometer_bias_std": 0.0,
+        "accelerometer_noise": density,
+        "accelerometer_walk": 0.0,
+        "accelerometer_bias_std": 0.0,
         "accelerometer_scale": 0.0,
-    }  # fmt: skip
+    }
 
 
 def _magnetometer(sensor: Any, _: float, __: Any) -> Stds:
@@ -175,9 +184,10 @@ def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
         behind = 0.5 * sensor.period * MANOEUVRE * math.sqrt(2.0 * MANOEUVRE_S / sensor.period)
         own = np.hypot(noise * math.sqrt(2.0) / sensor.period, behind)
     return {
-        "position_std": LEVEL_DOP * np.hypot(std, noise), "vertical_std": DOWN_DOP * np.hypot(std, noise),
+        "position_std": LEVEL_DOP * np.hypot(std, noise),
+        "vertical_std": DOWN_DOP * np.hypot(std, noise),
         "velocity_std": LEVEL_DOP * np.hypot(rate, own),
-    }  # fmt: skip
+    }
 
 
 def _airspeed(sensor: Any, _: float, __: Any) -> Stds:
@@ -187,7 +197,13 @@ def _airspeed(sensor: Any, _: float, __: Any) -> Stds:
 
 
 _RULES: Mapping[type, Callable[[Any, float, Any], Stds]] = {
-    Imu: _imu, Gyroscope: _gyroscope, Accelerometer: _accelerometer, Magnetometer: _magnetometer,
-    Barometer: _barometer, PressureAltimeter: _altimeter, AttitudeEstimator: _attitude, GnssReceiver: _receiver,
+    Imu: _imu,
+    Gyroscope: _gyroscope,
+    Accelerometer: _accelerometer,
+    Magnetometer: _magnetometer,
+    Barometer: _barometer,
+    PressureAltimeter: _altimeter,
+    AttitudeEstimator: _attitude,
+    GnssReceiver: _receiver,
     Airspeed: _airspeed,
-}  # fmt: skip
+}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import did_you_mean
 from qrsim.models.sensors.faults import Fault
@@ -64,7 +65,9 @@ def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> t
         if isinstance(spec, RotorFaultSpec):
             ticks = [min(round(seconds / dt), LAST_TICK) for seconds in (spec.at, spec.at + NOTICED_S)]
             start, known_ = (np.array(tick, np.int32) for tick in ticks)
-            found.append(RotorFault(start, known_, _mask(names, spec.vehicles), _number(spec.health), spec.rotor))  # type: ignore[arg-type]
+            found.append(
+                record_of(RotorFault, start, known_, _mask(names, spec.vehicles), _number(spec.health), spec.rotor)
+            )
     return tuple(found)
 
 

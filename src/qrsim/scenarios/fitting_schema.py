@@ -19,7 +19,10 @@ FITTING: dict[str, Any] = {
     "delay": (
         Finite,
         Field(
-            0.0, ge=0, le=LONGEST_DELAY, json_schema_extra={"unit": "periods"},
+            0.0,
+            ge=0,
+            le=LONGEST_DELAY,
+            json_schema_extra={"unit": "periods"},
             description="mean time from reading to delivery, a whole number of time steps",
         ),
     ),
@@ -30,15 +33,17 @@ FITTING: dict[str, Any] = {
     "mount_position_body": (
         Annotated[list[_Place], _THREE] | None,
         Field(
-            None, json_schema_extra={"unit": "m"},
+            None,
+            json_schema_extra={"unit": "m"},
             description="forward, right and down of the centre of mass; default: there",
         ),
     ),
     "mount_attitude_rad": (
         Annotated[list[_Angle], _THREE] | None,
         Field(
-            None, json_schema_extra={"unit": "rad"},
+            None,
+            json_schema_extra={"unit": "rad"},
             description="roll, pitch and yaw of the sensor's axes against the body's; default: none",
         ),
     ),
-}  # fmt: skip
+}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.tree import field_info, replace
+from qrsim.core.tree import field_info, record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.fitting import LATEST, LONGEST_DELAY, Fitting
@@ -63,8 +63,8 @@ def fitted(spec: FleetSpec, sensors: Sequence[Any]) -> tuple[tuple[Sensor, ...],
         # What holds its readings back itself goes on doing so, unless they arrive irregularly.
         late = delay if jitter or not own else 0.0
         turned, place = (values if values is not None and any(values) else None for values in (turned, place))
-        position = None if place is None else Vec3(*(np.asarray(value) for value in place))  # type: ignore[arg-type]
-        attitude = None if turned is None else Euler(*(np.asarray(value) for value in turned))  # type: ignore[arg-type]
+        position = None if place is None else record_of(Vec3, *(np.asarray(value) for value in place))
+        attitude = None if turned is None else record_of(Euler, *(np.asarray(value) for value in turned))
         fitting = Fitting(position, attitude, late, jitter)
         found.append(replace(sensor, delay=0) if own and late else sensor)
         fittings.append(fitting if late or position is not None or attitude is not None else None)

@@ -27,15 +27,15 @@ Source = World | Scenario | str | Path | dict[str, Any]
 
 def rollout(
     world: Source | Sequence[Source],
-    policy: Any = None,
+    policy: object = None,
     *,
     ticks: int | None = None,
     worlds: int = 1,
     seed: int = 0,
     seeds: Sequence[int] | None = None,
-    estimator: Any = None,
+    estimator: object = None,
     policy_ticks: int = 1,
-    metrics: Any = None,
+    metrics: object = None,
     record: Callable[[State], Any] | None = None,
     record_every: int = 50,
     sink: Callable[[Any, int, Any], None] | None = None,
@@ -90,11 +90,21 @@ def rollout(
         for source, scenario in zip(several, scenarios, strict=True)
     ]
     return rollouts.rollout(
-        built if isinstance(world, list | tuple) else built[0], policy, ticks=ticks, worlds=worlds, seed=seed,
-        seeds=seeds, estimator=made("estimator", estimator), policy_ticks=policy_ticks, metrics=made("metric", metrics),
-        record=record, record_every=record_every, sink=sink, progress=progress,
+        built if isinstance(world, list | tuple) else built[0],
+        policy,
+        ticks=ticks,
+        worlds=worlds,
+        seed=seed,
+        seeds=seeds,
+        estimator=made("estimator", estimator),
+        policy_ticks=policy_ticks,
+        metrics=made("metric", metrics),
+        record=record,
+        record_every=record_every,
+        sink=sink,
+        progress=progress,
         site=site or (first.site if first else None),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -123,7 +133,7 @@ class Flight:
 
 def play(
     world: Source,
-    policies: Mapping[str, Any],
+    policies: Mapping[str, object],
     *,
     ticks: int | None = None,
     seed: int = 0,
@@ -193,7 +203,7 @@ def _ticks(ticks: int | None, scenario: Scenario | None) -> int:
     return scenario.ticks
 
 
-def _scenario(source: Any, overrides: Iterable[str]) -> Scenario | None:
+def _scenario(source: object, overrides: Iterable[str]) -> Scenario | None:
     """Return the scenario of a source, None of a World."""
     if isinstance(source, World):
         if overrides:

@@ -27,9 +27,10 @@ class RowsSpec(Strict):
         [], description="route of the middle [m], which each flies beside it as it starts", max_length=2000
     )
     legs: list[LegSpec] = Field(
-        [], description="mission of the middle, instead of waypoints; each flies it shifted as its start is",
+        [],
+        description="mission of the middle, instead of waypoints; each flies it shifted as its start is",
         max_length=2000,
-    )  # fmt: skip
+    )
     yaw_rad: Finite = Field(0.0, description="heading of all at the start and along the route [rad]", ge=-6.3, le=6.3)
     velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity of all in body axes [m/s]")
     on_ground: bool = Field(False, description="whether all start on the ground", strict=True)
@@ -54,15 +55,17 @@ class RowsSpec(Strict):
             off = (self.spacing * (row - 0.5 * (rows - 1)), self.spacing * (column - 0.5 * (columns - 1)), 0.0)
             found.append(
                 {
-                    "position_ned": _shifted(self.position_ned, off), "yaw_rad": self.yaw_rad,
+                    "position_ned": _shifted(self.position_ned, off),
+                    "yaw_rad": self.yaw_rad,
                     "waypoints_ned": [_shifted(point, off) for point in self.waypoints_ned],
                     "legs": [
                         leg | {name: _shifted(leg[name], off) for name in ("to_ned", "at_ned") if leg.get(name)}
                         for leg in legs
                     ],
-                    "velocity_body": list(self.velocity_body), "on_ground": self.on_ground,
+                    "velocity_body": list(self.velocity_body),
+                    "on_ground": self.on_ground,
                 }
-            )  # fmt: skip
+            )
         return found
 
 
@@ -71,7 +74,7 @@ def _shifted(point: list[float], off: tuple[float, ...]) -> list[float]:
     return [axis + shift for axis, shift in zip(point, off, strict=False)]
 
 
-def one_by_one(value: Any) -> Any:
+def one_by_one(value: object) -> Any:
     """Return vehicles that are given in rows one by one, and anything else as it is.
 
     Raises:
@@ -90,7 +93,7 @@ def one_by_one(value: Any) -> Any:
     return rows.vehicles()
 
 
-def count_of(value: Any) -> int:
+def count_of(value: object) -> int:
     """Return how many vehicles the content of a scenario asks for, 0 where that cannot be read."""
     if isinstance(value, dict):
         value = value.get("count", 0)

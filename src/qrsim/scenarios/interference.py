@@ -47,7 +47,7 @@ _GIVEN: dict[str, dict[str, Any]] = {
         "satellites": (list[str] | None, Field(None, description="names of satellites that fail", min_length=1)),
     },
     "iono_storm": {},
-}  # fmt: skip
+}
 
 
 @cache
@@ -102,7 +102,7 @@ def _failing(spec: Any, ephemeris: Any) -> Any:
     return np.array([name in names or letter in systems for name, letter in pairs])
 
 
-def world_path(scenario: Any, path: str) -> tuple[str | int, ...] | None:
+def world_path(scenario: object, path: str) -> tuple[str | int, ...] | None:
     """Return where a World has a number ``world.interference.I.NAME``, None if it is not there."""
     _, _, number, *rest = path.split(".")
     before: dict[str, int] = {}
@@ -114,7 +114,7 @@ def world_path(scenario: Any, path: str) -> tuple[str | int, ...] | None:
     return None
 
 
-def spoofed(scenario: Any, names: Sequence[str]) -> tuple[Any, ...] | None:
+def spoofed(scenario: object, names: Sequence[str]) -> tuple[Any, ...] | None:
     """Return for each spoofer which vehicles of these names it is for; None without any."""
     specs = [spec for _, spec in _kept(scenario) if spec.kind == "spoofer"]
     chosen = tuple(np.array([spec.vehicles is None or name in spec.vehicles for name in names]) for spec in specs)

@@ -123,7 +123,7 @@ class ReturnLeg(_LegSpec):
     land: bool = Field(True, description="land there, else stay above it")
 
 
-def _fly_by_default(value: Any) -> Any:
+def _fly_by_default(value: object) -> Any:
     """A leg without a type is flown to."""
     return {"type": "fly", **value} if isinstance(value, dict) and "type" not in value else value
 

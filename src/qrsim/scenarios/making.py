@@ -51,7 +51,7 @@ _TYPES = {
 
 
 def make_scenario(
-    vehicles: Sequence[Any] | None = None, *, fleets: Mapping[str, Mapping[str, Any]] | None = None, **parts: Any
+    vehicles: Sequence[Any] | None = None, *, fleets: Mapping[str, Mapping[str, Any]] | None = None, **parts: object
 ) -> Scenario:
     """Make a checked scenario from parts given in Python.
 
@@ -105,7 +105,7 @@ def make_world(
     *,
     fleets: Mapping[str, Mapping[str, Any]] | None = None,
     precision: str = "float32",
-    **parts: Any,
+    **parts: object,
 ) -> World:
     """Make a World from parts given in Python; see ``make_scenario``.
 
@@ -119,7 +119,7 @@ def make_world(
     return make_scenario(vehicles, fleets=fleets, **parts).world(check_precision(precision))
 
 
-def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
+def _fleet(name: str, fleet: object, extends: bool) -> dict[str, Any]:
     if not isinstance(fleet, Mapping):
         raise UsageError(f"make_scenario: fleets.{name}: expected a dict, found {fleet!r}")
     known = ("vehicles", *FLEET_PARTS)
@@ -139,7 +139,7 @@ def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
     return content
 
 
-def _sensors(name: str, sensors: Any) -> Any:
+def _sensors(name: str, sensors: object) -> Any:
     if isinstance(sensors, Mapping):
         return {sensor: _part(value, sensor, "sensor") for sensor, value in sensors.items()}
     if not isinstance(sensors, str):
@@ -149,14 +149,14 @@ def _sensors(name: str, sensors: Any) -> Any:
     return sensors
 
 
-def _vehicles(name: str, vehicles: Any) -> list[Any]:
+def _vehicles(name: str, vehicles: object) -> list[Any]:
     if isinstance(vehicles, str | Mapping) or not hasattr(vehicles, "__iter__"):
         raise UsageError(f"make_scenario: fleets.{name}.vehicles: expected a list of vehicles, found {vehicles!r}")
     plain = [_plain(vehicle, "vehicles") for vehicle in vehicles]
     return [vehicle if isinstance(vehicle, Mapping) else {"position_ned": vehicle} for vehicle in plain]
 
 
-def _part(value: Any, name: str, kind: str = "") -> Any:
+def _part(value: object, name: str, kind: str = "") -> Any:
     """Return a component as YAML has it; those inside the sky may be named by their types too."""
     if name == "sky" and isinstance(value, Mapping):
         return {key: entry if key == "period" else _part(entry, f"sky.{key}") for key, entry in value.items()}
@@ -166,7 +166,7 @@ def _part(value: Any, name: str, kind: str = "") -> Any:
     return {"type": value} if isinstance(value, str) else _plain(value, name, kind or kinds.get(name, name))
 
 
-def _plain(value: Any, name: str, kind: str = "") -> Any:
+def _plain(value: object, name: str, kind: str = "") -> Any:
     """Return a value as YAML has it: components as dicts, arrays as lists, numbers of NumPy as Python's."""
     if isinstance(value, Mapping):
         return {key: _plain(entry, f"{name}.{key}") for key, entry in value.items()}

@@ -11,6 +11,7 @@ import numpy as np
 
 from qrsim.control.mission import Mission
 from qrsim.control.paths import Leg, Limits, circle_speed, mission_of, plan, ramp_time, renumbered
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import down_at
 from qrsim.scenarios.checks import outside
@@ -56,7 +57,7 @@ class _Author:
 
     def ground_down(self, north: float, east: float) -> float:
         """Return the down coordinate of the ground at a place [m]."""
-        place = Vec3(*(np.array([value], np.float64) for value in (north, east, 0.0)))  # type: ignore[arg-type]
+        place = record_of(Vec3, *(np.array([value], np.float64) for value in (north, east, 0.0)))
         return float(down_at(self.ground, place)[0])
 
     def legs(self, specs: list[Any], first: int = 0) -> list[list[Leg]]:
@@ -81,7 +82,7 @@ class _Author:
         speed = spec.speed or self.guidance.speed
         return {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "accept_radius": self.guidance.accept_radius}
 
-    def _line(self, place: tuple[float, ...], spec: Any, **more: Any) -> Leg:
+    def _line(self, place: tuple[float, ...], spec: object, **more: object) -> Leg:
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
@@ -113,9 +114,11 @@ class _Author:
         elif self.place[2] > down:
             self.problems.append(f"{where}: lands from below the ground, whose height is {-down:g} m there")
         self.landed = f"item {spec.item}" if spec.item else _short(where)
-        over = [] if math.dist(self.place[:2], (north, east)) < SAME_PLACE else [
-            self._line((north, east, self.place[2]), spec, stop=True)
-        ]  # fmt: skip
+        over = (
+            []
+            if math.dist(self.place[:2], (north, east)) < SAME_PLACE
+            else [self._line((north, east, self.place[2]), spec, stop=True)]
+        )
         return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
 
     def _loiter(self, spec: Any, where: str) -> list[Leg]:
@@ -170,12 +173,12 @@ def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
     return 0 if vehicle.repeat_from is None and fleet.guidance.repeat else vehicle.repeat_from
 
 
-def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: Any, path: str) -> _Author:
+def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: object, path: str) -> _Author:
     north, east, down = vehicle.position_ned
     return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
 
 
-def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Iterator[str]:
+def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: object) -> Iterator[str]:
     """Yield what is wrong with the missions of a fleet; ``ground`` is the world's."""
     if fleet.guidance.type != MISSION:
         for i, vehicle in enumerate(fleet.vehicles):
@@ -226,7 +229,7 @@ def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Autho
                 yield below(path, point[2], down)
 
 
-def mission(fleet: FleetSpec, ground: Any) -> Mission:
+def mission(fleet: FleetSpec, ground: object) -> Mission:
     """Return the mission of a fleet without problems; a vehicle without legs holds its start."""
     limits = limits_of(fleet.guidance)
     plans, again = [], []

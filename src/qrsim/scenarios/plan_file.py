@@ -44,7 +44,7 @@ FLOWN: dict[int, tuple[str, tuple[str, str, str, str]]] = {
     LAND: ("NAV_LAND", ("abort altitude {:g} m", "precision landing mode {:g}", "", _YAW)),
     TAKEOFF: ("NAV_TAKEOFF", ("pitch {:g} deg", "", "", _YAW)),
     LOITER_TO_ALTITUDE: ("NAV_LOITER_TO_ALT", ("", "loiter radius {:g} m", "", "")),
-}  # fmt: skip
+}
 # Of these, what a mission flies: the number of a parameter, and the field of a waypoint that it becomes. Multicopters
 # do not circle but stay where they loiter for a time or for ever, so that these radii are not flown.
 _ASKED: dict[int, dict[int, str]] = {
@@ -70,19 +70,25 @@ NOT_FLOWN = {
 }  # fmt: skip
 # Names, for messages, of others that occur in plans.
 _OTHERS = {
-    82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND",
-    94: "NAV_PAYLOAD_PLACE", 113: "CONDITION_CHANGE_ALT", 176: "DO_SET_MODE", 179: "DO_SET_HOME",
-    208: "DO_PARACHUTE", 3000: "DO_VTOL_TRANSITION",
-}  # fmt: skip
+    82: "NAV_SPLINE_WAYPOINT",
+    84: "NAV_VTOL_TAKEOFF",
+    85: "NAV_VTOL_LAND",
+    94: "NAV_PAYLOAD_PLACE",
+    113: "CONDITION_CHANGE_ALT",
+    176: "DO_SET_MODE",
+    179: "DO_SET_HOME",
+    208: "DO_PARACHUTE",
+    3000: "DO_VTOL_TRANSITION",
+}
 _ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
-_FRAMES = {
-    1: "LOCAL_NED", 2: "MISSION", 4: "LOCAL_ENU", 10: "GLOBAL_TERRAIN_ALT", 11: "GLOBAL_TERRAIN_ALT_INT",
-}  # fmt: skip
+_FRAMES = {1: "LOCAL_NED", 2: "MISSION", 4: "LOCAL_ENU", 10: "GLOBAL_TERRAIN_ALT", 11: "GLOBAL_TERRAIN_ALT_INT"}
 _LARGEST_PARAMETER, _LARGEST_SPEED = 1e9, 50.0
 _FLYABLE = {
-    "hold": (0.0, LONGEST_HOLD, "s"), "accept_radius": (0.0, 1000.0, "m"), "turns": (0.0, 10_000.0, "turns"),
+    "hold": (0.0, LONGEST_HOLD, "s"),
+    "accept_radius": (0.0, 1000.0, "m"),
+    "turns": (0.0, 10_000.0, "turns"),
     "radius": (-10e3, 10e3, "m"),
-}  # fmt: skip
+}
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -115,9 +121,14 @@ def read_plan(path: str | Path) -> Plan:
     if problems := [*dict.fromkeys(route.problems), *fence.problems]:
         raise ScenarioError(source, with_lines(source, problems))
     return Plan(
-        home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles),
-        (*dict.fromkeys(route.ignored), *fence.ignored), route.delay, route.again,
-    )  # fmt: skip
+        home,
+        tuple(route.waypoints),
+        tuple(fence.polygons),
+        tuple(fence.circles),
+        (*dict.fromkeys(route.ignored), *fence.ignored),
+        route.delay,
+        route.again,
+    )
 
 
 class _Route:
@@ -329,7 +340,7 @@ def _not_flown(asked: list[str]) -> str:
     return f"not flown: {', '.join(asked)}" if asked else ""
 
 
-def _name_of(command: Any) -> str:
+def _name_of(command: object) -> str:
     """Return the name of a command for messages."""
     names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY, **NOT_FLOWN, **_OTHERS}
     return names.get(command, str(command)) if isinstance(command, int) else "?"

@@ -52,7 +52,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
     kept: list[Any] = []
     parse = decoder.parse_object
 
-    def parse_object(text_and_begin: tuple[str, int], *args: Any) -> tuple[Any, int]:
+    def parse_object(text_and_begin: tuple[str, int], *args: object) -> tuple[Any, int]:
         found, end = parse(text_and_begin, *args)
         # Kept, because the number of an object that is gone may become another's.
         kept.append(found)
@@ -73,7 +73,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
     return [_with_line(problem, content, lines) for problem in problems]
 
 
-def _with_line(problem: str, part: Any, lines: dict[int, int]) -> str:
+def _with_line(problem: str, part: object, lines: dict[int, int]) -> str:
     path, colon, words = problem.partition(": ")
     line = None
     for key in path.split("."):
@@ -96,7 +96,7 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def check_kind(content: Any) -> None:
+def check_kind(content: object) -> None:
     """Refuse what is no plan."""
     if not isinstance(content, dict) or "fileType" not in content:
         raise PlanFaultError("is no plan; expected an object with fileType 'Plan'")
@@ -120,7 +120,7 @@ def part_of(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
     return of_kind(parent[key], kind, path)
 
 
-def of_kind(value: Any, kind: type, where: str) -> Any:
+def of_kind(value: object, kind: type, where: str) -> Any:
     """Return a value checked to be of a kind."""
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise PlanFaultError(f"{where}: expected {KINDS[kind]}, found {shown(value)}")
@@ -142,7 +142,7 @@ def section_of(content: dict[str, Any], key: str, version: int) -> dict[str, Any
     return section
 
 
-def number_of(value: Any, where: str, limit: float, unit: str) -> float:
+def number_of(value: object, where: str, limit: float, unit: str) -> float:
     """Return a number whose size is at most a limit."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         meaning = ", which stands for 'the current one'" if value is None else ""
@@ -154,7 +154,7 @@ def number_of(value: Any, where: str, limit: float, unit: str) -> float:
     return float(value)
 
 
-def degrees_of(latitude: Any, longitude: Any, where: tuple[str, str]) -> tuple[float, float]:
+def degrees_of(latitude: object, longitude: object, where: tuple[str, str]) -> tuple[float, float]:
     """Return a latitude and a longitude [deg]; ``where`` names both."""
     try:
         return number_of(latitude, where[0], 90.0, "deg"), number_of(longitude, where[1], 180.0, "deg")

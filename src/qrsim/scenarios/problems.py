@@ -42,7 +42,7 @@ _PLAIN = {
 }
 
 
-def describe(error: ValidationError, model: type[BaseModel], data: Any) -> list[str]:
+def describe(error: ValidationError, model: type[BaseModel], data: object) -> list[str]:
     """Describe each fault in one sentence, in schema order; beyond the number printed, in pydantic's words."""
     found = error.errors(include_url=False)
     told = [_Fault(details, model, data).sentence() for details in found[:MOST_PROBLEMS]]
@@ -81,7 +81,7 @@ class _Fault:
         self.beside: Any = None
         self._locate(data)
 
-    def _locate(self, data: Any) -> None:
+    def _locate(self, data: object) -> None:
         for part in self.details["loc"]:
             if part == "[key]":
                 continue
@@ -113,7 +113,7 @@ class _Fault:
             return model.__name__
         return self.path[-1]
 
-    def _descend(self, part: Any, data: Any) -> Any:
+    def _descend(self, part: object, data: object) -> Any:
         name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
@@ -203,7 +203,7 @@ class _Fault:
         name = self.path[-1]
         return f"; or give {name.removesuffix('_rad')}_deg in degrees" if name.endswith("_rad") else ""
 
-    def _example(self, value: Any) -> str:
+    def _example(self, value: object) -> str:
         """Show how a component is written to those who gave only its type."""
         models = [model for model in _models(self.annotation) if "type" in model.model_fields]
         if not models or not isinstance(value, str):
@@ -211,7 +211,7 @@ class _Fault:
         names = [model.__name__ for model in models]
         return f" such as {{type: {value if value in names else names[0]}}}"
 
-    def _shown(self, value: Any) -> str:
+    def _shown(self, value: object) -> str:
         if self.in_degrees and isinstance(value, float):
             return f"{math.degrees(value):g}"
         if value is None:
@@ -258,7 +258,7 @@ class _Fault:
         return f" ({text})"
 
 
-def _as_model(name: Any) -> str:
+def _as_model(name: object) -> str:
     """Return how a parameter set of a multirotor is chosen, by its name; "" for other names."""
     return f"; write {{type: multirotor, model: {name}}}" if isinstance(name, str) and name in SETS else ""
 
@@ -274,19 +274,19 @@ def _characters(pattern: str) -> str:
     return f"letters, digits and any of {' '.join(match[1])}, a letter or digit first" if match else pattern
 
 
-def _given(annotation: Any) -> Any:
+def _given(annotation: object) -> Any:
     """Return the type of a value that may be left out as null."""
     others = [part for part in get_args(annotation) if part is not type(None)]
     return others[0] if get_origin(annotation) in (Union, UnionType) and len(others) == 1 else annotation
 
 
-def _bare(annotation: Any) -> Any:
+def _bare(annotation: object) -> Any:
     """Return a type without what Annotated says about it, and without null."""
     annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
-def _tagged(annotation: Any, tag: Any) -> Any:
+def _tagged(annotation: object, tag: object) -> Any:
     """Return the alternative of a union that carries a tag, None where there is none."""
     for branch in get_args(_bare(annotation)):
         if any(isinstance(note, Tag) and note.tag == tag for note in get_args(branch)[1:]):
@@ -294,12 +294,12 @@ def _tagged(annotation: Any, tag: Any) -> Any:
     return None
 
 
-def _entry(annotation: Any) -> Any:
+def _entry(annotation: object) -> Any:
     """Return the type of an entry of a list or a mapping, None where it is neither."""
     return (get_args(_bare(annotation)) or (None,))[-1]
 
 
-def _rules(annotation: Any) -> list[Any]:
+def _rules(annotation: object) -> list[Any]:
     """Return the bounds that Annotated says about a type."""
     annotation = _given(annotation)
     if get_origin(annotation) is not Annotated:
@@ -309,13 +309,13 @@ def _rules(annotation: Any) -> list[Any]:
     return [*_rules(inner), *own]
 
 
-def _slot(annotation: Any) -> type[Slot] | None:
+def _slot(annotation: object) -> type[Slot] | None:
     """Return the slot that a place is, None where it is none."""
     bare = _bare(annotation)
     return bare if isinstance(bare, type) and issubclass(bare, Slot) else None
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
+def _models(annotation: object) -> list[type[BaseModel]]:
     """Return the parts of a scenario that may stand in a place; none for a number, a list or a mapping."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]

@@ -15,14 +15,14 @@ from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
 TRUST = "if you trust its author, --code loads it, in Python open_run(..., code=True)"
 
 
-def places(content: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def places(content: object) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield path, kind and content of every component with a type in a scenario."""
     for path, kind, part in _parts(content):
         if isinstance(part, dict) and isinstance(part.get("type"), str):
             yield path, kind, part
 
 
-def _parts(content: Any) -> Iterator[tuple[str, str, Any]]:
+def _parts(content: object) -> Iterator[tuple[str, str, Any]]:
     world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
     for kind in WORLD_KINDS:
         yield f"world.{kind}", kind, world.get(kind)
@@ -40,19 +40,19 @@ def _parts(content: Any) -> Iterator[tuple[str, str, Any]]:
     yield "task", "task", _mapping(content, "").get("task")
 
 
-def _mapping(content: Any, key: Any) -> dict[Any, Any]:
+def _mapping(content: object, key: object) -> dict[Any, Any]:
     found = content.get(key) if key and isinstance(content, dict) else content
     return found if isinstance(found, dict) else {}
 
 
-def anchor_code(content: Any, folder: Path) -> None:
+def anchor_code(content: object, folder: Path) -> None:
     """Make ``type: ./file.py:Class`` absolute, in place; relative paths are relative to a folder."""
     for _, _, part in places(content):
         if code.is_code(part["type"]):
             part["type"] = code.anchored(part["type"], folder)
 
 
-def provide_components(content: Any, source: str, named_code: bool = True) -> None:
+def provide_components(content: object, source: str, named_code: bool = True) -> None:
     """Load and register the components of a scenario that are not built in.
 
     Args:
@@ -78,7 +78,7 @@ def provide_components(content: Any, source: str, named_code: bool = True) -> No
         raise ScenarioError(source, problems)
 
 
-def outside_components(content: Any) -> list[dict[str, str]]:
+def outside_components(content: object) -> list[dict[str, str]]:
     """Return the record for run folders of a scenario's components that are not built in."""
     found = []
     for path, kind, part in places(content):
@@ -87,12 +87,21 @@ def outside_components(content: Any) -> list[dict[str, str]]:
         if name in catalogue.KINDS[kind] and registry.is_outside(kind, name):
             origin = registry.origin_of(kind, name)
             title = f"{origin.module}:{catalogue.KINDS[kind][name].__qualname__}"
-            found.append({"path": path, "kind": kind, "type": name, "class": title, "file": origin.file,
-                          "sha256": origin.sha256, "from": f"{origin.how}: {origin.place}"})  # fmt: skip
+            found.append(
+                {
+                    "path": path,
+                    "kind": kind,
+                    "type": name,
+                    "class": title,
+                    "file": origin.file,
+                    "sha256": origin.sha256,
+                    "from": f"{origin.how}: {origin.place}",
+                }
+            )
     return found
 
 
-def outside_problems(content: Any) -> Iterator[str]:
+def outside_problems(content: object) -> Iterator[str]:
     """Yield the components that a scenario from the network may not name: code of this machine."""
     for path, kind, part in places(content):
         name = part["type"]

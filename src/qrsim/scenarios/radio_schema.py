@@ -12,7 +12,7 @@ from qrsim.scenarios.component_schema import Finite, Strict, component_model
 NONE = "none"
 
 
-def _of_a_name(data: Any) -> Any:
+def _of_a_name(data: object) -> Any:
     return {"preset": data} if isinstance(data, str) else data
 
 
@@ -30,7 +30,7 @@ class FleetRadioSpec(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _none(cls, data: Any) -> Any:
+    def _none(cls, data: object) -> Any:
         if isinstance(data, str):
             if data != NONE:
                 raise ValueError(f"is {data!r}; expected 'none', or what is different from world.radio")

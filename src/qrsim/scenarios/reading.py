@@ -119,7 +119,7 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
     return content
 
 
-def check_size(content: Any, source: str) -> None:
+def check_size(content: object, source: str) -> None:
     """Refuse content from Python that is nested deeper than files may be, is larger than memory, or contains itself.
 
     Raises:
@@ -205,7 +205,7 @@ def _spell_out(content: dict[str, Any], path: list[str]) -> None:
             content[key] = {"type": value}
 
 
-def _anchor(content: Any, folder: Path) -> None:
+def _anchor(content: object, folder: Path) -> None:
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for part in parts:
         _anchor(part, folder)
@@ -215,7 +215,7 @@ def _anchor(content: Any, folder: Path) -> None:
         content["file"] = str(data_folder() / content["file"] if recorded else file)
 
 
-def _as_mapping(content: Any, source: str) -> dict[str, Any]:
+def _as_mapping(content: object, source: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
@@ -253,7 +253,7 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     target[last] = value
 
 
-def _without_a_space(value: Any) -> str | None:
+def _without_a_space(value: object) -> str | None:
     """Return a key such as 'type:gnss' of {type:gnss}, which was meant as a key and its value; None: there is none."""
     if isinstance(value, list):
         return next(filter(None, map(_without_a_space, value)), None)

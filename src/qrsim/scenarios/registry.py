@@ -101,7 +101,7 @@ def outside_names(kind: str) -> list[str]:
     return [name for name in catalogue.KINDS[kind] if name not in _BUILT_IN[kind]]
 
 
-def made(kind: str, source: Any) -> Any:
+def made(kind: str, source: object) -> Any:
     """Return the estimator or the metrics of a registered name, a package's, ``module:name`` or ``file.py:name``.
 
     A class is called without arguments; an object is what it is. An estimator may be a function too.
@@ -206,12 +206,12 @@ def components() -> list[dict[str, str]]:
     return rows
 
 
-def _check_kind(kind: Any, what: str = "register") -> None:
+def _check_kind(kind: object, what: str = "register") -> None:
     if kind not in catalogue.KINDS:
         raise UsageError(f"{what}: no kind of component is called {kind!r}{did_you_mean(str(kind), catalogue.KINDS)}")
 
 
-def _check_class(kind: str, component: Any, what: str) -> None:
+def _check_class(kind: str, component: object, what: str) -> None:
     problem = conformity_problem(kind, component)
     if problem:
         raise UsageError(f"{what}: {problem}")

@@ -54,7 +54,7 @@ def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
     yield from _array(what, value, () if one else shape)
 
 
-def _vector(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+def _vector(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
     if not isinstance(value, Vec3):
         yield f"{what} is {_name(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
         return
@@ -62,18 +62,18 @@ def _vector(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
         yield from _array(f"{what}.{axis}", getattr(value, axis), shape)
 
 
-def _name(value: Any) -> str:
+def _name(value: object) -> str:
     if isinstance(value, tuple):
         return f"a tuple of {len(value)}"
     return f"an array of {_shape(value)}" if hasattr(value, "shape") else type(value).__name__
 
 
-def _pair(value: Any, what: str) -> Iterator[str]:
+def _pair(value: object, what: str) -> Iterator[str]:
     if not isinstance(value, tuple) or len(value) != 2:
         yield f"it returned {_name(value)}; expected a pair, {what}"
 
 
-def _each(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
     """Yield what is wrong with a record of arrays."""
     if not dataclasses.is_dataclass(value) or isinstance(value, type) or jax.tree_util.all_leaves([value]):
         yield f"{what} is {_name(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
@@ -92,7 +92,7 @@ def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
     yield from _each(what, value, shape)
 
 
-def unchanged(what: str, before: Any, after: Any) -> Iterator[str]:
+def unchanged(what: str, before: object, after: object) -> Iterator[str]:
     """Yield in what a state is of another kind after a step than before."""
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)
@@ -105,7 +105,7 @@ def unchanged(what: str, before: Any, after: Any) -> Iterator[str]:
             yield f"{what}{jax.tree_util.keystr(path)} was {was} and is now {now}; expected no change"
 
 
-def _tree(value: Any) -> str:
+def _tree(value: object) -> str:
     return "nothing" if value is None else _name(value)
 
 
@@ -168,7 +168,7 @@ def _commanding(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]
     yield from _each("the command", result[1], _own(self))
 
 
-def _guiding(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _guiding(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
     yield from _state_and_given(self, "the set-point", args, result)
 
 
@@ -180,7 +180,7 @@ def _state_and_given(self: Any, what: str, args: Any, result: Any) -> Iterator[s
         yield f"{what} is {_name(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
 
 
-def _idle(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _idle(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
     own = getattr(type(self), "command_type", object)
     if not isinstance(result, own):
         yield f"the command is {_name(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
@@ -193,7 +193,7 @@ def _vehicle_step(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[st
     yield from _vector("the specific force", result[1], _own(self))
 
 
-def _vehicle_state(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _vehicle_state(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
     if isinstance(result, Pose):
         yield from _posed("the state", result, _own(self))
     yield from _each("the state", result, _own(self))
@@ -201,7 +201,7 @@ def _vehicle_state(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[s
         yield "the state has no position_ned, a qrsim.Vec3"
 
 
-def _pose(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _pose(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
     if not isinstance(result, Pose):
         yield f"it returned {_name(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
     yield from _posed("the pose", result, _own(self))
@@ -216,7 +216,7 @@ def _load(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
         yield from _number("the load.power", result.power, _own(self))
 
 
-def _force(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _force(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
     yield from _vector("the specific force", result, _own(self))
 
 
@@ -291,7 +291,7 @@ def _for_each_fleet(
         yield from check(f"{what} of fleet '{fleet}'", sizes[fleet], result[fleet])
 
 
-def _seen(whole: str, n: int, result: Any) -> Iterator[str]:
+def _seen(whole: str, n: int, result: object) -> Iterator[str]:
     parts = result if isinstance(result, dict) else {"": result}
     for name, part in parts.items():
         what = f"{whole}{f' {name!r}' if name else ''}"
@@ -307,7 +307,7 @@ def _named(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
     yield from _for_each_fleet(self, args[0], RETURNED, result, _axes)
 
 
-def _axes(what: str, n: int, result: Any) -> Iterator[str]:
+def _axes(what: str, n: int, result: object) -> Iterator[str]:
     verb = "" if what == RETURNED else " is"
     for axes in result.values() if isinstance(result, dict) else (result,):
         if not isinstance(axes, tuple | list) or not all(isinstance(axis, Axis) for axis in axes):
@@ -349,7 +349,7 @@ def _commanded(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
             yield from _action(fleet, part)
 
 
-def _parts(action: Any) -> list[Any]:
+def _parts(action: object) -> list[Any]:
     """Return the commands and set-points that are in an action."""
     if isinstance(action, Saying):
         return _parts(action.action)

@@ -44,7 +44,7 @@ def needs_slots(scenario: ScenarioSpec, errors: Any) -> bool:
     return bool(receivers(scenario)) or bool(errors.needs_sight)
 
 
-def for_receivers(scenario: ScenarioSpec, ephemeris: Any) -> Any:
+def for_receivers(scenario: ScenarioSpec, ephemeris: object) -> Any:
     """Return an ephemeris with the systems of the receivers, where it is of a file and the scenario names none.
 
     Raises:
@@ -62,7 +62,7 @@ def for_receivers(scenario: ScenarioSpec, ephemeris: Any) -> Any:
     return found
 
 
-def warn_of_systems(scenario: ScenarioSpec, ephemeris: Any) -> None:
+def warn_of_systems(scenario: ScenarioSpec, ephemeris: object) -> None:
     """Warn of receivers that use systems of which a file of orbits has no satellite."""
     if not isinstance(ephemeris, Sp3Ephemeris):
         return
@@ -78,7 +78,7 @@ def warn_of_systems(scenario: ScenarioSpec, ephemeris: Any) -> None:
 def _others_read(scenario: ScenarioSpec) -> bool:
     """Return whether a sensor of another type reads the sky."""
     return any(
-        sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads  # type: ignore[attr-defined]
+        sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads
         for fleet in scenario.fleets.values()
         for sensor in fleet.sensors.values()
     )
@@ -116,7 +116,7 @@ def base_station(scenario: ScenarioSpec) -> BaseStation | None:
     return BaseStation(**{**values, **lists})
 
 
-def of_vehicles(sensor: Any, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
+def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
     """Return a receiver of a fleet that knows which vehicle is its moving base, and which of them are spoofed."""
     if not isinstance(sensor, Gnss):
         return sensor

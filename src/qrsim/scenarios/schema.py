@@ -48,7 +48,7 @@ SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
 FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
-def _time_of_day(value: Any) -> Any:
+def _time_of_day(value: object) -> Any:
     """Refuse numbers, which pydantic would take for seconds since 1970."""
     if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
         return value
@@ -261,7 +261,7 @@ class RotorFaultSpec(Strict):
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
 
 
-def _what_fails(fault: Any) -> str:
+def _what_fails(fault: object) -> str:
     """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
     if isinstance(fault, dict):
         fault_type = fault.get("type", "sensor")
@@ -323,7 +323,7 @@ class FleetSpec(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _guidance_of_the_controller(cls, data: Any) -> Any:
+    def _guidance_of_the_controller(cls, data: object) -> Any:
         if not isinstance(data, dict):
             return data
         data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})
@@ -357,7 +357,7 @@ def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES or not isinstance(limits, dict):
         return fleet
-    own = known.VEHICLES[name].default_limits  # type: ignore[attr-defined]
+    own = known.VEHICLES[name].default_limits
     return {**fleet, "limits": {**own, **limits}} if own else fleet
 
 
@@ -369,7 +369,7 @@ def _with_controller(fleet: dict[str, Any]) -> dict[str, Any]:
         return fleet
     if not isinstance(controller, dict) or "type" in controller:
         return fleet
-    own = known.VEHICLES[name].default_controller  # type: ignore[attr-defined]
+    own = known.VEHICLES[name].default_controller
     return {**fleet, "controller": {"type": own, **controller}}
 
 
@@ -381,7 +381,7 @@ class RangeSpec(Strict):
     high: Finite = Field(description="largest value, in the unit of the number")
 
 
-def _only_in_a_source(value: Any) -> Any:
+def _only_in_a_source(value: object) -> Any:
     """Whoever reads a scenario takes the key out; what arrives here comes too late."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.standard import SiteAir, temperature
 from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
@@ -39,7 +39,7 @@ def air_of(scenario: ScenarioSpec) -> SiteAir:
     return SiteAir.of(scenario.site.height, scenario.site.temperature_offset)
 
 
-def at_site(sensor: Any, scenario: ScenarioSpec, vehicle: Vehicle) -> Any:
+def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> Any:
     """Return a sensor of a vehicle that knows what the scenario's site has, where it asks for any of that."""
     if isinstance(sensor, Magnetometer | IdealMagnetometer):
         place = scenario.site
@@ -65,7 +65,7 @@ def _steel(scenario: ScenarioSpec) -> Steel | None:
     if not solid:
         return None
     centres = [_centre(each) for each in solid]
-    return Steel(columns(centres), np.array([each.steel_radius for each in solid]))  # type: ignore[arg-type]
+    return record_of(Steel, columns(centres), np.array([each.steel_radius for each in solid]))
 
 
 def _centre(obstacle: Any) -> list[float]:

@@ -18,8 +18,13 @@ def with_sky(data: Any) -> Any:
     if not isinstance(fleets, dict) or not isinstance(sky, dict):
         return data
     sensors = [fleet.get("sensors") for fleet in fleets.values() if isinstance(fleet, dict)]
-    types = [sensor.get("type") for each in sensors if isinstance(each, dict) for sensor in each.values()
-             if isinstance(sensor, dict)]  # fmt: skip
+    types = [
+        sensor.get("type")
+        for each in sensors
+        if isinstance(each, dict)
+        for sensor in each.values()
+        if isinstance(sensor, dict)
+    ]
     made_for: dict[str, Any] = {"orbits": ORBITS} if "gnss" in types else {}
     if any(kind in RECEIVERS for kind in types):
         made_for["errors"] = ERRORS

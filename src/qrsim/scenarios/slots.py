@@ -39,7 +39,7 @@ class Slot:
         return [make() for make in cls.makers().values()]
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> CoreSchema:
         choices: dict[Any, CoreSchema] = {
             # pydantic joins what the inner schema finds to its own errors, with the path.
             name: core_schema.no_info_plain_validator_function(partial(_validated, make))
@@ -53,7 +53,7 @@ class Slot:
         return handler(core_schema.tagged_union_schema(choices, discriminator=cls.key))
 
 
-def _validated(make: Maker, value: Any) -> Strict:
+def _validated(make: Maker, value: object) -> Strict:
     return make().model_validate(value)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
@@ -42,7 +43,7 @@ def close_starts(scenario: ScenarioSpec) -> Iterator[str]:
 def columns(rows: list[list[float]]) -> Vec3:
     """Return rows [m] of three as columns."""
     array = np.asarray(rows, np.float64)
-    return Vec3(*(np.ascontiguousarray(array[:, axis]) for axis in range(3)))  # type: ignore[arg-type]
+    return record_of(Vec3, *(np.ascontiguousarray(array[:, axis]) for axis in range(3)))
 
 
 def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:

@@ -71,13 +71,13 @@ def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
 def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None) -> Iterator[str]:
     """Yield why a fleet of agents does not fly what a task asks of it."""
     task, fleet = scenario.task, scenario.fleets[name]
-    if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:  # type: ignore[attr-defined]
-        fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]  # type: ignore[attr-defined]
+    if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:
+        fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]
         yield (
             f"fleets.{name}.controller: '{fleet.controller.type}' does not take what the task '{task.type}' asks "
             f"for, {asks_for.__name__}; " + (f"allowed: {', '.join(fitting)}" if fitting else "no controller does")
         )
-    fields = fields_of(known.VEHICLES[fleet.vehicle.type].command_type)  # type: ignore[attr-defined]
+    fields = fields_of(known.VEHICLES[fleet.vehicle.type].command_type)
     if asks_for is None and not set(COMMANDED) <= set(fields) and not is_outside("task", task.type):
         yield (
             f"task.fleet: '{name}' has vehicles of type '{fleet.vehicle.type}', and the task '{task.type}' is "

@@ -205,8 +205,11 @@ def _watched(component: type, kind: str, size: int | None) -> type:
     contract = CONTRACTS.get(kind)
     names = [name for name in vars(contract or component) if not name.startswith("_")]
     methods = {name: getattr(component, name) for name in names if callable(getattr(component, name, None))}
-    found = {name: _looked_at(component, kind, name, method) for name, method in methods.items()
-             if hasattr(method, "__code__") and not _free(component, name)}  # fmt: skip
+    found = {
+        name: _looked_at(component, kind, name, method)
+        for name, method in methods.items()
+        if hasattr(method, "__code__") and not _free(component, name)
+    }
     own = {"_watched": component, "_size": size, "__module__": __name__}
     return record(type(component.__name__, (component,), {**found, **own}))
 
@@ -221,7 +224,7 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]
     draws = name in _DRAWING.get(kind, ())
 
     @wraps(method)
-    def called(self: Any, *args: Any, **kwargs: Any) -> Any:
+    def called(self: object, *args: object, **kwargs: object) -> Any:
         if draws and not getattr(self, "draws_alone", False):
             args = tuple(_Counted(arg, (component, name)) if isinstance(arg, Draw | Drawn) else arg for arg in args)
         try:

@@ -39,7 +39,7 @@ def numbers_of(part: Any) -> dict[str, Any]:
     return found
 
 
-def _written(value: Any) -> Any:
+def _written(value: object) -> Any:
     """Return a number, a point or a rotor as a scenario writes it."""
     if isinstance(value, int | float):
         return value
@@ -116,7 +116,7 @@ def _slow_down(fleet: dict[str, Any], attitude_bandwidth: float) -> None:
         controller.setdefault("velocity_gain", min(2.2, attitude_bandwidth / 3.6))
 
 
-def _own(own: Any, geometry: Any, beside: dict[str, Any], warn: Callable[[str], None]) -> Any:
+def _own(own: object, geometry: object, beside: dict[str, Any], warn: Callable[[str], None]) -> Any:
     """Return the multirotor of the six numbers of a scenario."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
 from qrsim.models.vehicles.contracts import handling_of
@@ -23,8 +24,6 @@ FULL_V = 12.0
 # Gusts count twice their sigma against what a vehicle can do, and once against what a cascade lets it do. The published
 # loops stay near a place only up to what their lean holds; a mean wind this much above it carries the vehicle away.
 GUST_SIGMAS, BLOWN_AWAY = 2.0, 4.0 / 3.0
-
-Floats = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)

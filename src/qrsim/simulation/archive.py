@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
+
 MAGIC = b"\x93NUMPY\x01\x00"
 HEADER = re.compile(
     rb"\{'descr': '([<=>|][a-zA-Z]\d{1,8})', 'fortran_order': False, "
@@ -35,7 +37,7 @@ class OtherNamesError(ValueError):
     """The archive holds other arrays than expected."""
 
 
-def read_archive(data: bytes, names: Collection[str]) -> dict[str, np.ndarray[Any, Any]]:
+def read_archive(data: bytes, names: Collection[str]) -> dict[str, NumpyArray]:
     """Read the arrays of an archive by name, as read-only views of its bytes.
 
     Args:
@@ -80,7 +82,7 @@ def _check_end(data: bytes, count: int) -> None:
         raise DamagedError("directory")
 
 
-def _array(content: bytes) -> np.ndarray[Any, Any]:
+def _array(content: bytes) -> NumpyArray:
     begin = len(MAGIC) + 2
     if content[: len(MAGIC)] != MAGIC or len(content) < begin:
         raise DamagedError("no array")

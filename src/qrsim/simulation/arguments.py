@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
@@ -12,14 +10,14 @@ from qrsim.errors import UsageError, did_you_mean
 LARGEST_TICK = 2**31 - 2
 
 
-def checked_number(number: Any) -> int:
+def checked_number(number: object) -> int:
     """Check the number of a world and return it, 0 <= number < 2**32; raises UsageError."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**32:
         raise UsageError(f"number: {number!r} is not an integer from 0 to 2**32 - 1")
     return int(number)
 
 
-def check_counts(**counts: Any) -> None:
+def check_counts(**counts: object) -> None:
     """Check numbers, by their names, that count something; raises UsageError."""
     for name, value in counts.items():
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
@@ -38,14 +36,14 @@ def check_precision(precision: str) -> str:
     return precision
 
 
-def checked_seed(seed: Any) -> int:
+def checked_seed(seed: object) -> int:
     """Check a seed and return it, 0 <= seed < 2**63; raises UsageError."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return int(seed)
 
 
-def checked_ticks(ticks: Any, flown: int) -> int:
+def checked_ticks(ticks: object, flown: int) -> int:
     """Check how many ticks are to follow those flown, and return it; raises UsageError."""
     if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 1:
         raise UsageError(f"ticks: {ticks!r} is not a positive integer")

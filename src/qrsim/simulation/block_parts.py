@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.sharding import Mesh
 
@@ -23,7 +22,6 @@ from qrsim.world import tick as ticks_of
 from qrsim.world.radio import parted
 from qrsim.world.state import Some, State, World, WorldKeys
 
-Array = np.ndarray[Any, Any]
 # What JAX raises where a program that is being compiled would have to know a number.
 NEEDS_VALUES = (
     jax.errors.ConcretizationTypeError,
@@ -78,8 +76,15 @@ class Setup:
         """What programs depend on, by which none of the user's objects are kept alive."""
         asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
         return (
-            *asked, self.measured, self.policy_ticks, self.structure, self.types, self.varied, self.mesh, self.kinds,
-        )  # fmt: skip
+            *asked,
+            self.measured,
+            self.policy_ticks,
+            self.structure,
+            self.types,
+            self.varied,
+            self.mesh,
+            self.kinds,
+        )
 
     @property
     def plain(self) -> bool:
@@ -149,7 +154,7 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
         return jax.tree.map(jnp.asarray, function.init(reading))
 
 
-def _answer(function: UserFunction, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
+def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[Any, Any]:
     """Return a compiled function's actions or estimates for each fleet, and its memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
@@ -159,7 +164,7 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: Any)
         return checker.estimates(result, needed=True), memory
 
 
-def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tuple[Any, Any]:
+def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[Any, Any]:
     """Call a user's function in a program that is being compiled."""
     try:
         result, after = function(reading, memory)
@@ -172,7 +177,7 @@ def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tupl
     return result, after
 
 
-def _check_memory(before: Any, after: Any) -> None:
+def _check_memory(before: object, after: object) -> None:
     """Refuse a memory that a loop cannot carry from tick to tick."""
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Key
 from qrsim.engine.backend import state_bytes
 from qrsim.engine.layout import Packer, layout_of_each
@@ -25,7 +26,6 @@ from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import State, World
 
-Array = np.ndarray[Any, Any]
 # Ticks between two looks at the progress, where nothing else stops the loop.
 TICKS_PER_CALL = 500
 
@@ -66,10 +66,16 @@ class Engine:
     """
 
     def __init__(
-        self, setup: Setup, example: World, fixed: list[Any], varied: list[Any], schedule: Schedule,
-        record: Callable[[State], Any] | None, sink: Callable[[Array, int, Any], None] | None,
+        self,
+        setup: Setup,
+        example: World,
+        fixed: list[Any],
+        varied: list[Any],
+        schedule: Schedule,
+        record: Callable[[State], Any] | None,
+        sink: Callable[[NumpyArray, int, Any], None] | None,
         progress: Callable[[int], None],
-    ):  # fmt: skip
+    ):
         self.setup, self.example, self.fixed, self.varied = setup, example, fixed, varied
         self.schedule, self.record, self.sink, self.progress = schedule, record, sink, progress
         self.names = [name for fleet in example.fleets for name in fleet.vehicle_names]
@@ -82,7 +88,7 @@ class Engine:
         fixed = Packer([np.asarray(leaf) for leaf in self.fixed])
         return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
-    def fly(self, rows: Array, seeds: Array, numbers: Array) -> tuple[dict[str, Array], Any]:
+    def fly(self, rows: NumpyArray, seeds: NumpyArray, numbers: NumpyArray) -> tuple[dict[str, NumpyArray], Any]:
         """Fly the worlds ``rows`` (B,), and return their metrics and records."""
         real = len(np.unique(rows))
         own = [part[rows] for part in self.varied]
@@ -109,7 +115,7 @@ class Engine:
         recorded = jax.tree.map(lambda *parts: np.stack(parts, axis=1), *found) if found else None
         return self.setup.metrics.finish(metrics, self.example, state), recorded
 
-    def _keep(self, flight: Flight, tick: int, rows: Array, found: list[Any]) -> None:
+    def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[Any]) -> None:
         if self.record is None or tick % self.schedule.record_every:
             return
         found_now = flight.map(self.record, lambda carry: carry.state)
@@ -119,7 +125,7 @@ class Engine:
         else:
             self.sink(rows, tick, recorded)
 
-    def _refuse(self, wrong_tick: Array, rows: Array) -> None:
+    def _refuse(self, wrong_tick: NumpyArray, rows: NumpyArray) -> None:
         if (wrong_tick < 0).all():
             return
         world, vehicle = np.argwhere(wrong_tick >= 0)[0]
@@ -171,7 +177,7 @@ class _Told:
 class LockStep:
     """Calls the user's functions that are not compiled between ticks, world by world, each with its own memory."""
 
-    def __init__(self, engine: Engine, rows: Array):
+    def __init__(self, engine: Engine, rows: NumpyArray):
         self.engine, self.rows = engine, rows
         setup = engine.setup
         self.policy, self.estimator = (
@@ -182,7 +188,7 @@ class LockStep:
         self.actions: list[Any] = []
         self._memories: dict[tuple[str, int], Any] = {}
 
-    def _asked(self, function: UserFunction, reading: Reading, world: int) -> Any:
+    def _call(self, function: UserFunction, reading: Reading, world: int) -> Any:
         """Return what a function answers in a world, and keep its memory."""
         which = (function.what, world)
         if which not in self._memories:
@@ -190,7 +196,7 @@ class LockStep:
         answer, self._memories[which] = function(reading, self._memories[which])
         return answer
 
-    def _readings(self, flight: Flight, tick: int, radios: LateRadio) -> list[tuple[Reading, Array]]:
+    def _readings(self, flight: Flight, tick: int, radios: LateRadio) -> list[tuple[Reading, NumpyArray]]:
         """Return the reading of each world, and which of its vehicles (n,) fly."""
 
         def heard(carry: Carry) -> Any:
@@ -224,11 +230,11 @@ class LockStep:
             where = f", at tick {tick} of world {self.rows[world]}"
             if self.policy is not None and asks:
                 with self.policy.blamed(where):
-                    command = self._asked(self.policy, reading, world)
+                    command = self._call(self.policy, reading, world)
                     self.actions.append(self.engine.checker.actions(command, partial(np.asarray, flying)))
             if self.estimator is not None:
                 with self.estimator.blamed(where):
-                    estimate = self._asked(self.estimator, reading, world)
+                    estimate = self._call(self.estimator, reading, world)
                     estimates.append(self.engine.checker.estimates(estimate, needed=True))
         radios.over = True
         return self._stack(self.policy, self.actions, count), self._stack(self.estimator, estimates, count)

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
+from qrsim.core.arrays import Floats
 from qrsim.world.state import State
-
-FloatArray = np.ndarray[Any, Any]
 
 
 class History:
@@ -20,7 +15,7 @@ class History:
         state: the State, each leaf with a leading axis T.
     """
 
-    def __init__(self, ticks: FloatArray, time_step: float, state: State):
+    def __init__(self, ticks: Floats, time_step: float, state: State):
         self.ticks = ticks
         self.time = ticks * time_step
         self.state = state

@@ -42,7 +42,7 @@ def _begin(setup: Setup, fixed: list[Any], own: tuple[list[Any], WorldKeys]) -> 
     return begin_world(setup, fixed, own[1], own[0])
 
 
-def _tick(setup: Setup, fixed: list[Any], own: tuple[list[Any], Any], carry: Carry, tick: Any) -> Carry:
+def _tick(setup: Setup, fixed: list[Any], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 

@@ -22,7 +22,7 @@ def _tick(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
     return ticks_of.step(world, state, tick, *own[1])
 
 
-def _place(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
+def _place(world: World, own: tuple[Any, Any], state: State, tick: object) -> State:
     return place(world, own[1], state, tick)
 
 
@@ -85,7 +85,7 @@ class OneWorld:
         """Copy a state into aligned buffers for ``advance``."""
         return aligned_copy(state)
 
-    def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: Any) -> Buffers:
+    def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: object) -> Buffers:
         """Run ``count`` ticks and return the state; the input may be overwritten.
 
         Args:
@@ -106,13 +106,13 @@ class OneWorld:
         return after
 
     def record(
-        self, layout: Packer, state: Buffers, tick: int, count: int, given: Any, capacity: int
+        self, layout: Packer, state: Buffers, tick: int, count: int, given: object, capacity: int
     ) -> tuple[Buffers, Buffers]:
         """Run ``count`` ticks; return the final state and the states of all ticks, each buffer (count, ...)."""
         self._flown_by = self._tick.program(given, layout)
         return self._flown_by.record(state, tick, count, capacity)
 
-    def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
+    def place(self, layout: Packer, state: Buffers, tick: int, given: object) -> Buffers:
         """Place vehicles and return the new state; see ``qrsim.simulation.placing.place``."""
         after: Buffers = self._place.program(given, layout).run(self.adopt(state), tick, 1)
         return after

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.pairs import parts_of
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
@@ -40,13 +41,13 @@ def _scan(
 
 def simulate_open_loop(
     vehicle: Quadrotor,
-    commands: np.ndarray[Any, Any],
-    initial_state: np.ndarray[Any, Any],
+    commands: NumpyArray,
+    initial_state: NumpyArray,
     *,
     wind_body: tuple[float, float, float] = (0.0, 0.0, 0.0),
     dt: float = 0.02,
     precision: str = "float64",
-) -> np.ndarray[Any, Any]:
+) -> NumpyArray:
     """Integrate the model under a sequence of commands.
 
     Args:
@@ -74,9 +75,7 @@ def simulate_open_loop(
         return np.asarray(rows)
 
 
-def hover_state(
-    vehicle: Quadrotor, position_ned: tuple[float, float, float] = (0.0, 0.0, -10.0)
-) -> np.ndarray[Any, Any]:
+def hover_state(vehicle: Quadrotor, position_ned: tuple[float, float, float] = (0.0, 0.0, -10.0)) -> NumpyArray:
     """Return the (13,) state of a vehicle at rest whose thrust carries its weight."""
     state = np.zeros(13)
     state[:3] = position_ned

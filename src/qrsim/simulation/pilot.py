@@ -65,25 +65,25 @@ class Pilot:
             UsageError: what the user's function returned cannot be flown.
             RunError: it failed.
         """
-        count, estimate = self._asked(ticks)
+        count, estimate = self._call_due(ticks)
         return self.simulation.record(count, self.command, capacity, estimate)
 
     def advance(self, ticks: int) -> None:
         """Fly as ``record`` does, and return nothing."""
-        count, estimate = self._asked(ticks)
+        count, estimate = self._call_due(ticks)
         self.simulation.advance(self.command, count, estimate)
 
-    def _asked(self, ticks: int) -> tuple[int, Any]:
-        """Ask whom it is the time of; return for how many ticks, of so many, and the estimate."""
+    def _call_due(self, ticks: int) -> tuple[int, Any]:
+        """Call every function that is due; return for how many ticks, at most ``ticks``, to fly, and the estimate."""
         simulation, estimate = self.simulation, None
         if self.policy is not None and simulation.tick % self.policy_ticks == 0:
-            self.command = self._ask(self.policy)
+            self.command = self._call(self.policy)
         if self.estimator is not None:
-            estimate = self._ask(self.estimator)
+            estimate = self._call(self.estimator)
         period = 1 if self.estimator else self.policy_ticks
         return min(ticks, period - simulation.tick % period), estimate
 
-    def _ask(self, function: UserFunction) -> Any:
+    def _call(self, function: UserFunction) -> Any:
         simulation, memory = self.simulation, self.memories[function.what]
         where = f", at tick {simulation.tick} ({simulation.time:g} s)"
         with simulation.precision_context(), function.blamed(where):

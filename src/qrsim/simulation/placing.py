@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.pairs import parts_of
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
@@ -20,7 +21,6 @@ from qrsim.world.sensing import with_traffic
 from qrsim.world.starting import start_fleet
 from qrsim.world.state import Fleet, FleetState, State, World
 
-FloatArray = np.ndarray[Any, Any]
 WIDTHS = (3, 6, 12, 13)
 
 
@@ -45,8 +45,10 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
         first += fleet.size
     puts = [_vehicles(fleet, rows[mine]) for fleet, mine in zip(world.fleets, spans, strict=True)]
     together = zip(puts, state.fleets, spans, strict=True)
-    there = [(select(chosen[mine], put, now.vehicle), chosen[mine] | (now.violation.code == 0))
-             for put, now, mine in together]  # fmt: skip
+    there = [
+        (select(chosen[mine], put, now.vehicle), chosen[mine] | (now.violation.code == 0))
+        for put, now, mine in together
+    ]
     view = with_traffic(world, surroundings(world, state.contents, tick), *zip(*there, strict=True))
     fleets = []
     for fleet, before, keys, mine, put in zip(world.fleets, state.fleets, state.fleet_keys, spans, puts, strict=True):
@@ -83,7 +85,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
     return tuple(checked)
 
 
-def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[FloatArray, FloatArray]:
+def checked_rows(rows: object, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[Floats, Floats]:
     """Check the arguments of ``Simulation.set_state``; return rows (n, 16) and which vehicles (n,) to place.
 
     Raises:
@@ -110,7 +112,7 @@ def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple
     return np.concatenate([rounded, rest[:, :3]], axis=1), chosen
 
 
-def refuse_misplaced(violations: Sequence[Violation], chosen: FloatArray, names: Sequence[str]) -> None:
+def refuse_misplaced(violations: Sequence[Violation], chosen: Floats, names: Sequence[str]) -> None:
     """Raise an error if a placed vehicle would stop at once.
 
     Args:

@@ -71,7 +71,7 @@ class Radios(Alone):
         with self.precision_context():
             self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), nobody
 
-    def _checked(self, vehicle: str | int, payload: Any, to: str | int | None) -> tuple[int, Any, int]:
+    def _checked(self, vehicle: str | int, payload: object, to: str | int | None) -> tuple[int, Any, int]:
         """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""
         sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
         (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
 from qrsim.core.tables import Table, Tabled, number_text
@@ -27,7 +28,6 @@ from qrsim.simulation.block_parts import Setup
 from qrsim.simulation.blocks import Engine, Schedule
 from qrsim.world.state import State, World
 
-Array = np.ndarray[Any, Any]
 # Vehicles of a block on one device: their states and the noise of a tick then stay in a core's own cache.
 VEHICLES_PER_BLOCK = 4096
 # Of the states of a block, with all that a tick makes of them.
@@ -53,11 +53,11 @@ class Rollout(Tabled):
         vehicles: names, in the order of the arrays.
     """
 
-    metrics: dict[str, Array]
+    metrics: dict[str, NumpyArray]
     recorded: Any
-    record_ticks: Array
-    seeds: Array
-    numbers: Array
+    record_ticks: NumpyArray
+    seeds: NumpyArray
+    numbers: NumpyArray
     vehicles: tuple[str, ...]
 
     __repr__ = Tabled.__repr__
@@ -77,7 +77,7 @@ class Rollout(Tabled):
         """Return the names of the metrics, one after the other."""
         return iter(self.metrics)
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> NumpyArray:
         """Return a metric, (W, n).
 
         Raises:
@@ -107,7 +107,7 @@ class Rollout(Tabled):
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 
 
-def _metric_row(name: str, values: Array) -> tuple[str, ...]:
+def _metric_row(name: str, values: NumpyArray) -> tuple[str, ...]:
     """Return name, unit, shape, and three numbers of a metric; these only where each value is one number."""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
     numbers = values[np.isfinite(values)] if values.ndim == 2 and values.dtype.kind in "fiub" else values[:0]
@@ -117,18 +117,18 @@ def _metric_row(name: str, values: Array) -> tuple[str, ...]:
 
 def rollout(
     world: World | Sequence[World],
-    policy: Any = None,
+    policy: object = None,
     *,
     ticks: int,
     worlds: int = 1,
     seed: int = 0,
     seeds: Sequence[int] | None = None,
-    estimator: Any = None,
+    estimator: object = None,
     policy_ticks: int = 1,
-    metrics: Any = None,
+    metrics: object = None,
     record: Callable[[State], Any] | None = None,
     record_every: int = 50,
-    sink: Callable[[Array, int, Any], None] | None = None,
+    sink: Callable[[NumpyArray, int, Any], None] | None = None,
     progress: Callable[[int], None] | None = None,
     site: Site | None = None,
 ) -> Rollout:
@@ -151,25 +151,29 @@ def rollout(
         raise UsageError(f"ticks: {ticks} would pass the last tick, {LARGEST_TICK}")
     if sink is not None and record is None:
         raise UsageError("sink: there is nothing to hand to it without record")
-    which = _which(several, isinstance(world, World), worlds, seed, seeds)
+    which = _seeds_and_numbers(several, isinstance(world, World), worlds, seed, seeds)
     dtype = np.dtype(several[0].fleets[0].start.position_ned.x.dtype)
     with jax.enable_x64(dtype == np.float64):
         setup, fixed, varied = setup_of(several, policy, estimator, metrics, policy_ticks, site)
         schedule = Schedule(ticks, record_every if record else 0)
         engine = Engine(setup, several[0], fixed, varied, schedule, record, sink, progress or (lambda done: None))
         blocks = [engine.fly(rows, *which) for rows in _blocks(engine, len(which[0]))]
-    found = {name: np.concatenate([block[0][name] for block in blocks]) for name in blocks[0][0]}
-    kept = None
+    results = {name: np.concatenate([block[0][name] for block in blocks]) for name in blocks[0][0]}
+    history = None
     if record is not None and sink is None:
-        kept = jax.tree.map(lambda *parts: np.concatenate(parts), *(block[1] for block in blocks))
+        history = jax.tree.map(lambda *parts: np.concatenate(parts), *(block[1] for block in blocks))
     names = tuple(name for fleet in several[0].fleets for name in fleet.vehicle_names)
-    return Rollout(found, kept, np.array(schedule.records, np.int64), *which, names)
+    return Rollout(results, history, np.array(schedule.records, np.int64), *which, names)
 
 
 def setup_of(
-    several: Sequence[World], policy: Any = None, estimator: Any = None, metrics: Any = None, policy_ticks: int = 1,
+    several: Sequence[World],
+    policy: object = None,
+    estimator: object = None,
+    metrics: object = None,
+    policy_ticks: int = 1,
     site: Site | None = None,
-) -> tuple[Setup, list[Any], list[Any]]:  # fmt: skip
+) -> tuple[Setup, list[Any], list[Any]]:
     """Return the setup of a rollout, the leaves that its worlds share, and those that vary, (W, ...).
 
     The arguments are those of ``rollout``.
@@ -177,15 +181,24 @@ def setup_of(
     structure, fixed, varied, which_varied = _stack(list(several))
     metrics = FLIGHT_METRICS if metrics is None else metrics
     setup = Setup(
-        user_function("policy", policy), user_function("estimator", estimator), metrics, sameness(metrics),
-        policy_ticks, site or Site(), structure, repr(structure), which_varied, device_mesh(), tuple(kinds(structure)),
-    )  # fmt: skip
+        user_function("policy", policy),
+        user_function("estimator", estimator),
+        metrics,
+        sameness(metrics),
+        policy_ticks,
+        site or Site(),
+        structure,
+        repr(structure),
+        which_varied,
+        device_mesh(),
+        tuple(kinds(structure)),
+    )
     return setup, fixed, varied
 
 
-def _which(
-    several: list[World], alike: bool, worlds: int, seed: Any, seeds: Sequence[int] | None
-) -> tuple[Array, Array]:
+def _seeds_and_numbers(
+    several: list[World], alike: bool, worlds: int, seed: object, seeds: Sequence[int] | None
+) -> tuple[NumpyArray, NumpyArray]:
     """Return seed and number (W,) of each world."""
     if not several:
         raise UsageError("world: an empty list has no world to fly")
@@ -230,7 +243,7 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     return structure, fixed, varied, which
 
 
-def _on_host(leaf: Any) -> Any:
+def _on_host(leaf: object) -> Any:
     """Return a leaf as NumPy's array of a type that JAX computes with; JAX itself would compile for that."""
     array = np.asarray(leaf)
     return np.asarray(array, jax.dtypes.canonicalize_dtype(array.dtype))
@@ -246,7 +259,7 @@ def _other_arrays(one: World, other: World) -> str:
     return ""
 
 
-def _blocks(engine: Engine, count: int) -> Iterator[Array]:
+def _blocks(engine: Engine, count: int) -> Iterator[NumpyArray]:
     """Yield the numbers of the worlds of each block, all of one length; the last is filled up with its last world."""
     size, devices = len(engine.names), engine.devices
     in_memory = MEMORY_BYTES // (COPIES * engine.bytes_per_world() * devices)

@@ -174,7 +174,7 @@ class Simulation(Radios, Tabled):
             self._changes = False
             self._lock.release()
 
-    def advance(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
+    def advance(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
         """Advance as ``step`` does, without computing a reading."""
         if not self._lock.acquire(False):
             self._wait_or_refuse("advance")
@@ -185,10 +185,10 @@ class Simulation(Radios, Tabled):
             self._changes = False
             self._lock.release()
 
-    def _advance(self, command: Any, ticks: int, estimate: Estimate | None) -> None:
+    def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
         if estimate is None and self._state is not None and self._ticks.taken(command):
             count = checked_ticks(ticks, self.tick)
-            self._let_go()
+            self._detach_seen()
             self._state = self._ticks.advance_bound(self._state, self.tick, count)
             self.tick += count
             return
@@ -196,7 +196,7 @@ class Simulation(Radios, Tabled):
         estimates = self._checker.estimates(estimate)
         count = checked_ticks(ticks, self.tick)
         layout, state = self._running()
-        self._let_go()
+        self._detach_seen()
         with self.precision_context():
             self._state = self._ticks.advance(layout, state, self.tick, count, (actions, estimates))
             self.tick += count
@@ -205,7 +205,7 @@ class Simulation(Radios, Tabled):
 
     @alone
     def record(
-        self, ticks: int, command: Any = None, capacity: int | None = None, estimate: Estimate | None = None
+        self, ticks: int, command: object = None, capacity: int | None = None, estimate: Estimate | None = None
     ) -> History:
         """Advance as ``step`` does and return the state of every tick on the way.
 
@@ -227,7 +227,7 @@ class Simulation(Radios, Tabled):
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}; give capacity={count}, or none")
         layout, state = self._running()
-        self._let_go()
+        self._detach_seen()
         with self.precision_context():
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
             numbers = np.arange(self.tick + 1, self.tick + count + 1)
@@ -235,7 +235,7 @@ class Simulation(Radios, Tabled):
         return History(numbers, self.world.time_step, layout.unpack(rows))
 
     @alone
-    def set_state(self, state: Any, new_battery: bool = False) -> Reading:
+    def set_state(self, state: object, new_battery: bool = False) -> Reading:
         """Place vehicles in given states, flying again if stopped, and return the reading there.
 
         All that belongs to such a vehicle is as at a start at that place: its sensors (GNSS, barometer, attitude, and
@@ -347,7 +347,7 @@ class Simulation(Radios, Tabled):
             self._now = weakref.ref(seen)
         return seen
 
-    def _let_go(self) -> None:
+    def _detach_seen(self) -> None:
         """Leave the present state to whom it is seen by, because the next tick overwrites its buffers."""
         seen = self._now()
         if seen is not None:

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from qrsim.control import MissionState, RouteState
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
 from qrsim.files.atomic import write_atomically
@@ -49,8 +50,8 @@ class SavedState:
         world: fingerprint of the world's structure and parameters.
     """
 
-    floats: np.ndarray[Any, Any]
-    integers: np.ndarray[Any, Any]
+    floats: NumpyArray
+    integers: NumpyArray
     tick: int
     seed: int
     number: int
@@ -78,7 +79,7 @@ class SavedState:
             raise UsageError(f"{where}: this is no state that qrsim saved, or it is damaged") from None
         except OtherNamesError:
             raise _another_version(where) from None
-        if _whole(content["format"]) != FORMAT:
+        if _integer(content["format"]) != FORMAT:
             raise _another_version(where)
         return SavedState(
             _buffer(where, "floats", content, ("float32", "float64")),
@@ -152,7 +153,7 @@ class SavedState:
             raise UsageError(f"saved state: it is damaged: its randomness is not that of its seed, {self.seed}")
 
 
-def _data(source: Any, where: str) -> bytes:
+def _data(source: object, where: str) -> bytes:
     if isinstance(source, bytes | bytearray | memoryview):
         size = memoryview(source).nbytes
     elif isinstance(source, str | Path):
@@ -179,13 +180,13 @@ def _another_version(where: str) -> UsageError:
     return UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
 
 
-def _whole(array: np.ndarray[Any, Any]) -> int | None:
+def _integer(array: NumpyArray) -> int | None:
     """Return the whole number that an array is, if it is one."""
     return int(array) if array.shape == () and array.dtype.kind in "iu" else None
 
 
 def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int:
-    found = _whole(content[name])
+    found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
         raise UsageError(f"{where}: its {name} is {what}; expected a whole number from 0 to {largest}")
@@ -202,7 +203,7 @@ def _text(where: str, name: str, content: dict[str, Any]) -> str:
     raise UsageError(f"{where}: its {name} is no text")
 
 
-def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ...]) -> np.ndarray[Any, Any]:
+def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ...]) -> NumpyArray:
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(
@@ -211,7 +212,7 @@ def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ..
     return array
 
 
-def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray]]:
     """Yield where and what in a state is finite in every simulation."""
     # Recorded orbits end, and have gaps.
     recorded = isinstance(world.sky, SharedSky | SlottedSky) and isinstance(world.sky.orbits, Sp3Orbits)
@@ -244,7 +245,7 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, An
         yield "controller", (state.controller, state.setpoint)
 
 
-def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]

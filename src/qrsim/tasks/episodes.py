@@ -9,12 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Key
 from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.engine.settings import quick_jit
 from qrsim.tasks.play import Episode, Play, Progress, Step
-
-Array = np.ndarray[Any, Any]
 
 
 class Begun(NamedTuple):
@@ -22,7 +21,7 @@ class Begun(NamedTuple):
 
     placed: Any
     seen: Any
-    truth: dict[str, Array]
+    truth: dict[str, NumpyArray]
 
 
 @lru_cache
@@ -34,7 +33,7 @@ def _scored() -> Any:
     return quick_jit(score)
 
 
-def score(play: Play, episode: Episode, answer: Array) -> Array:
+def score(play: Play, episode: Episode, answer: NumpyArray) -> NumpyArray:
     """Score the answers (n, ...) of the agents of an episode; (n,), 0 for who has left."""
     return np.asarray(_scored()(play, episode, answer))
 
@@ -107,15 +106,15 @@ class Episodes:
         self._play = jax.tree.map(np.asarray, play)
         self._worlds.share_at_starts(self._play)
 
-    def start(self, rows: Array, keys: Any) -> Begun:
+    def start(self, rows: NumpyArray, keys: Any) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
         found: Begun = self._worlds.begin_some(rows, keys, _begun)
         return found
 
-    def step(self, action: Array) -> tuple[Step, dict[str, Array]]:
+    def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:
         """Advance all by actions (B, n, W), with a radio (B, n, W + D), and return the results and the ground truth."""
         self._worlds.advance(0, self._play.ticks, action)
-        found: tuple[Step, dict[str, Array]] = self._all(lambda progress: (progress.last, progress.truth))
+        found: tuple[Step, dict[str, NumpyArray]] = self._all(lambda progress: (progress.last, progress.truth))
         return found
 
     def episode(self, row: int) -> Episode:

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.plume import Sources
 from qrsim.tasks.plume_mapping import PlumeMemory
 from qrsim.tasks.simple import KeepSpot
 from qrsim.world.state import World
-
-Floats = np.ndarray[Any, Any]
 
 
 def _none() -> Floats:

@@ -230,8 +230,10 @@ class Play:
         if not self.task.leave:
             fly = all_fly(episode.state)
             return Judged(memory, jnp.where(fly, reward, self._crashed(episode)), fly, None)
-        stopped = {model.name: state.violation.code != 0
-                   for model, state in zip(self.world.fleets, episode.state.fleets, strict=True)}  # fmt: skip
+        stopped = {
+            model.name: state.violation.code != 0
+            for model, state in zip(self.world.fleets, episode.state.fleets, strict=True)
+        }
         own = [stopped.pop(name) for name in self.task.fleets]
         gone = jnp.concatenate(own)
         # It ends when no agent of a fleet is left.
@@ -246,7 +248,7 @@ class Play:
         """Return the reward () of a step in which a vehicle has stopped."""
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
-    def scaled(self, action: Any) -> Any:
+    def scaled(self, action: object) -> Any:
         """Scale actions (n, W), clipped to [-1, 1], to their units; NumPy or JAX."""
         return in_units(self.sides, action)
 

@@ -46,9 +46,11 @@ class PlumeMapping(Task):
     """
 
     threshold: Array = parameter(
-        default=1e-3, unit="1", doc="concentration that a location of the plume has, in parts of the plume's scale",
+        default=1e-3,
+        unit="1",
+        doc="concentration that a location of the plume has, in parts of the plume's scale",
         above=0.0,
-    )  # fmt: skip
+    )
     sample_gap: Array = parameter(default=60.0, unit="s", doc="time between two reference samples of puffs", above=0.0)
     penalty: Array = penalty()
     leave: bool = leaving()

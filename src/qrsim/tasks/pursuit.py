@@ -73,8 +73,10 @@ class Pursuit(Task):
         """Return velocities of numbers (n, 2), at the height of the start and heading north."""
         if not self._both:
             return only(world, self.fleet, _at_height(action, memory.z))
-        each = {self.fleet: _at_height(action[self.fleet], memory.z),
-                self.prey: _at_height(action[self.prey], memory.mice_z)}  # fmt: skip
+        each = {
+            self.fleet: _at_height(action[self.fleet], memory.z),
+            self.prey: _at_height(action[self.prey], memory.mice_z),
+        }
         return tuple(each.get(fleet.name) for fleet in world.fleets)
 
     def judge(

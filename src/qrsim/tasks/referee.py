@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Key
 from qrsim.core.tree import cast
 from qrsim.engine.settings import quick_jit
@@ -19,7 +20,6 @@ from qrsim.tasks.episodes import score
 from qrsim.tasks.places import Places, places_of
 from qrsim.tasks.play import Episode, Judged, Play
 
-Floats = np.ndarray[Any, Any]
 # Ticks that are judged at once.
 CHUNK = 50
 FLOWN, CRASHED, UNFINISHED, SPOILT = "flown_to_the_end", "crashed", "unfinished", "not_finite"
@@ -66,8 +66,15 @@ class TaskScore:
     def to_json(self) -> dict[str, Any]:
         """Return the fields by name, for JSON; of several fleets the mean return of each too."""
         several = {"fleets": {name: self._mean(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
-        return {"return": self.mean, **several, "agents": dict(self.returns), "outcome": self.outcome,
-                "steps": self.steps, "of_steps": self.of, "handed_in": self.handed_in}  # fmt: skip
+        return {
+            "return": self.mean,
+            **several,
+            "agents": dict(self.returns),
+            "outcome": self.outcome,
+            "steps": self.steps,
+            "of_steps": self.of,
+            "handed_in": self.handed_in,
+        }
 
 
 class Referee:
@@ -137,7 +144,7 @@ class Referee:
             if self._over:
                 return
 
-    def _judge(self, ticks: Floats, states: Any, count: int) -> None:
+    def _judge(self, ticks: Floats, states: object, count: int) -> None:
         """Judge the first ``count`` of ``CHUNK`` ticks and their states."""
         with self._precision():
             self._carried, rewards, flies = jax.tree.map(
@@ -158,7 +165,7 @@ class Referee:
         elif len(self._rewards) == self._steps:
             self._over = FLOWN
 
-    def finish(self, answer: Any = None) -> TaskScore:
+    def finish(self, answer: object = None) -> TaskScore:
         """Return the score, of a flight that has ended early that of its whole steps.
 
         Args:
@@ -180,8 +187,9 @@ class Referee:
                 episode = Episode(self._last, self._carried[0], step, self._carried[1])
                 total = total + score(self._play, episode, given)
             outcome = outcome if np.isfinite(total).all() else SPOILT
-        returns = {name: float(value) if np.isfinite(value) else None
-                   for name, value in zip(self._names, total, strict=True)}  # fmt: skip
+        returns = {
+            name: float(value) if np.isfinite(value) else None for name, value in zip(self._names, total, strict=True)
+        }
         handed_in = answer is not None if asked else None
         sides = self._play.sides
         fleets = {side.fleet: side.names for side in sides} if len(sides) > 1 else {}

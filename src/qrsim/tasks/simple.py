@@ -121,9 +121,12 @@ class Commanded(Task):
         doc="return after a crash: published, the penalty; worst, no more than anybody can have who does not crash",
     )
     stake: Array = parameter(
-        default=0.5, unit="1", doc="part of what a crash costs that is paid on the way there and given back",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
+        default=0.5,
+        unit="1",
+        doc="part of what a crash costs that is paid on the way there and given back",
+        minimum=0.0,
+        maximum=1.0,
+    )
     fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
     senses: tuple[str, ...] = senses()

@@ -113,7 +113,7 @@ def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
     return lib.concatenate(parts)
 
 
-def by_fleet(given: Any, names: list[str], what: str) -> None:
+def by_fleet(given: object, names: list[str], what: str) -> None:
     """Check that something is a dict with one entry for each fleet.
 
     Raises:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.clock import split_time
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import replace
@@ -22,7 +23,6 @@ from qrsim.view.layers import GUST_COLOUR, STRONG_WIND, Layer, Stage
 from qrsim.world.air import gust_at
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 AIR = "air in a plane"
 # What its arrows show, and the speed [m/s] of one that is as long as two are apart.
 GUST, WHOLE = "gust", "gust and mean wind"
@@ -69,11 +69,19 @@ class Air(Contents):
         self._placed: Any = None
         corners, faces = shapes.arrow()
         self._handle: Any = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/arrows", corners * [1.0, THICKNESS, THICKNESS], faces, batched_positions=self._offsets,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (ALONG**2, 1)), batched_scales=np.zeros(ALONG**2, np.float32),
-            batched_colors=np.tile(shapes.linear(GUST_COLOUR), (ALONG**2, 1)), lod="off", flat_shading=True,
-            side="double", cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            f"{self.path}/arrows",
+            corners * [1.0, THICKNESS, THICKNESS],
+            faces,
+            batched_positions=self._offsets,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (ALONG**2, 1)),
+            batched_scales=np.zeros(ALONG**2, np.float32),
+            batched_colors=np.tile(shapes.linear(GUST_COLOUR), (ALONG**2, 1)),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     @property
     def highest(self) -> float:

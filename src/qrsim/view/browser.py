@@ -23,10 +23,17 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 INSTALL = "on Debian or Ubuntu: apt-get install chromium"
 # The last of these keeps it from all other machines: it would ask its maker for this and that.
 FLAGS = (
-    "--headless", "--enable-unsafe-swiftshader", "--disable-background-networking", "--disable-component-update",
-    "--no-first-run", "--disable-quic", "--disable-sync", "--remote-debugging-port=0", "--hide-scrollbars",
+    "--headless",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-sync",
+    "--remote-debugging-port=0",
+    "--hide-scrollbars",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-)  # fmt: skip
+)
 PATIENCE_S = 60.0
 
 
@@ -70,9 +77,13 @@ class Browser:
         self._profile = tempfile.TemporaryDirectory(prefix="qrsim-browser-", ignore_cleanup_errors=True)
         sandbox = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
         command = [
-            path, *FLAGS, *sandbox, f"--user-data-dir={self._profile.name}",
-            f"--window-size={self._size[0]},{self._size[1]}", "about:blank",
-        ]  # fmt: skip
+            path,
+            *FLAGS,
+            *sandbox,
+            f"--user-data-dir={self._profile.name}",
+            f"--window-size={self._size[0]},{self._size[1]}",
+            "about:blank",
+        ]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             self._connect()
@@ -117,7 +128,7 @@ class Browser:
         self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=True, flatten=True)
         self.call("Page.enable")
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+    def call(self, method: str, **parameters: object) -> dict[str, Any]:
         """Call a method of the DevTools protocol and return its result.
 
         Raises:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
@@ -17,7 +18,6 @@ from qrsim.view.layers import Layer, Stage
 from qrsim.world.episode import develop
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # While nobody is chosen, of so many cameras.
 MOST_SHOWN = 4
 # The strongest colours stand for a ratio of this and more, and of minus this and less.
@@ -46,10 +46,19 @@ class Cameras(Contents):
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
         nothing = np.zeros((INSTANCES, 3), np.float32)
         self._windows = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/windows", *_window(), batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (INSTANCES, 1)),
-            batched_positions=nothing, batched_scales=nothing, batched_colors=np.zeros((INSTANCES, 3), np.uint8),
-            opacity=0.85, lod="off", flat_shading=True, side="double", cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            f"{self.path}/windows",
+            *_window(),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (INSTANCES, 1)),
+            batched_positions=nothing,
+            batched_scales=nothing,
+            batched_colors=np.zeros((INSTANCES, 3), np.uint8),
+            opacity=0.85,
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
         self._edges = self.stage.scene.add_line_segments(
             f"{self.path}/edges", np.zeros((8, 2, 3), np.float32), EDGE_COLOUR, thickness=1.5, thickness_units="screen"
         )

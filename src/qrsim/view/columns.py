@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs import Run
 from qrsim.runs.reader import Batch
 
-Floats = np.ndarray[Any, Any]
 # Times of vehicles that are kept in memory; of longer logs only every so-many-th tick is shown.
 MOST_POSES = 3_000_000
 

@@ -7,13 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import FOUND, MISSING, PLUME
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
 from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # Of the classes of the ground, from the second on: clutter and occlusion.
 COVER_COLOURS = np.array([(190, 170, 90), (70, 110, 50)], np.uint8)
 MISSING_COLOUR, FOUND_COLOUR, PLUME_COLOUR = MISSING, FOUND, PLUME
@@ -61,9 +61,14 @@ class Cover(Contents):
                 corners, faces = plate(cells == kind, low, high)
                 corners[:, 2] = down_at(self.world.ground, corners[:, 0], corners[:, 1]) - self.stage.lift
                 self.stage.scene.add_mesh_simple(
-                    f"{self.path}/class{kind}", corners.astype(np.float32), faces.astype(np.uint32),
-                    color=tuple(colour), flat_shading=True, side="double", cast_shadow=False,
-                )  # fmt: skip
+                    f"{self.path}/class{kind}",
+                    corners.astype(np.float32),
+                    faces.astype(np.uint32),
+                    color=tuple(colour),
+                    flat_shading=True,
+                    side="double",
+                    cast_shadow=False,
+                )
 
 
 def plate(there: Floats, low: Floats, high: Floats) -> shapes.Mesh:
@@ -105,11 +110,16 @@ class Persons(Contents):
             return
         down = down_at(self.world.ground, np.asarray(persons.north), np.asarray(persons.east))
         self._handle = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/persons", *shapes.pin(),
+            f"{self.path}/persons",
+            *shapes.pin(),
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(there), 1)),
             batched_positions=np.stack([persons.north, persons.east, down], axis=1),
-            batched_scales=scales, batched_colors=colours, lod="off", flat_shading=True, cast_shadow=False,
-        )  # fmt: skip
+            batched_scales=scales,
+            batched_colors=colours,
+            lod="off",
+            flat_shading=True,
+            cast_shadow=False,
+        )
 
 
 class Plume(Contents):
@@ -126,11 +136,18 @@ class Plume(Contents):
         self._places = rng.uniform(low, high, (PLACES, 3)).astype(self._dtype)
         self._ask = jax.jit(_concentration)
         self._handle = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/points", *shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (DRAWN, 1)), batched_positions=np.zeros((DRAWN, 3)),
-            batched_scales=np.zeros((DRAWN, 3), np.float32), batched_opacities=np.zeros(DRAWN, np.float32),
-            batched_colors=shapes.linear(PLUME_COLOUR), opacity=0.6, lod="off", cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            f"{self.path}/points",
+            *shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (DRAWN, 1)),
+            batched_positions=np.zeros((DRAWN, 3)),
+            batched_scales=np.zeros((DRAWN, 3), np.float32),
+            batched_opacities=np.zeros(DRAWN, np.float32),
+            batched_colors=shapes.linear(PLUME_COLOUR),
+            opacity=0.6,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def look(self, beside: Beside, time: float) -> None:
         """Evaluate the concentration and draw the strongest points."""

@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.export.output import replacing
@@ -34,7 +35,6 @@ FRAMES_OF_A_PART = 400
 # Progress is told at every so-many-th frame.
 TOLD_FRAMES = 50
 
-Floats = np.ndarray[Any, Any]
 Progress = Callable[[int, int], None]
 
 

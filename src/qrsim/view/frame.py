@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import StreamKeys
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.contents import ContentsState
@@ -18,7 +19,6 @@ from qrsim.tasks.places import Places
 from qrsim.view.reasons import code_in_words
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
-Floats = np.ndarray[Any, Any]
 # Of a vehicle that says nothing of its looks: that of the AscTec Pelican [m].
 PELICAN_SPAN = 0.65
 # Places of routes and paths that a view is chosen by; a route that ends this near to its start [m] is none.
@@ -246,7 +246,7 @@ def _pictures(state: State) -> dict[tuple[int, int], CameraReading]:
     }
 
 
-def axes_of(vector: Any) -> Floats:
+def axes_of(vector: object) -> Floats:
     """Return a Vec3 or Euler of arrays (n,) as (n, 3)."""
     return np.stack([np.asarray(axis) for axis in vars(vector).values()], axis=-1)
 

@@ -156,8 +156,9 @@ class Gate:
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
         """Guard the server that viser starts in this context; it takes no handlers of others."""
-        import websockets.asyncio.server as library
+        import websockets.asyncio.server
 
+        library: Any = websockets.asyncio.server
         with _installing:
             plain = library.serve
 
@@ -167,11 +168,11 @@ class Gate:
                 options["process_request"] = self._request(options["process_request"])
                 return plain(self._guarded(handler), *place, **options)
 
-            library.serve = serve  # type: ignore[assignment,misc]
+            library.serve = serve
             try:
                 yield
             finally:
-                library.serve = plain  # type: ignore[misc]
+                library.serve = plain
 
 
 _installing = threading.Lock()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
@@ -18,7 +18,6 @@ from qrsim.view.frame import Cast
 from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = GREY, (150, 140, 130), GREY
 GROUND_COLOUR = (205, 214, 186)
 # Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.
@@ -52,21 +51,41 @@ class Ground(Layer):
         down = 0.0
         if self._ground.at_zero:
             scene.add_grid(
-                f"{self.path}/grid", width=size, height=size, plane="xy", cell_size=cell, section_size=10.0 * cell,
-                cell_color=(196, 205, 186), section_color=(168, 178, 160), plane_color=(226, 232, 214),
-                plane_opacity=1.0, fade_distance=20.0 * size, shadow_opacity=0.0, position=(0.0, 0.0, 0.0),
-            )  # fmt: skip
+                f"{self.path}/grid",
+                width=size,
+                height=size,
+                plane="xy",
+                cell_size=cell,
+                section_size=10.0 * cell,
+                cell_color=(196, 205, 186),
+                section_color=(168, 178, 160),
+                plane_color=(226, 232, 214),
+                plane_opacity=1.0,
+                fade_distance=20.0 * size,
+                shadow_opacity=0.0,
+                position=(0.0, 0.0, 0.0),
+            )
         else:
             down = float(down_at(self._ground, np.array([north]), np.array([east]))[0])
             scene.add_mesh_simple(
-                f"{self.path}/surface", *surface(self._ground, found, reach), color=GROUND_COLOUR, flat_shading=True,
-                side="double", cast_shadow=False,
-            )  # fmt: skip
+                f"{self.path}/surface",
+                *surface(self._ground, found, reach),
+                color=GROUND_COLOUR,
+                flat_shading=True,
+                side="double",
+                cast_shadow=False,
+            )
         self.north, self.cell = (north + 1.15 * length, east, down), cell
         scene.add_mesh_simple(
-            f"{self.path}/north", *shapes.arrow(), color=NORTH_COLOUR, flat_shading=True, side="double",
-            scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False, position=(north, east, down),
-        )  # fmt: skip
+            f"{self.path}/north",
+            *shapes.arrow(),
+            color=NORTH_COLOUR,
+            flat_shading=True,
+            side="double",
+            scale=(length, 0.4 * length, 0.02 * length),
+            cast_shadow=False,
+            position=(north, east, down),
+        )
 
 
 def arrow_of(cast: Cast, span: float, length: float) -> tuple[float, float, float]:
@@ -117,27 +136,42 @@ class Obstacles(Layer):
         self._add("cylinders", shapes.prism(1.0, -0.5, 0.5), middle, np.stack([radius, radius, z_max - z_min], axis=1))
         if self._obstacles.prisms is not None:
             self.stage.scene.add_mesh_simple(
-                f"{self.path}/prisms", *solids(self._obstacles.prisms), color=OBSTACLE_COLOUR, flat_shading=True,
-                side="double", opacity=0.8, cast_shadow=False,
-            )  # fmt: skip
+                f"{self.path}/prisms",
+                *solids(self._obstacles.prisms),
+                color=OBSTACLE_COLOUR,
+                flat_shading=True,
+                side="double",
+                opacity=0.8,
+                cast_shadow=False,
+            )
 
     def _add(self, name: str, mesh: shapes.Mesh, middle: Floats, size: Floats) -> None:
         if len(middle):
             self.stage.scene.add_batched_meshes_simple(
-                f"{self.path}/{name}", *mesh, batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1)),
-                batched_positions=middle, batched_scales=np.asarray(size, np.float32),
-                batched_colors=shapes.linear(OBSTACLE_COLOUR), lod="off", flat_shading=True, side="double", opacity=0.8,
+                f"{self.path}/{name}",
+                *mesh,
+                batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1)),
+                batched_positions=middle,
+                batched_scales=np.asarray(size, np.float32),
+                batched_colors=shapes.linear(OBSTACLE_COLOUR),
+                lod="off",
+                flat_shading=True,
+                side="double",
+                opacity=0.8,
                 cast_shadow=False,
-            )  # fmt: skip
+            )
 
 
 def solids(prisms: Prisms) -> shapes.Mesh:
     """Return all prisms as one mesh of their pieces."""
     pieces = prisms.pieces
     parts = np.stack(
-        [np.asarray(part, np.float64)[: prisms.count] for part in (
-            pieces.south, pieces.north, *pieces.west, *pieces.east, pieces.z_min, pieces.z_max)], axis=1
-    )  # fmt: skip
+        [
+            np.asarray(part, np.float64)[: prisms.count]
+            for part in (pieces.south, pieces.north, *pieces.west, *pieces.east, pieces.z_min, pieces.z_max)
+        ],
+        axis=1,
+    )
     south, north, w0, w1, e0, e1, top, bottom = parts.T
     plan = ((south, w0), (south, e0), (north, w1), (north, e1))
     corners = np.stack([np.stack([x, y, z], axis=1) for x, y in plan for z in (top, bottom)], axis=1)
@@ -167,7 +201,7 @@ def grid_cell(extent: float) -> float:
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= extent / 20.0)
 
 
-def corners_of(area: Any) -> tuple[Floats, float, float] | None:
+def corners_of(area: object) -> tuple[Floats, float, float] | None:
     """Return corners (V, 2) north and east, ceiling and floor [m] of an area; None for an unknown shape."""
     if isinstance(area, PolygonArea):
         return np.stack([area.north, area.east], axis=1), float(area.z_min), float(area.z_max)

@@ -36,15 +36,31 @@ class Interference(Layer):
         tall, still = 1.5 * self.stage.span, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1))
         self._places, self._active = places, np.zeros(len(places), bool)
         self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/masts", *mast(), batched_wxyzs=still, batched_positions=places,
-            batched_scales=np.full((len(places), 3), tall, np.float32), batched_colors=shapes.linear(GREY), lod="off",
-            flat_shading=True, side="double", cast_shadow=False,
-        )  # fmt: skip
+            f"{self.path}/masts",
+            *mast(),
+            batched_wxyzs=still,
+            batched_positions=places,
+            batched_scales=np.full((len(places), 3), tall, np.float32),
+            batched_colors=shapes.linear(GREY),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+        )
         self._fences = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/fences", *fence(), batched_wxyzs=still, batched_positions=places,
-            batched_scales=np.zeros((len(places), 3), np.float32), batched_colors=shapes.linear(GREY), lod="off",
-            flat_shading=True, side="double", opacity=0.35, cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            f"{self.path}/fences",
+            *fence(),
+            batched_wxyzs=still,
+            batched_positions=places,
+            batched_scales=np.zeros((len(places), 3), np.float32),
+            batched_colors=shapes.linear(GREY),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            opacity=0.35,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
         for number, item in enumerate(self._found[:MOST_NAMED]):
             self.stage.scene.add_label(
                 f"{self.path}/words{number}", item.label, position=places[number] - [0.0, 0.0, 1.2 * tall]
@@ -75,8 +91,10 @@ def fence() -> shapes.Mesh:
 def mast() -> shapes.Mesh:
     """Return a mast of height 1 with a ball of three boxes at its top, above its place."""
     parts = [shapes.box((-0.03, -0.03, -1.0), (0.03, 0.03, 0.0))]
-    parts += [shapes.box((-a, -b, -1.0 - c), (a, b, -1.0 + c)) for a, b, c in ((0.2, 0.12, 0.12), (0.12, 0.2, 0.12),
-                                                                             (0.12, 0.12, 0.2))]  # fmt: skip
+    parts += [
+        shapes.box((-a, -b, -1.0 - c), (a, b, -1.0 + c))
+        for a, b, c in ((0.2, 0.12, 0.12), (0.12, 0.2, 0.12), (0.12, 0.12, 0.2))
+    ]
     return shapes.merged(*parts)
 
 

@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 from viser import SceneApi
 
+from qrsim.core.arrays import Floats
+from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.interface.arrays import quaternion_of
 from qrsim.models.scene.contracts import Ground
@@ -17,7 +19,6 @@ from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
 
-Floats = np.ndarray[Any, Any]
 STOPPED_COLOUR, GUST_COLOUR, GHOST_COLOUR, POLE_COLOUR = STOPPED, GUST, GREY, GREY
 # More labels than this cannot be read.
 MOST_LABELS = 20
@@ -69,7 +70,7 @@ class Stage:
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
     """Return the down coordinate [m] of a ground at places of any shape."""
-    places: Any = Vec3(np.float32(north), np.float32(east), np.zeros_like(north, np.float32))  # type: ignore[arg-type]
+    places: Any = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
     return np.asarray(ground.down(places))
 
 
@@ -147,12 +148,15 @@ class Bodies:
             (
                 members,
                 layer.batch(
-                    f"bodies{number or ''}", shapes.looks(kind), colours[members] if each else colours, members,
+                    f"bodies{number or ''}",
+                    shapes.looks(kind),
+                    colours[members] if each else colours,
+                    members,
                     **options,
                 ),
             )
             for number, (kind, members) in enumerate(every)
-        ]  # fmt: skip
+        ]
 
     def place(self, position_ned: Floats, attitude: Floats, span: Floats) -> None:
         """Move all vehicles (n, 3) [m], turn them (n, 3) [rad], and give each (n,) a span [m]."""

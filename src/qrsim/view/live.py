@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import walk
 from qrsim.simulation.history import History
 from qrsim.simulation.simulation import Simulation
@@ -28,7 +29,6 @@ from qrsim.view.steering import Wind, change_wind, wind_of
 from qrsim.view.truth import true_values
 from qrsim.world.state import State, World
 
-Floats = np.ndarray[Any, Any]
 # What a plot keeps: a minute of simulated time, in so many values.
 PLOT_S, MOST_VALUES = 60.0, 900
 
@@ -267,7 +267,7 @@ class LiveView:
             button = gui.add_button("Change")
 
         @button.on_click
-        def _(_: Any) -> None:
+        def _(_: object) -> None:
             self._wished = Wind(speed.value, bearing.value)
 
 

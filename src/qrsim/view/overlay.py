@@ -133,15 +133,15 @@ class Overlay:
         """Mark a vehicle, or none, in one browser or in all."""
         self._tell("choose", vehicle, browser)
 
-    def follow(self, vehicle: int | None, browser: Any = None) -> None:
+    def follow(self, vehicle: int | None, browser: object = None) -> None:
         """Follow a vehicle, or none, in one browser or in all."""
         self._tell("follow", vehicle, browser)
 
-    def sky(self, told: dict[str, Any] | None, browser: Any) -> None:
+    def sky(self, told: dict[str, Any] | None, browser: object) -> None:
         """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
         self._tell("sky", told, browser)
 
-    def _tell(self, what: str, content: Any, browser: Any) -> None:
+    def _tell(self, what: str, content: object, browser: object) -> None:
         # Also where the overlay's own script comes later.
         words = json.dumps(content)
         told = f"(window.qrsimTold ??= {{}}).{what} = {words}; window.qrsim?.{what}({words})"
@@ -174,7 +174,7 @@ def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
     return {"kind": kind, "colours": [[int(part) for part in colour] for colour in own], "text": text, "layer": layer}
 
 
-def _plain(values: Any) -> Any:
+def _plain(values: object) -> Any:
     """Return colours for JSON."""
     if isinstance(values, dict):
         return {name: list(own) for name, own in values.items()}

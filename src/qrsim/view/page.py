@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from viser import ClientHandle, ViserServer
 
+from qrsim.core.arrays import Floats
 from qrsim.view.air import REACHES
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
@@ -23,7 +24,6 @@ from qrsim.view.sky import Satellite
 from qrsim.view.viewers import Choice, Plotted, Viewer
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # Status and plots are renewed at every so-many-th frame.
 STATUS_FRAMES, PLOT_FRAMES = 6, 15
 MOST_STOPPED = 5
@@ -179,7 +179,7 @@ class Page:
             )
 
         @buttons.on_click
-        def _(_: Any) -> None:
+        def _(_: object) -> None:
             if buttons.value == "step":
                 clock.step()
             else:
@@ -189,7 +189,7 @@ class Page:
                 self._say(self.scene.frame)
 
         @speed.on_update
-        def _(_: Any) -> None:
+        def _(_: object) -> None:
             clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
 
     def _add_layers(self) -> None:
@@ -204,7 +204,7 @@ class Page:
                 self._shown[title].on_update(partial(self._show, title))
             self._add_air()
 
-        def resize(_: Any) -> None:
+        def resize(_: object) -> None:
             size.disabled = true.value
             self.scene.resize(stage.cast.true_span if true.value else size.value)
 
@@ -221,7 +221,7 @@ class Page:
         shows = gui.add_dropdown("Air", list(REACHES), initial_value=layer.shows)
         self._air = (height, shows)
 
-        def change(_: Any) -> None:
+        def change(_: object) -> None:
             self.scene.show_air(height.value, shows.value)
 
         height.on_update(change)

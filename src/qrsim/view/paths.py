@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.frame import Frame
 from qrsim.view.layers import MANY, MOST_LABELS, Layer
 
-Floats = np.ndarray[Any, Any]
 LENGTH_S = 60.0
 # Corners of the paths of all vehicles together; of each path the fewest and most pieces, and the most corners of one.
 SEGMENTS, FEWEST_PIECES, MOST_PIECES, MOST_CORNERS = 20_000, 8, 40, 15
@@ -104,9 +104,12 @@ class Paths(Layer):
             # What has no length yet would weigh as much as a path.
             elif np.isfinite(self._to[number]):
                 self._nodes[number] = self.stage.scene.add_line_segments(
-                    f"{self.path}/{number}", self._segments(number), self._colours(),
-                    thickness=self.thickness, thickness_units="screen",
-                )  # fmt: skip
+                    f"{self.path}/{number}",
+                    self._segments(number),
+                    self._colours(),
+                    thickness=self.thickness,
+                    thickness_units="screen",
+                )
         self._changed.clear()
 
     def _segments(self, number: int) -> Floats:

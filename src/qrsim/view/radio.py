@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.radio.links import Outcome
 from qrsim.runs.colours import WIND, on_scale
 from qrsim.view import shapes
@@ -13,7 +14,6 @@ from qrsim.view.frame import Frame, Links
 from qrsim.view.layers import Layer, Stage
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 LINKS = "radio links"
 # Packets that are lost with more than this chance are not drawn: nobody counts on them.
 FAINTEST = 0.02
@@ -36,12 +36,18 @@ class RadioLinks(Layer):
         size = self.stage.cast.size
         room = self._room = min(MOST_DRAWN, size * (size - 1))
         self._handle: Any = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/halves", *shapes.box((0.0, -0.5, -0.5), (1.0, 0.5, 0.5)),
-            batched_positions=np.zeros((room, 3)), batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)),
+            f"{self.path}/halves",
+            *shapes.box((0.0, -0.5, -0.5), (1.0, 0.5, 0.5)),
+            batched_positions=np.zeros((room, 3)),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)),
             batched_scales=np.zeros((room, 3), np.float32),
-            batched_colors=np.tile(shapes.linear(WIND[-1]), (room, 1)), lod="off", flat_shading=True, side="double",
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            batched_colors=np.tile(shapes.linear(WIND[-1]), (room, 1)),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def draw(self, frame: Frame) -> None:
         """Lay the halves along the links of the last period."""

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
 from qrsim.runs.layout import INDEX
 from qrsim.view.sky import columns_of, of_satellites
 from qrsim.view.truth import true_values
 
-Floats = np.ndarray[Any, Any]
 # Of all quantities of all vehicles together: at most so many values, and so many a second of each.
 MOST_VALUES, FASTEST_HZ = 8_000_000, 10.0
 # The same of satellites: of all vehicles together, and a second.

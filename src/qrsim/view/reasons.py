@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from qrsim.models.scene.area import REASONS
 
@@ -25,7 +24,7 @@ WORDS: dict[tuple[str, str], Callable[[float], str]] = {
 }
 
 
-def in_words(kind: str, field: str | None, value: float | None, area: Any = None) -> str:
+def in_words(kind: str, field: str | None, value: float | None, area: object = None) -> str:
     """Say why a vehicle has stopped.
 
     Args:
@@ -47,13 +46,13 @@ def in_words(kind: str, field: str | None, value: float | None, area: Any = None
     return kind.replace("_", " ") + (f", {name} = {number:.4g}" if name else "")
 
 
-def code_in_words(code: int, value: float, area: Any) -> str:
+def code_in_words(code: int, value: float, area: object) -> str:
     """Say why a vehicle has stopped, by the code and the value of a state's violation."""
     kind, field = REASONS[code]
     return in_words(kind, field, value, area)
 
 
-def _where(axis: str, value: float, area: Any) -> str:
+def _where(axis: str, value: float, area: object) -> str:
     """Return on which side a position (value [m] on one axis) is outside of an area, "" where that is not known."""
     known = {} if area is None else vars(area)
     low, high = (known.get(f"{axis}_{end}") for end in ("min", "max"))

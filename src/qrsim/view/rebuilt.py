@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from qrsim.core.noise import Draw, Key
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs import Run
@@ -30,8 +30,6 @@ from qrsim.view.truth import ANGLES, AXES
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import draw_field, episode_draws
 from qrsim.world.state import World, period_ticks
-
-Floats = np.ndarray[Any, Any]
 
 
 class Rebuilt:
@@ -138,7 +136,7 @@ class _Camera:
             self._columns.at(name, time)[self._vehicles].astype(self._dtype)
             for name in ("taken_at_ned", "taken_attitude", "picture")
         )
-        return CameraReading(Vec3(*where.T), Euler(*attitude.T), number[:, 0])  # type: ignore[arg-type]
+        return record_of(CameraReading, Vec3(*where.T), Euler(*attitude.T), number[:, 0])
 
 
 def _cameras(run: Run, world: World) -> dict[tuple[int, int], _Camera]:

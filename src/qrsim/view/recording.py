@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
@@ -24,7 +25,6 @@ from qrsim.view.sky import Satellite, columns_of, satellites
 from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # Of a plot [s].
 PLOT_S = 60.0
 # Times at which places along the paths are looked up.
@@ -148,7 +148,7 @@ class Recording:
         """Return measured positions (K, n, 3) at times (K,) [s]: horizontal from GNSS, vertical from the barometer."""
         return self._estimate(times)
 
-    def _estimate(self, times: Any) -> Floats:
+    def _estimate(self, times: object) -> Floats:
         estimate = self._measured.at("fix", times).copy()
         height = self._measured.at("height", times)[..., 0]
         estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])

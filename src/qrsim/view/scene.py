@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from viser import ViserServer
 
+from qrsim.core.arrays import Floats
 from qrsim.view.air import AIR, Air, air_layers
 from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
@@ -23,7 +23,6 @@ from qrsim.view.radio import radio_layers
 from qrsim.view.task import task_layers
 from qrsim.world.state import World
 
-Floats = np.ndarray[Any, Any]
 # Spans of a drawn vehicle [m]: that of a Pelican, and the largest of a few; of many, a part of the room that each has.
 SMALLEST_SPAN, LARGEST_SPAN, SHARE_OF_ROOM, MANY = 0.65, 12.0, 0.35, 50
 # Lag of a browser [s] that spares it nothing; how much less often it may come to; what is left of that a frame later.
@@ -177,7 +176,7 @@ class Scene:
                 if isinstance(layer, Cameras) and layer.root.visible and self.frame is not None:
                     layer.draw(self.frame)
 
-    def nearest(self, origin: Any, direction: Any) -> int | None:
+    def nearest(self, origin: object, direction: object) -> int | None:
         """Return the vehicle at the smallest angle from a ray of the camera."""
         if self.frame is None:
             return None

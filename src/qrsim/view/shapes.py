@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.runs.colours import RATIO, VEHICLES, WIND, on_scale
 
-Floats = np.ndarray[Any, Any]
 Mesh = tuple[Floats, Floats]
 
 PALETTE = VEHICLES
@@ -120,15 +120,31 @@ def car() -> Mesh:
 def plane() -> Mesh:
     """Return an aeroplane of span 1 in body axes (x ahead, y right, z down), its tail a V upside down on two booms."""
     wing = (
-        np.array([(0.1, 0.0, -0.04), (0.04, 0.5, -0.06), (-0.06, 0.5, -0.06), (-0.08, 0.0, -0.04),
-                  (-0.06, -0.5, -0.06), (0.04, -0.5, -0.06)]),
+        np.array(
+            [
+                (0.1, 0.0, -0.04),
+                (0.04, 0.5, -0.06),
+                (-0.06, 0.5, -0.06),
+                (-0.08, 0.0, -0.04),
+                (-0.06, -0.5, -0.06),
+                (0.04, -0.5, -0.06),
+            ]
+        ),
         np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]),
-    )  # fmt: skip
+    )
     tail = (
-        np.array([(-0.4, -0.09, -0.02), (-0.48, -0.09, -0.02), (-0.48, 0.0, -0.14), (-0.42, 0.0, -0.14),
-                  (-0.4, 0.09, -0.02), (-0.48, 0.09, -0.02)]),
+        np.array(
+            [
+                (-0.4, -0.09, -0.02),
+                (-0.48, -0.09, -0.02),
+                (-0.48, 0.0, -0.14),
+                (-0.42, 0.0, -0.14),
+                (-0.4, 0.09, -0.02),
+                (-0.48, 0.09, -0.02),
+            ]
+        ),
         np.array([(0, 1, 2), (0, 2, 3), (3, 2, 5), (3, 5, 4)]),
-    )  # fmt: skip
+    )
     booms = [box((-0.48, y - 0.008, -0.035), (0.0, y + 0.008, -0.015)) for y in (-0.09, 0.09)]
     fuselage = box((-0.16, -0.04, -0.05), (0.18, 0.04, 0.04))
     return merged(wing, tail, *booms, fuselage, cone(0.17, 0.34, 0.045))
@@ -167,7 +183,7 @@ def along(direction: Floats) -> Floats:
     return quaternion / norm[:, None]
 
 
-def linear(colours: Any) -> Any:
+def linear(colours: object) -> Any:
     """Return sRGB colours (..., 3) as the linear ones that a page wants of instances and corners (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255.0
     found = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)

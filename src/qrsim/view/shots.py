@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.view.overlay import SOUTH
 from qrsim.view.scene import Scene
@@ -78,7 +79,7 @@ class Camera:
             scene.look_from(DIRECTIONS[self.direction])
 
 
-def _corners(scene: Scene, world: World | None) -> np.ndarray[Any, Any]:
+def _corners(scene: Scene, world: World | None) -> NumpyArray:
     """Return corners (K, 3) of the area of a world [m]; of where vehicles start, if it is no box or not known."""
     area: Any = None if world is None else world.area
     if area is None or not area.is_box:

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
 from qrsim.world.state import State
 
-Floats = np.ndarray[Any, Any]
 # Of a satellite: its name, azimuth and elevation [deg], C/N0 [dB-Hz], state.
 Satellite = tuple[str, int, int, int, int]
 
@@ -33,11 +33,14 @@ def satellites(said: Mapping[str, Floats]) -> list[Satellite]:
     azimuth = np.degrees(np.asarray(said["azimuth"], np.float64))
     return [
         (
-            satellite_name(int(number[k])), round(float(azimuth[k])), round(float(elevation[k])),
-            round(float(said["cn0"][k])), int(said["satellite_state"][k]),
+            satellite_name(int(number[k])),
+            round(float(azimuth[k])),
+            round(float(elevation[k])),
+            round(float(said["cn0"][k])),
+            int(said["satellite_state"][k]),
         )
         for k in there.tolist()
-    ]  # fmt: skip
+    ]
 
 
 def told(vehicle: str, found: list[Satellite]) -> dict[str, Any] | None:

@@ -41,7 +41,7 @@ class Packing:
         self.arrays.append(view)
         return {"__binary_index": len(self.arrays) - 1, "dtype": "<f4"}
 
-    def _referring(self, value: Any) -> Any:
+    def _referring(self, value: object) -> Any:
         """Replace bytes, for which JSON has no word."""
         if isinstance(value, bytes | bytearray | memoryview):
             self.arrays.append(memoryview(value).cast("B"))
@@ -106,7 +106,7 @@ class Tape:
         """Begin a frame at a time [s]."""
         self.frames.append((time, []))
 
-    def part(self, **beside: Any) -> str:
+    def part(self, **beside: object) -> str:
         """Return the text of the part, with arrays beside it."""
         arrays = {name: self._packing.array(values) for name, values in beside.items()}
         return self._packing.text({"frames": self.frames, **arrays})

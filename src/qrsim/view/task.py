@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.runs.colours import GREY, PLUME, Colour
 from qrsim.tasks.places import Places
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage
 
-Floats = np.ndarray[Any, Any]
 # More goals than these have no words: they would hide each other.
 MOST_NAMED = 3
 GOALS, SOURCES, LOCATIONS = "goals", "sources", "places asked for"
@@ -37,12 +37,19 @@ class _Marks(Layer):
         """Add them."""
         count, (corners, faces) = len(self._places), self.mesh()
         self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/marks", corners.astype(np.float32), faces.astype(np.uint32),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), batched_positions=self._places,
+            f"{self.path}/marks",
+            corners.astype(np.float32),
+            faces.astype(np.uint32),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            batched_positions=self._places,
             batched_scales=np.full((count, 3), self.spans * self.stage.span, np.float32),
-            batched_colors=shapes.linear(self.colour), lod="off", flat_shading=True, side="double",
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            batched_colors=shapes.linear(self.colour),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
 
 class Goals(_Marks):

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Callable
 from importlib.resources import files
-from typing import Any
 
 from viser import ViserServer
 
@@ -52,7 +51,7 @@ class Timeline:
         playing = "true" if self._clock.playing else "false"
         self._run("time", f"window.qrsimTime?.({time:.3f}, {playing}, {self._clock.speed:g})")
 
-    def wish(self, wish: Any) -> None:
+    def wish(self, wish: object) -> None:
         """Do what a browser asks for; nonsense is not heard."""
         if not isinstance(wish, dict):
             return

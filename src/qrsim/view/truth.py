@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.interface.arrays import quaternion_of
 
-Floats = np.ndarray[Any, Any]
 AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from viser import ClientHandle
 
+from qrsim.core.arrays import Floats
 from qrsim.view.scene import Scene
 from qrsim.view.sky import Satellite, told
 
-Floats = np.ndarray[Any, Any]
 Plotted = Callable[[int, str], tuple[Floats, Floats, Floats]]
 NOBODY = "(nobody)"
 # A plot has at most so many points; below: how many plots there are, and their place in the panel.

@@ -33,7 +33,7 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
 
     ``memory`` is the turbulence's state.
     """
-    shared, drawn = _parted(world, field)
+    shared, drawn = _shared_and_own(world, field)
     inputs = turbulence_inputs(world.turbulence, position_ned, time, shared)
     random = world.turbulence.gust_ned(memory, height_agl, **inputs)
     carried: dict[str, Any] = {name: world.turbulence.convection_velocity_ned(world.wind) for name in world.gust.reads}
@@ -48,7 +48,7 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
     return gust
 
 
-def _parted(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
+def _shared_and_own(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
     """Return what the turbulence of all vehicles shares, and what each updraft has drawn."""
     return (field.turbulence, field.updrafts) if world.updrafts else (field, ())
 
@@ -59,7 +59,7 @@ def gust_rates_at(
     """Return the rotation of the air (n,) [rad/s] in NED, None where the turbulence gives none."""
     if not world.turbulence.rates:
         return None
-    inputs = turbulence_inputs(world.turbulence, position_ned, time, _parted(world, field)[0])
+    inputs = turbulence_inputs(world.turbulence, position_ned, time, _shared_and_own(world, field)[0])
     return world.turbulence.gust_rates_ned(memory, height_agl, **inputs)
 
 

@@ -42,15 +42,18 @@ def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState,
         stopped = fleet.vehicle.stopped(old.vehicle)
         valid = violation.code == 0
         # The vehicle itself is put back, and its estimate stays: what else a stopped vehicle computes goes nowhere.
-        kept = select(valid, new.vehicle, stopped)
+        vehicle = select(valid, new.vehicle, stopped)
         low = select(valid, new.position_low_ned, old.position_low_ned)
         checked.append(
             replace(
-                new, vehicle=kept, position_low_ned=low, violation=violation,
+                new,
+                vehicle=vehicle,
+                position_low_ned=low,
+                violation=violation,
                 estimate=select(valid, new.estimate, at_rest(old.estimate)),
                 command_clipped=new.command_clipped & valid,
             )
-        )  # fmt: skip
+        )
     return tuple(checked)
 
 

@@ -77,10 +77,12 @@ def _command_some(
     for which, action in some.parts:
         theirs = command_fleet(world, whole, fleet, state, tick, action, believed)
         found = Commanded(
-            select(which, theirs.guidance, found.guidance), select(which, theirs.setpoint, found.setpoint),
-            select(which, theirs.controller, found.controller), found.estimate,
+            select(which, theirs.guidance, found.guidance),
+            select(which, theirs.setpoint, found.setpoint),
+            select(which, theirs.controller, found.controller),
+            found.estimate,
             _joined(found.commands, which, theirs.commands[0][1]),
-        )  # fmt: skip
+        )
     return found
 
 
@@ -100,12 +102,12 @@ def _alike(one: object, other: object) -> bool:
 
 def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Callable[[object, Array], T]) -> T:
     """Return what a function makes of each vehicle; commands have which (n,) bool it is, and the arguments."""
-    found: T | None = None
+    merged: T | None = None
     for which, command, clipped in commands:
-        made = function(command, clipped)
-        found = made if found is None or which is None else select(which, made, found)
-    assert found is not None
-    return found
+        result = function(command, clipped)
+        merged = result if merged is None or which is None else select(which, result, merged)
+    assert merged is not None
+    return merged
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:

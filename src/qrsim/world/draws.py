@@ -27,7 +27,7 @@ from qrsim.world.state import (
 
 def keys_of(world: World, key: Key) -> WorldKeys:
     """Return the keys of all streams of a world; on the host if the key is there."""
-    fleets = [_named(fleet, suffix) for suffix in ("", "/start") for fleet in world.fleets]
+    fleets = [_stream_names(fleet, suffix) for suffix in ("", "/start") for fleet in world.fleets]
     episode, plume, radio = episode_streams(world), world.contents.plume.changes, world.radio is not None
     sky, start, *rest = key.families(
         [[SKY], [f"{SKY}/start"], *fleets, episode, [PLUME] if plume else [], STREAMS if radio else []]
@@ -44,10 +44,10 @@ def keys_of(world: World, key: Key) -> WorldKeys:
 
 def stream_keys(fleet: Fleet, key: Key) -> StreamKeys:
     """Return the keys of a fleet's streams."""
-    return key.streams(_named(fleet, ""))
+    return key.streams(_stream_names(fleet, ""))
 
 
-def _named(fleet: Fleet, suffix: str) -> list[str]:
+def _stream_names(fleet: Fleet, suffix: str) -> list[str]:
     return [f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names]
 
 

@@ -138,9 +138,16 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
 def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
     """Return the part of a world that sensors may read at a tick."""
     return Surroundings(
-        world.contents, contents, world.wind, world.area, tick, world.time_step, world.ground, world.skyline,
+        world.contents,
+        contents,
+        world.wind,
+        world.area,
+        tick,
+        world.time_step,
+        world.ground,
+        world.skyline,
         world.obstacles,
-    )  # fmt: skip
+    )
 
 
 def step_contents(

@@ -33,12 +33,12 @@ def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: t
     return world.radio.init(draws[FIELD_STREAM], keys.radio, like)
 
 
-def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: Array, due: Array) -> object:
+def exchange(world: World, state: State, outboxes: tuple[Outbox | None, ...], tick: Array, due: Array) -> object:
     """Return the state of the radio after what is said at a tick.
 
     Args:
         world, state: at the start of the tick.
-        said: by the vehicles of each fleet; None: nothing, so that they send beacons, if any.
+        outboxes: of the vehicles of each fleet; None: nothing, so that they send beacons, if any.
         tick: () int32 now.
         due: () int32 the same, not batched.
     """
@@ -57,8 +57,8 @@ def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: 
     obstacles = world.obstacles
     height = world.height_agl(position) if radio.asks_height else None
     surfaces = Surfaces(position, works, obstacles if any_of(obstacles) else None, height)
-    spoken = None if all(part is None for part in said) else _together(world, said, position.x)
-    beacons = _beacons(world, state, said) if radio.beacon else None
+    spoken = None if all(part is None for part in outboxes) else _merged_outbox(world, outboxes, position.x)
+    beacons = _beacons(world, state, outboxes) if radio.beacon else None
     ids = np.concatenate([vehicle_ids(fleet) for fleet in world.fleets])
     return radio.exchange(state.radio, Exchange(spoken, beacons, surfaces, ids, tick, due, world.time_step))
 
@@ -75,15 +75,16 @@ def vehicle_ids(fleet: Fleet) -> npt.NDArray[np.uint32]:
     return ((first + np.arange(fleet.size, dtype=np.uint64)) & 0xFFFFFFFF).astype(np.uint32)
 
 
-def _together(world: World, said: tuple[Outbox | None, ...], like: Array) -> Outbox:
-    """Return what all vehicles have to say, those of silent fleets nothing."""
+def _merged_outbox(world: World, outboxes: tuple[Outbox | None, ...], like: Array) -> Outbox:
+    """Return one outbox of all vehicles, empty for those of silent fleets."""
     assert world.radio is not None
     parts = []
-    for fleet, part in zip(world.fleets, said, strict=True):
+    for fleet, part in zip(world.fleets, outboxes, strict=True):
         nothing = Outbox(
-            jnp.zeros((world.radio.size, fleet.size), like.dtype), jnp.zeros(fleet.size, bool),
+            jnp.zeros((world.radio.size, fleet.size), like.dtype),
+            jnp.zeros(fleet.size, bool),
             jnp.full(fleet.size, -1, jnp.int32),
-        )  # fmt: skip
+        )
         parts.append(part or nothing)
     return Outbox(
         jnp.concatenate([part.payload for part in parts], axis=1),
@@ -92,11 +93,11 @@ def _together(world: World, said: tuple[Outbox | None, ...], like: Array) -> Out
     )
 
 
-def _beacons(world: World, state: State, said: tuple[Outbox | None, ...]) -> Outbox:
+def _beacons(world: World, state: State, outboxes: tuple[Outbox | None, ...]) -> Outbox:
     """Return each vehicle's estimate of its own position and velocity, for all; nothing of those who speak."""
     assert world.radio is not None
     size, parts, sends = world.radio.size, [], []
-    for fleet, now, part in zip(world.fleets, state.fleets, said, strict=True):
+    for fleet, now, part in zip(world.fleets, state.fleets, outboxes, strict=True):
         estimate = estimate_of(fleet, now)
         numbers = [*estimate.position_ned.axes, *estimate.velocity_ned.axes]
         zero = jnp.zeros_like(numbers[0])

@@ -143,9 +143,14 @@ def _moved_on(memory: Fitted | None, scene: dict[str, object]) -> Fitted | None:
 
 
 def _sent(
-    step: Callable[[], tuple[object, Record]], fitting: Fitting, memory: Fitted, draw: Any, period: float, dt: float,
+    step: Callable[[], tuple[object, Record]],
+    fitting: Fitting,
+    memory: Fitted,
+    draw: object,
+    period: float,
+    dt: float,
     tick: Array,
-) -> tuple[object, Any]:  # fmt: skip
+) -> tuple[object, Any]:
     """Step a sensor and send its reading; return its state, and what is on its way."""
     after, reading = step()
     assert memory.transit is not None
@@ -178,16 +183,18 @@ def _believed(
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
     }
     found = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
-    kept = at_rest(belief.estimate)
-    return replace(
-        found, estimate=select(valid, found.estimate, kept), std=select(valid, found.std, belief.std)
-    )  # fmt: skip
+    resting = at_rest(belief.estimate)
+    return replace(found, estimate=select(valid, found.estimate, resting), std=select(valid, found.std, belief.std))
 
 
 def first_belief(
-    fleet: Fleet, state: FleetState, firsts: Sequence[tuple[object, Record]], draws: dict[str, Any],
-    readings: dict[str, Record], start: Estimate,
-) -> Belief | None:  # fmt: skip
+    fleet: Fleet,
+    state: FleetState,
+    firsts: Sequence[tuple[object, Record]],
+    draws: dict[str, Any],
+    readings: dict[str, Record],
+    start: Estimate,
+) -> Belief | None:
     """Return what a fleet's estimator makes of the first readings, of which ``firsts`` has the sensors' states."""
     estimator = fleet.own_estimator
     if estimator is None:

@@ -55,10 +55,10 @@ def started(
             vehicle = fleet.vehicle.stood(vehicle, lambda place: (world.ground_down(place), world.ground.normal(place)))
         return vehicle, low, None
     pose = fleet.vehicle.pose(vehicle)
-    parked = (jnp.abs(_depth(world, pose, low)) <= START_HEIGHT) & _softly(*_touch(world, pose))
+    parked = (jnp.abs(_depth(world, pose, low)) <= START_HEIGHT) & _is_soft(*_touch(world, pose))
     zero = jnp.zeros_like(pose.position_ned.z)
     level = replace(pose, attitude=Euler(zero, zero, pose.attitude.yaw), rates_body=Vec3(zero, zero, zero))
-    held, held_low = _held(world, fleet, level, low, zero)
+    held, held_low = _at_rest_below(world, fleet, level, low, zero)
     return select(parked, held, vehicle), select(parked, held_low, low), parked
 
 
@@ -82,13 +82,13 @@ def settled(
     load, pose = model.load(moved), model.pose(moved)
     # Who would lean before it has the thrust for that would come down again, and lean when it touches.
     stays = before.parked & ~(load.thrust * model.upright_share(command) > load.weight)
-    lands = (_depth(world, pose, low) > 0.0) & _softly(*_touch(world, pose))
+    lands = (_depth(world, pose, low) > 0.0) & _is_soft(*_touch(world, pose))
     # Whoever stays is where it was, and whoever lands where it came down.
     stood = model.pose(before.vehicle)
     place = select(stays, stood.position_ned, pose.position_ned)
-    place_low = select(stays, before.position_low_ned, low)
+    position_low_ned = select(stays, before.position_low_ned, low)
     there = _levelled(world, replace(pose, position_ned=place, attitude=select(stays, stood.attitude, pose.attitude)))
-    held, held_low = _held(world, fleet, there, place_low, load.thrust)
+    held, held_low = _at_rest_below(world, fleet, there, position_low_ned, load.thrust)
     parked = stays | lands
     handling = model.handling()
     assert handling is not None
@@ -168,11 +168,13 @@ def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
     return pose.velocity_body.norm(), jnp.arccos(jnp.clip(-normal.dot(rotation(pose.attitude).down), -1.0, 1.0))
 
 
-def _softly(speed: Array, tilt: Array) -> Array:
+def _is_soft(speed: Array, tilt: Array) -> Array:
     return (speed < SOFT_SPEED) & (tilt < SOFT_TILT)
 
 
-def _held(world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array) -> tuple[VehicleState, Vec3 | None]:
+def _at_rest_below(
+    world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array
+) -> tuple[VehicleState, Vec3 | None]:
     """Return vehicles (n,) at rest on the ground below a pose, in its attitude and rates, with a thrust (n,) [N]."""
     zero = jnp.zeros_like(pose.position_ned.z)
     place = replace(pose.position_ned, z=world.ground_down(pose.position_ned))

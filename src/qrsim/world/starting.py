@@ -164,7 +164,7 @@ def launched(world: World, fleet: Fleet, vehicle: VehicleState) -> VehicleState:
     """Return vehicles (n,) at their start; who starts in flight does so in the mean wind there."""
     if not fleet.vehicle.launches:
         return vehicle
-    place = fleet.vehicle.pose(vehicle).position_ned
-    height = world.height_agl(place)
+    position_ned = fleet.vehicle.pose(vehicle).position_ned
+    height = world.height_agl(position_ned)
     time = split_time(jnp.int32(0), world.time_step, height.dtype)
-    return fleet.vehicle.launched(vehicle, mean_wind_at(world.wind, height, place, time))
+    return fleet.vehicle.launched(vehicle, mean_wind_at(world.wind, height, position_ned, time))

@@ -83,9 +83,17 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     )
     found = tuple(found for _, found in placed if found is not None)
     return State(
-        sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found, field,
+        sky,
+        fleets,
+        keys.sky,
+        keys.fleets,
+        contents,
+        keys.plume,
+        drawn,
+        found,
+        field,
         start_radio(world, draws, keys, fleets),
-    )  # fmt: skip
+    )
 
 
 def step(
@@ -126,9 +134,11 @@ def step(
     checked = check(world, state.fleets, flown)
     contents = step_contents(world, state, checked, due, after)
     view = with_traffic(
-        world, surroundings(world, contents, after), [fleet.vehicle for fleet in checked],
+        world,
+        surroundings(world, contents, after),
+        [fleet.vehicle for fleet in checked],
         [fleet.violation.code == 0 for fleet in checked],
-    )  # fmt: skip
+    )
     sensed = tuple(
         sense(world, fleet, fleet_state, sky, view, drawn, due, after)
         for fleet, fleet_state, drawn in zip(world.fleets, checked, noise, strict=True)
@@ -189,9 +199,15 @@ def _fly(
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         vehicle, low, force = move(
-            model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
+            model,
+            state.vehicle,
+            state.position_low_ned,
+            command,
+            lambda trig: trig.rotation().to_body(air),
+            drawn,
+            dt,
             around,
-        )  # fmt: skip
+        )
         vehicle = model.with_wrapped_yaw(vehicle)
         parked = state.parked
         if parked is not None:
@@ -204,12 +220,24 @@ def _fly(
     if flown.shown is not None:
         command = model.shown(flown.shown)
     return replace(
-        state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
-        turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
+        state,
+        vehicle=vehicle,
+        position_low_ned=low,
+        specific_force=force,
+        parked=parked,
+        turbulence=turbulence,
+        mean_wind_ned=mean_wind,
+        gust_ned=gust,
         gust_rates_ned=gust_rates,
-        estimate=flown.estimate, guidance=flown.guidance, setpoint=flown.setpoint, controller=flown.controller,
-        command=command, command_clipped=clipped, battery=battery, turns=_turned(fleet, state, vehicle),
-    )  # fmt: skip
+        estimate=flown.estimate,
+        guidance=flown.guidance,
+        setpoint=flown.setpoint,
+        controller=flown.controller,
+        command=command,
+        command_clipped=clipped,
+        battery=battery,
+        turns=_turned(fleet, state, vehicle),
+    )
 
 
 def _turned(fleet: Fleet, before: FleetState, after: VehicleState) -> Array | None:

@@ -132,7 +132,7 @@ def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: 
     def felt() -> tuple[Vec3, Vec3]:
         winds = [
             _sum([_sum_at(jets, place, inside, jet_speed) for (jets, _), inside in zip(found, near, strict=True)])
-            for place in _places(points, pose.position_ned, turned)
+            for place in _points_ned(points, pose.position_ned, turned)
         ]
         return _sum(winds) * (1.0 / len(points)), _rotation_of(points, [turned.to_body(wind).z for wind in winds])
 
@@ -154,7 +154,7 @@ def _one_by_one(
         near = near & (others != whose) if same else near
 
         def more() -> tuple[Vec3, Vec3]:
-            blown = _blown(jet, near, pose.position_ned, points, turned)
+            blown = _wind_of_jet(jet, near, pose.position_ned, points, turned)
             return velocity + blown[0], rates + blown[1]
 
         return turn + 1, *jax.lax.cond(jnp.any(near), more, lambda: (velocity, rates))
@@ -162,12 +162,12 @@ def _one_by_one(
     return jax.lax.while_loop(lambda carry: carry[0] < reaching.total, one_more, (jnp.int32(0), *felt))[1:]
 
 
-def _blown(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...], turned: Rotation) -> tuple[Vec3, Vec3]:
+def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...], turned: Rotation) -> tuple[Vec3, Vec3]:
     """Return the mean velocity (k,) in NED and the rotation (k,) in body axes that one wake adds, where it is near."""
     axis = jet.axis.map(lambda part: part[0, 0])
     speeds = [
         jnp.where(near, jet_speed(jet.wake, jet.thrust, *_cylindrical(jet, at))[0], 0.0)
-        for at in _places(points, place, turned)
+        for at in _points_ned(points, place, turned)
     ]
     mean = functools.reduce(operator.add, speeds) * (1.0 / len(points))
     downward = axis.dot(turned.down)
@@ -195,7 +195,7 @@ def _reaching(
     for fleet, radius in zip(world.fleets, radii, strict=True):
         own, nearest = nearest[: fleet.size], nearest[fleet.size :]
         # Written so that a NaN is no proof that nobody is reached.
-        found.append(None if radius is None else _listed((radius > 0.0) & ~(radius * radius <= own)))
+        found.append(None if radius is None else _indices_of((radius > 0.0) & ~(radius * radius <= own)))
     return tuple(found)
 
 
@@ -221,7 +221,7 @@ def _radius(jets: Jets, lowest: Array, extent: Array) -> Array:
     return jnp.where(thrust > 0.0, along * sine + jnp.minimum(spread * along + begins, most), 0.0)
 
 
-def _listed(chosen: Array) -> _Reaching:
+def _indices_of(chosen: Array) -> _Reaching:
     """Return the numbers of the chosen (m,), in their order."""
     m = chosen.shape[0]
     rank, numbers = jnp.cumsum(chosen, dtype=jnp.int32), jnp.arange(m, dtype=jnp.int32)
@@ -234,7 +234,7 @@ def _extent(points: tuple[Point, ...]) -> Array:
     return functools.reduce(jnp.maximum, [jnp.sqrt(jnp.asarray(x * x + y * y + z * z)) for x, y, z in points])
 
 
-def _places(points: tuple[Point, ...], middle: Vec3, turned: Rotation) -> list[Vec3]:
+def _points_ned(points: tuple[Point, ...], middle: Vec3, turned: Rotation) -> list[Vec3]:
     """Return where points in body axes are (n,) [m]."""
     return [middle + turned.to_ned(_vector(point, middle.x)) for point in points]
 

@@ -66,8 +66,10 @@ class TestMates:
         """Of three the third is out of reach, and nobody knows it; as documented of ``number``."""
         mates = quick(
             lambda at, fast, reach: mates_of(at, fast, reach, 2),
-            flat([[0, 0], [3, 4], [90, 0]]), flat(np.zeros((3, 2))), np.float32(50.0),
-        )  # fmt: skip
+            flat([[0, 0], [3, 4], [90, 0]]),
+            flat(np.zeros((3, 2))),
+            np.float32(50.0),
+        )
         np.testing.assert_array_equal(mates.number, [[1, 0, -1], [-1, -1, -1]])
 
     def test_as_many_as_wanted_or_as_there_are_but_oneself(self) -> None:
@@ -225,9 +227,14 @@ class TestAvoidance:
         which half is one's own.
         """
         found = quick(
-            half_planes, flat(ORIGIN), flat([[1.5, 0.3]]), known([1], [[10, 0]], [[-1.5, 0]]), np.float32(1.0),
-            np.float32(5.0), np.float32(1.0),
-        )  # fmt: skip
+            half_planes,
+            flat(ORIGIN),
+            flat([[1.5, 0.3]]),
+            known([1], [[10, 0]], [[-1.5, 0]]),
+            np.float32(1.0),
+            np.float32(5.0),
+            np.float32(1.0),
+        )
         values = (found.point_north, found.point_east, found.normal_north, found.normal_east)
         np.testing.assert_allclose(np.ravel(values), [1.469394, 0.449939, -0.2, 0.979796], atol=1e-5)
 

@@ -123,17 +123,25 @@ class TestVicsek:
     def test_speed_stays(self) -> None:
         guidance = VicsekGuidance(speed=jnp.float32(2.5), reach=jnp.float32(50.0), mates=2)
         north, east = uncompiled(guidance.velocity)(
-            None, flat([[0, 0], [5, 0], [90, 0]]), flat([[1, 0], [0, 1], [-3, 0]]),
+            None,
+            flat([[0, 0], [5, 0], [90, 0]]),
+            flat([[1, 0], [0, 1], [-3, 0]]),
             heard([[0, 0], [5, 0], [90, 0]], [[1, 0], [0, 1], [-3, 0]], reach=50.0),
-        )  # fmt: skip
+        )
         np.testing.assert_allclose(np.stack([north, east]), [[1.7678, 1.7678, -2.5], [1.7678, 1.7678, 0.0]], atol=1e-3)
 
 
 def flocking(**changes: float) -> FlockingGuidance:
     numbers = {
-        "speed": 4.0, "separation": 8.0, "separation_gain": 1.0, "alignment": 1.0, "cohesion_gain": 0.05,
-        "migration": 0.0, "reach": 100.0, **changes,
-    }  # fmt: skip
+        "speed": 4.0,
+        "separation": 8.0,
+        "separation_gain": 1.0,
+        "alignment": 1.0,
+        "cohesion_gain": 0.05,
+        "migration": 0.0,
+        "reach": 100.0,
+        **changes,
+    }
     return FlockingGuidance(**{name: jnp.float32(value) for name, value in numbers.items()}, mates=7)
 
 
@@ -320,9 +328,7 @@ class TestAvoidance:
 
 TEAM = {"vehicles": [[0.0, 12.0 * i, -20.0] for i in range(4)], "controller": "velocity_height"}
 BOX = {"north_min": -40.0, "north_max": 40.0, "east_min": -40.0, "east_max": 40.0}
-BY_NAME = {
-    "flocking": {}, "vicsek": {}, "formation": {}, "coverage": BOX, "orca": {},
-}  # fmt: skip
+BY_NAME = {"flocking": {}, "vicsek": {}, "formation": {}, "coverage": BOX, "orca": {}}
 
 
 @pytest.mark.long

@@ -66,12 +66,15 @@ def branching(seed: int) -> Callable[..., Any]:
     ("mode", "programs"),
     [
         pytest.param(
-            mode, count, id=f"{name}-{count}",
+            mode,
+            count,
+            id=f"{name}-{count}",
             marks=pytest.mark.nightly if count == 60 else pytest.mark.long if mode.lanes != 16 or count > 1 else (),
         )
-        for mode, name in zip(MODES, IDS, strict=True) for count in (1, 12, 60)
+        for mode, name in zip(MODES, IDS, strict=True)
+        for count in (1, 12, 60)
     ],
-)  # fmt: skip
+)
 def test_branches_read_the_state_before_it_is_changed(mode: Mode, programs: int) -> None:
     for seed in range(programs):
         size = (17, 7)[seed % 2]

@@ -75,7 +75,7 @@ def test_random_programs_and_every_primitive(programs):
 SPECIAL = np.array(
     [0.0, -0.0, 1.0, -1.0, 0.5, 2.5, -2.5, 3e9, -3e9, 1e38, -1e38, 1e-37, np.inf, -np.inf, np.nan, 0.49999997],
     np.float32,
-)  # fmt: skip
+)
 WHOLE = np.array([0, 1, -1, 2, -7, 31, 32, 33, 100, -(2**31), 2**31 - 1], np.int32)
 FLOATS: dict[str, Any] = {
     "add": lax.add, "mul": lax.mul, "div": lax.div, "rem": lax.rem, "max": lax.max, "min": lax.min, "atan2": lax.atan2,
@@ -138,7 +138,7 @@ def test_special_numbers_go_the_way_they_go_in_jax():
         _compare_all(
             {k: v for k, v in INTEGERS.items() if k not in ("abs", "sign")},
             *(part.view(np.uint32) for part in _pairs(WHOLE)),
-        )  # fmt: skip
+        )
 
 
 def test_a_value_that_is_too_far_off_is_found():

@@ -59,13 +59,18 @@ def nothing(x: Any) -> Any:
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    "mode", [pytest.param(mode, id=name, marks=() if mode.lanes == 16 and mode.side_by_side else pytest.mark.long)
-             for mode, name in zip(MODES, IDS, strict=True)]
-)  # fmt: skip
+    "mode",
+    [
+        pytest.param(mode, id=name, marks=() if mode.lanes == 16 and mode.side_by_side else pytest.mark.long)
+        for mode, name in zip(MODES, IDS, strict=True)
+    ],
+)
 def test_sums_and_extremes_of_each_element_are_those_of_jax(mode: Mode) -> None:
     def function(_: Any, state: Any, tick: Any) -> Any:
-        return [(x, found, waves(jnp.nan_to_num(x, posinf=1.0)), *extremes(x), *flags(x), *nothing(x))
-                for x, found, *_ in state]  # fmt: skip
+        return [
+            (x, found, waves(jnp.nan_to_num(x, posinf=1.0)), *extremes(x), *flags(x), *nothing(x))
+            for x, found, *_ in state
+        ]
 
     state = []
     for size in SIZES:

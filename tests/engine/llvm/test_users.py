@@ -73,9 +73,14 @@ def test_worlds_of_every_size(count):
         "place": random.integers(-count - 3, count + 3, (2, count), np.int32),
     }
     state = dict(
-        numbers, best=np.zeros(2, np.int32), sum=numbers["x"], parts=numbers["x"], near=numbers["x"], last=numbers["x"],
+        numbers,
+        best=np.zeros(2, np.int32),
+        sum=numbers["x"],
+        parts=numbers["x"],
+        near=numbers["x"],
+        last=numbers["x"],
         norm=np.zeros((2, 2), np.float32),
-    )  # fmt: skip
+    )
     for mode in (mode_of(count, np.dtype(np.float32)), Mode(16, True)):
         with np.errstate(all="ignore"):
             for mine, theirs in zip(run(chooses, state, mode), by_jax(chooses, state), strict=True):
@@ -104,9 +109,13 @@ def test_a_minimum_is_a_minimum_and_what_is_rounded_is_not_contracted():
     def function(_, state, tick):
         a, b, c = state["a"], state["b"], state["c"]
         return dict(
-            state, least=jnp.minimum(a, 1e30), tied=a * b - b * a, rounded=rounded(a * b) - c, once=a * b - c,
+            state,
+            least=jnp.minimum(a, 1e30),
+            tied=a * b - b * a,
+            rounded=rounded(a * b) - c,
+            once=a * b - c,
             gap=(p := a * b) - jnp.max(p),
-        )  # fmt: skip
+        )
 
     a = np.array([[np.inf, 1.1, 3.3]], np.float32)
     b = np.array([[1.0, 1.3, 0.7]], np.float32)
@@ -256,12 +265,14 @@ def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
     @jax.jit
     def chooses_vehicles(reading):
         place = reading.gnss.position_ned
-        chosen = jnp.stack([
-            jnp.argmax(place[:, 0]),
-            jnp.cumsum(jnp.ones(count))[-1].astype(int) - 1,
-            jnp.arange(count).at[count + 5].get(mode="clip"),
-            jnp.arange(count).at[count + 5].get(mode="fill", fill_value=0),
-        ])  # fmt: skip
+        chosen = jnp.stack(
+            [
+                jnp.argmax(place[:, 0]),
+                jnp.cumsum(jnp.ones(count))[-1].astype(int) - 1,
+                jnp.arange(count).at[count + 5].get(mode="clip"),
+                jnp.arange(count).at[count + 5].get(mode="fill", fill_value=0),
+            ]
+        )
         climbs = (jnp.arange(count)[:, None] == chosen[None]).any(1) & (jnp.linalg.norm(place, axis=1) > 0.0)
         zero = jnp.zeros(count)
         return jnp.stack([zero, zero, jnp.where(climbs, 0.7, 0.59), zero, zero + 12.0], axis=1)

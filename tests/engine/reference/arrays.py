@@ -200,9 +200,13 @@ def _gathered(inputs: list[Value], parameters: Any, out: Any) -> Value:
     fill = parameters["fill_value"]
     if fill is None:
         kind = np.dtype(out.dtype).kind
-        fill = np.nan if kind == "f" else True if kind == "b" else getattr(
-            np.iinfo(out.dtype), "min" if kind == "i" else "max"
-        )  # fmt: skip
+        fill = (
+            np.nan
+            if kind == "f"
+            else True
+            if kind == "b"
+            else getattr(np.iinfo(out.dtype), "min" if kind == "i" else "max")
+        )
     filling = given(np.asarray(fill, out.dtype))
     for at in np.ndindex(*shape):
         index, inside = _index(numbers.start_index_map, places.rounded[at], extents)

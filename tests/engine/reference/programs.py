@@ -67,9 +67,7 @@ class Draw:
 
 
 Maker = Callable[[Draw], None]
-_TWO = {
-    "add": lax.add, "sub": lax.sub, "mul": lax.mul, "div": lax.div, "rem": lax.rem, "max": lax.max, "min": lax.min,
-}  # fmt: skip
+_TWO = {"add": lax.add, "sub": lax.sub, "mul": lax.mul, "div": lax.div, "rem": lax.rem, "max": lax.max, "min": lax.min}
 _BITS = {"and": lax.bitwise_and, "or": lax.bitwise_or, "xor": lax.bitwise_xor}
 _COMPARE = {"eq": lax.eq, "ne": lax.ne, "lt": lax.lt, "le": lax.le, "gt": lax.gt, "ge": lax.ge}
 _SHIFT = (lax.shift_left, lax.shift_right_logical, lax.shift_right_arithmetic)
@@ -357,9 +355,10 @@ def _nested_loops(draw: Draw) -> None:
         left, value = carry
         # Without a limit of its own for worlds that do not take this branch.
         count = lax.cond(
-            left % 2 == 0, lambda: lax.while_loop(lambda c: c != left, lambda c: c + 1, jnp.zeros((), draw.words)),
+            left % 2 == 0,
+            lambda: lax.while_loop(lambda c: c != left, lambda c: c + 1, jnp.zeros((), draw.words)),
             lambda: left,
-        )  # fmt: skip
+        )
         return left - 1, value + count.astype(value.dtype)
 
     draw.put(*lax.while_loop(lambda carry: carry[0] > 0, outer, (turns, x)))
@@ -456,9 +455,10 @@ def numbers(choose: random.Random, shape: tuple[int, ...], dtype: Any) -> Any:
     elif kind == "i":
         found = [
             choose.choice((0, 1, 2, 3, -1, -2, 7, choose.randrange(-30, 30)))
-            if choose.random() < 0.97 else choose.choice((-(2**31), 2**31 - 1))
+            if choose.random() < 0.97
+            else choose.choice((-(2**31), 2**31 - 1))
             for _ in range(count)
-        ]  # fmt: skip
+        ]
     else:
         odd = choose.random() < 0.3
         found = [

@@ -105,10 +105,16 @@ def flight_of(
 
 def one(model: str = "x500", feed: str = "truth") -> dict[str, Any]:
     return {
-        "name": "one", "extends": "hover", "duration": 60.0,
-        "fleets": {"pelicans": {"vehicle": {"type": "multirotor", "model": model},
-                                "controller": {"type": "cascade", "feed": feed}}},
-    }  # fmt: skip
+        "name": "one",
+        "extends": "hover",
+        "duration": 60.0,
+        "fleets": {
+            "pelicans": {
+                "vehicle": {"type": "multirotor", "model": model},
+                "controller": {"type": "cascade", "feed": feed},
+            }
+        },
+    }
 
 
 def own(geometry: str, rotors: int) -> dict[str, Any]:

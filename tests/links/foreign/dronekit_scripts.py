@@ -136,10 +136,13 @@ class Flight:
         for north, east in ((8.0, 0.0), (8.0, -8.0)):
             local(0xFF8, north, east, down, 0.0, 0.0, 0.0)
             until(
-                lambda north=north, east=east: math.hypot(
-                    self.vehicle.location.local_frame.north - north, self.vehicle.location.local_frame.east - east
-                ) < NEAR
-            )  # fmt: skip
+                lambda north=north, east=east: (
+                    math.hypot(
+                        self.vehicle.location.local_frame.north - north, self.vehicle.location.local_frame.east - east
+                    )
+                    < NEAR
+                )
+            )
         place = self.place(0.0, -8.0, 8.0)
         send(
             factory.set_position_target_global_int_encode(

@@ -27,9 +27,13 @@ class Session:
         self._log = Path(folder) / "said"
         with self._log.open("wb") as log:
             self._proxy = subprocess.Popen(
-                words, cwd=folder, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT,
+                words,
+                cwd=folder,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
                 env=os.environ | {"HOME": folder, "PYTHONUNBUFFERED": "1"},
-            )  # fmt: skip
+            )
         self._seen = 0
 
     def type(self, line: str) -> None:

@@ -93,15 +93,19 @@ class Client:
             "GLOBAL_POSITION_INT", lambda here: abs(here.lat - home.latitude) < 100 and here.relative_alt > 11000
         )
         self.local(0x9C7, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, yaw=math.radians(90.0))
-        self.until("ATTITUDE", lambda now: abs(now.yaw - math.pi / 2) < 0.1, lambda: self.local(0x9C7, 0.0, 0.0, 0.0,
-                   1.0, 0.0, 0.0, yaw=math.radians(90.0)))  # fmt: skip
+        self.until(
+            "ATTITUDE",
+            lambda now: abs(now.yaw - math.pi / 2) < 0.1,
+            lambda: self.local(0x9C7, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, yaw=math.radians(90.0)),
+        )
         ahead = lambda: self.local(VELOCITY, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, frame=M.MAV_FRAME_BODY_OFFSET_NED)  # noqa: E731
         self.until("LOCAL_POSITION_NED", lambda now: now.vy > 1.5, ahead)
         lean = [math.cos(0.05), 0.0, -math.sin(0.05), 0.0]
         self.until(
-            "ATTITUDE", lambda now: now.pitch < -0.07,
+            "ATTITUDE",
+            lambda now: now.pitch < -0.07,
             lambda: self.mav.set_attitude_target_send(0, *self.to, ANGLES, lean, 0, 0, 0, 0.5),
-        )  # fmt: skip
+        )
         assert self.command(M.MAV_CMD_CONDITION_YAW, 0.0, 0.0, 1.0, 0.0) == 0
         self.mav.param_set_send(*self.to, b"RTL_RETURN_ALT", 12.0 + 6.0 * self.vehicle, 9)
         self.mav.set_mode_send(self.to[0], M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, RTL)
@@ -121,9 +125,11 @@ class Client:
         self.at(0.0, 0.0, down, begin)
         for north, east in ((10.0, 0.0), (10.0, 10.0), (0.0, 10.0), (0.0, 0.0)):
             self.at(
-                north, east, down,
+                north,
+                east,
+                down,
                 lambda north=north, east=east: self.local(0x9F8, north, east, down, 0.0, 0.0, 0.0),  # type: ignore[misc]
-            )  # fmt: skip
+            )
         assert self.command(M.MAV_CMD_NAV_LAND) == 0
         self.disarmed()
 

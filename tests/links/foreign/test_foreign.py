@@ -167,10 +167,13 @@ def test_two_of_one_field_fly_the_offboard_example_at_once(client):
     ("latitude", "longitude"),
     [
         # Of goto, mission_raw, and mission, do_orbit and follow_me of MAVSDK-Python.
-        (47.399386, 8.535245), (47.40271757, 8.54285027), (47.39803986, 8.54557254), (47.39803622, 8.54501464),
+        (47.399386, 8.535245),
+        (47.40271757, 8.54285027),
+        (47.39803986, 8.54557254),
+        (47.39803622, 8.54501464),
         (47.39782562, 8.54500928),
     ],
-)  # fmt: skip
+)
 def test_places_of_public_examples_are_in_the_area_of_mavlink_field(latitude, longitude):
     area = load_scenario("mavlink_field").world().area
     # Metres a degree at 47.4 degrees of latitude (WGS-84).

@@ -15,13 +15,25 @@ EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 FACTOR = 5.0
 # What the examples print of a whole flight, in this order.
 STEPS = (
-    "took off", "there", "mission flown", "at the position of the set-point", "flies by velocity", "landed", "disarmed",
-)  # fmt: skip
+    "took off",
+    "there",
+    "mission flown",
+    "at the position of the set-point",
+    "flies by velocity",
+    "landed",
+    "disarmed",
+)
 # What the example of other modes prints.
 MODES = (
-    "fence uploaded", "rises by attitude", "on the circle", "orbits", "in follow-me", "follows", "steered",
+    "fence uploaded",
+    "rises by attitude",
+    "on the circle",
+    "orbits",
+    "in follow-me",
+    "follows",
+    "steered",
     "landed by sticks",
-)  # fmt: skip
+)
 REQUIREMENTS = {
     "mavsdk2": ("mavsdk==2.8.4",),
     "mavsdk3": ("mavsdk==3.17.4",),

@@ -55,9 +55,12 @@ def check_log(text: str) -> None:
     assert {name for name, _ in said} == {"field_0"}
     words = [line for _, line in said]
     assert words == [
-        "Armed by external command", "Takeoff detected", "Mission finished, loitering", "Landing detected",
+        "Armed by external command",
+        "Takeoff detected",
+        "Mission finished, loitering",
+        "Landing detected",
         "Disarmed by landing",
-    ]  # fmt: skip
+    ]
     assert "bug" not in text
 
 
@@ -114,8 +117,14 @@ def test_mavproxy(field, tmp_path):
     """MAVProxy reads the parameters, arms, takes off, flies a mission from a file, and comes back."""
     python = environment("mavproxy")
     mission = tmp_path / "mission.txt"
-    rows = [(0, 0, 16, 47.397742, 8.545594, 488.0), (1, 3, 22, 0.0, 0.0, 8.0), (2, 3, 16, 47.3979, 8.5456, 9.0),
-            (3, 3, 16, 47.3979, 8.5458, 10.0), (4, 3, 16, 47.3978, 8.5458, 9.0), (5, 3, 20, 0.0, 0.0, 0.0)]  # fmt: skip
+    rows = [
+        (0, 0, 16, 47.397742, 8.545594, 488.0),
+        (1, 3, 22, 0.0, 0.0, 8.0),
+        (2, 3, 16, 47.3979, 8.5456, 9.0),
+        (3, 3, 16, 47.3979, 8.5458, 10.0),
+        (4, 3, 16, 47.3978, 8.5458, 9.0),
+        (5, 3, 20, 0.0, 0.0, 0.0),
+    ]
     text = "\n".join(
         f"{n}\t{n == 0:d}\t{frame}\t{command}\t0\t0\t0\t0\t{x}\t{y}\t{z}\t1" for n, frame, command, x, y, z in rows
     )
@@ -127,9 +136,14 @@ def test_mavproxy(field, tmp_path):
     ]
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     proxy = subprocess.Popen(
-        words, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        words,
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         env=clean | {"HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
+    )
     assert proxy.stdin is not None
     try:
         for pause, line in (

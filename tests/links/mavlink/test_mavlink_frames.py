@@ -10,8 +10,16 @@ from qrsim.links.mavlink.checksum import x25
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS
 from qrsim.links.mavlink.frames import Reader, frame
 
-RANGES = {"B": (0, 255), "b": (-128, 127), "H": (0, 65535), "h": (-32768, 32767), "I": (0, 2**32 - 1),
-          "i": (-(2**31), 2**31 - 1), "Q": (0, 2**64 - 1), "q": (-(2**63), 2**63 - 1)}  # fmt: skip
+RANGES = {
+    "B": (0, 255),
+    "b": (-128, 127),
+    "H": (0, 65535),
+    "h": (-32768, 32767),
+    "I": (0, 2**32 - 1),
+    "i": (-(2**31), 2**31 - 1),
+    "Q": (0, 2**64 - 1),
+    "q": (-(2**63), 2**63 - 1),
+}
 
 
 def value_of(field, draw):

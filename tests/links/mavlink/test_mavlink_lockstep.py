@@ -28,14 +28,17 @@ CONTENT = {
             "sensors": {
                 name: {"type": kind}
                 for name, kind in (
-                    ("gnss", "gnss_receiver"), ("barometer", "barometer"), ("attitude", "attitude_estimator"),
-                    ("gyroscope", "gyroscope"), ("accelerometer", "accelerometer"),
+                    ("gnss", "gnss_receiver"),
+                    ("barometer", "barometer"),
+                    ("attitude", "attitude_estimator"),
+                    ("gyroscope", "gyroscope"),
+                    ("accelerometer", "accelerometer"),
                 )
             },
             "vehicles": [{"position_ned": [0, 0, 0]}, {"position_ned": [15, 0, 0]}],
-        },
+        }
     },
-}  # fmt: skip
+}
 # Answers of each client; after as many, when its receiver has long had fixes, the mode and the arming.
 ANSWERS, ARMS_AT = 1400, 1200
 

@@ -47,8 +47,16 @@ def test_rates_of_an_onboard_link_and_of_a_ground_station():
     for message in wire.take():
         counts[message.layout.name] = counts.get(message.layout.name, 0) + 1
     # In 10 s; ATTITUDE is asked for at 100 Hz and goes out once a tick.
-    wanted = {"ATTITUDE": 500, "ATTITUDE_QUATERNION": 500, "GLOBAL_POSITION_INT": 500, "LOCAL_POSITION_NED": 300,
-              "VFR_HUD": 100, "EXTENDED_SYS_STATE": 50, "SYS_STATUS": 50, "HEARTBEAT": 10}  # fmt: skip
+    wanted = {
+        "ATTITUDE": 500,
+        "ATTITUDE_QUATERNION": 500,
+        "GLOBAL_POSITION_INT": 500,
+        "LOCAL_POSITION_NED": 300,
+        "VFR_HUD": 100,
+        "EXTENDED_SYS_STATE": 50,
+        "SYS_STATUS": 50,
+        "HEARTBEAT": 10,
+    }
     assert {name: counts[name] for name in wanted} == pytest.approx(wanted, abs=1)
     ground = Wire(rates=GROUND)
     ground.take()
@@ -92,17 +100,28 @@ def test_the_origin_and_the_protocol_on_request(wire):
 
 def modes_of(wire, *index):
     ack, *modes = wire.command(512, 435.0, *index)
-    return ack.result, [(one.mode_index, one.number_modes, one.custom_mode, one.standard_mode, one.properties,
-                         one.mode_name.decode()) for one in modes]  # fmt: skip
+    return ack.result, [
+        (one.mode_index, one.number_modes, one.custom_mode, one.standard_mode, one.properties, one.mode_name.decode())
+        for one in modes
+    ]
 
 
 def test_modes_of_px4_are_told_and_the_one_that_is_flown(wire):
     # MAV_STANDARD_MODE 4 altitude hold, 1 position hold, 2 orbit, 8 take-off, 6 mission, 5 safe recovery, 7 land; those
     # have no name. MAV_MODE_PROPERTY 1 advanced, 2 not to be selected.
-    wanted = [(0x00020000, 4, 0, ""), (0x00030000, 1, 0, ""), (0x00060000, 0, 1, "Offboard"),
-              (0x00070000, 0, 1, "Stabilized"), (0x01030000, 2, 3, ""), (0x02040000, 8, 0, ""),
-              (0x03040000, 0, 0, "Hold"), (0x04040000, 6, 0, ""), (0x05040000, 5, 0, ""), (0x06040000, 7, 0, ""),
-              (0x08040000, 0, 1, "Follow Target")]  # fmt: skip
+    wanted = [
+        (0x00020000, 4, 0, ""),
+        (0x00030000, 1, 0, ""),
+        (0x00060000, 0, 1, "Offboard"),
+        (0x00070000, 0, 1, "Stabilized"),
+        (0x01030000, 2, 3, ""),
+        (0x02040000, 8, 0, ""),
+        (0x03040000, 0, 0, "Hold"),
+        (0x04040000, 6, 0, ""),
+        (0x05040000, 5, 0, ""),
+        (0x06040000, 7, 0, ""),
+        (0x08040000, 0, 1, "Follow Target"),
+    ]
     listed = [(number, len(wanted), *one) for number, one in enumerate(wanted, 1)]
     assert modes_of(wire, 0.0) == modes_of(wire) == (0, listed)
     assert modes_of(wire, 7.0) == (0, [listed[6]])
@@ -146,8 +165,14 @@ def test_groups_of_streams_of_ardupilot(wire):
     # MAV_DATA_STREAM_EXTRA1 is ATTITUDE; all of them are off, and a vehicle of PX4 does not listen.
     copter = Wire(flavour="ardupilot")
     for each, interval in ((copter, 250_000), (wire, 20_000)):
-        each.ask("REQUEST_DATA_STREAM", target_system=1, target_component=1, req_stream_id=10, req_message_rate=4,
-                 start_stop=1)  # fmt: skip
+        each.ask(
+            "REQUEST_DATA_STREAM",
+            target_system=1,
+            target_component=1,
+            req_stream_id=10,
+            req_message_rate=4,
+            start_stop=1,
+        )
         assert each.command(510, 30.0)[1].interval_us == interval
     copter.ask("REQUEST_DATA_STREAM", target_system=1, target_component=1, req_stream_id=0, start_stop=0)
     assert [copter.command(510, number)[1].interval_us for number in (30.0, 33.0, 1.0)] == [-1, -1, -1]

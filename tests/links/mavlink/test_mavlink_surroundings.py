@@ -76,8 +76,15 @@ def test_neighbours_are_told_one_after_the_other_where_they_are():
 
 def test_optical_flow_has_the_angles_of_a_reading():
     around = SimpleNamespace(flow_period=lambda row: 0.02)
-    row = {s.FLOW: 0.01, s.FLOW + 1: -0.02, s.FLOW_TURN: 0.001, s.FLOW_TURN + 1: 0.0, s.FLOW_TURN + 2: 0.002,
-           s.FLOW_QUALITY: 0.8, s.RANGE: 4.0}  # fmt: skip
+    row = {
+        s.FLOW: 0.01,
+        s.FLOW + 1: -0.02,
+        s.FLOW_TURN: 0.001,
+        s.FLOW_TURN + 1: 0.0,
+        s.FLOW_TURN + 2: 0.002,
+        s.FLOW_QUALITY: 0.8,
+        s.RANGE: 4.0,
+    }
     message = said("OPTICAL_FLOW_RAD", around, row)
     assert (message.integration_time_us, message.quality, message.distance) == (20_000, 204, 4.0)
     angles = message.integrated_x, message.integrated_y, message.integrated_xgyro, message.integrated_zgyro

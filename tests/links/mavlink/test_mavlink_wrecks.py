@@ -15,8 +15,14 @@ from qrsim.links.mavlink.world import FlownWorld
 from qrsim.scenarios.scenario import load_scenario
 
 STILL = (
-    "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "VFR_HUD", "ALTITUDE", "ODOMETRY",
-)  # fmt: skip
+    "ATTITUDE",
+    "ATTITUDE_QUATERNION",
+    "LOCAL_POSITION_NED",
+    "GLOBAL_POSITION_INT",
+    "VFR_HUD",
+    "ALTITUDE",
+    "ODOMETRY",
+)
 EKF = 'fleets.field.estimator={"type": "ekf"}'
 # Of the site of mavlink_field [m].
 GROUND = 488.0

@@ -82,9 +82,11 @@ def test_every_call_with_this_interpreter(served):
 
 
 def test_it_can_be_imported_beside_qrsim():
-    words = "import qrsim.links.reference.client, qrsim_client, qrsim_client.qrsim_pb2 as b; " \
-        "import qrsim.links.reference.protocol.qrsim_pb2 as a; " \
-        "a.Message(type=1); assert a.Message is not b.Message; assert b.Message(type=1).type == 1"  # fmt: skip
+    words = (
+        "import qrsim.links.reference.client, qrsim_client, qrsim_client.qrsim_pb2 as b; "
+        "import qrsim.links.reference.protocol.qrsim_pb2 as a; "
+        "a.Message(type=1); assert a.Message is not b.Message; assert b.Message(type=1).type == 1"
+    )
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE), os.environ.get("PYTHONPATH", "")])}
     subprocess.run([sys.executable, "-c", words], check=True, env=variables)
 

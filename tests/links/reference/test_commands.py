@@ -123,8 +123,11 @@ def test_each_number_of_a_setpoint_is_where_its_name_says(kind, name, numbers_of
 
 @pytest.mark.long
 def test_a_rover_is_driven_along_a_line_and_round_a_circle(serving: Running):
-    rover = {"vehicle": {"type": "rover"}, "controller": {"type": "rover", "feed": "truth"},
-             "vehicles": [{"position_ned": [0.0, 3.0, 0.0]}]}  # fmt: skip
+    rover = {
+        "vehicle": {"type": "rover"},
+        "controller": {"type": "rover", "feed": "truth"},
+        "vehicles": [{"position_ned": [0.0, 3.0, 0.0]}],
+    }
     scenario = {"name": "cars", "duration": 60.0, "fleets": {"cars": rover}}
     with Client(port=serving.port) as client:
         client.open(scenario=yaml.safe_dump(scenario), seed=4)

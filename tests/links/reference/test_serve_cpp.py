@@ -144,14 +144,22 @@ def test_a_client_in_cpp_shares_a_world(build):
     assert (complaints, process.returncode) == ("", 0)
     here = Simulation(pair().world(), seed=SEED)
     here.reset()
-    here.step({"vehicles_0": qrsim.VelocityHeightSetpoint.of(np.array([[1.0, 0.5]]), -11.0, 0.2),
-               "vehicles_1": qrsim.VelocitySetpoint.of([[0.0, 1.0, 0.0]])}, ticks=40)  # fmt: skip
+    here.step(
+        {
+            "vehicles_0": qrsim.VelocityHeightSetpoint.of(np.array([[1.0, 0.5]]), -11.0, 0.2),
+            "vehicles_1": qrsim.VelocitySetpoint.of([[0.0, 1.0, 0.0]]),
+        },
+        ticks=40,
+    )
     numbers = " ".join(f"{value:.17g}" for value in np.asarray(here.truth.state[0], np.float64))
     gnss = here.reading.gnss
     fresh, taken = int(gnss.fresh[0]), f"{gnss.time_of_reading[0]:.17g}"
     assert said.splitlines() == [
-        f"tick 40 {numbers}", f"gnss {fresh} {taken} {gnss.position_ned[0, 0]:.17g}", "pushed 40", "flies command 0",
-    ]  # fmt: skip
+        f"tick 40 {numbers}",
+        f"gnss {fresh} {taken} {gnss.position_ned[0, 0]:.17g}",
+        "pushed 40",
+        "flies command 0",
+    ]
 
 
 RADIO_TOUR = """
@@ -204,8 +212,11 @@ def test_the_examples_fly(build, served):
     """The one beside the header, and those of its README and of docs/serve.md, which are written for port 10000."""
     done = subprocess.run(
         [build("fly", (HEADER / "fly.cpp").read_text("utf-8")), str(served.port)],
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.splitlines()[-1].startswith("t = 10 s: ")
     for page in (HEADER / "README.md", ROOT / "docs" / "serve.md"):

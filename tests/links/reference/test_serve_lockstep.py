@@ -76,9 +76,13 @@ def test_lock_step_is_the_object_in_this_process_bit_for_bit(here):
         info = pb.TaskInfo(timestep=0.02, numUAVs=1)
         assert wire.payload() == payload(Message(type=Message.TASKINFO, taskInfo=info))
         for kind, row, ticks in (
-            (Step.WP, WAYPOINT, 1), (Step.WP, WAYPOINT, 7), (Step.VEL, VELOCITY, 10), (Step.CTRL, CONTROL, 1),
-            (Step.VEL, VELOCITY, 1), (Step.WP, WAYPOINT, 333),
-        ):  # fmt: skip
+            (Step.WP, WAYPOINT, 1),
+            (Step.WP, WAYPOINT, 7),
+            (Step.VEL, VELOCITY, 10),
+            (Step.CTRL, CONTROL, 1),
+            (Step.VEL, VELOCITY, 1),
+            (Step.WP, WAYPOINT, 333),
+        ):
             wire.send(step(kind, row, dt=0.02 * ticks))
             here.step(command_of(here, kind, row), ticks=ticks)
             assert wire.payload() == state_of(here), (kind, ticks)
@@ -182,9 +186,16 @@ def test_replies_to_requests_that_came_together_are_whole_messages_in_each_write
     wire.send(*[step()] * 16, *mixed, *[step()] * 16)
     replies = [wire.receive() for _ in range(32 + len(mixed))]
     assert [reply.type for reply in replies[16:-16]] == [
-        Message.STATE, Message.ACK, Message.STATE, Message.ACK, Message.STATE, Message.SERVER, Message.STATE,
-        Message.STATE, Message.ACK,
-    ]  # fmt: skip
+        Message.STATE,
+        Message.ACK,
+        Message.STATE,
+        Message.ACK,
+        Message.STATE,
+        Message.SERVER,
+        Message.STATE,
+        Message.STATE,
+        Message.ACK,
+    ]
     assert {reply.type for reply in replies[:16] + replies[-16:]} == {Message.STATE}
     counts = []
     for content in written:

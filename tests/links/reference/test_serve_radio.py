@@ -28,8 +28,12 @@ from small_worlds import pair
 
 # 60 bytes at 64 kb/s are 7.5 ms, so what is said at a tick of 20 ms is known at the next one.
 RADIO: dict[str, Any] = {
-    "preset": "sik_915", "beacon": False, "size": 3, "inbox": {"size": 2, "candidates": 1}, "path_loss": {"waves": 1},
-}  # fmt: skip
+    "preset": "sik_915",
+    "beacon": False,
+    "size": 3,
+    "inbox": {"size": 2, "candidates": 1},
+    "path_loss": {"waves": 1},
+}
 
 
 def talking() -> Any:
@@ -106,8 +110,11 @@ def test_an_owner_hears_what_a_simulation_in_this_process_hears() -> None:
         for name, heard in client.inbox().items():
             (one,), (other,) = heard, here.inbox(name)
             assert (one.sender, one.sent, one.received, one.rssi) == (
-                other.sender, other.sent, other.received, other.rssi
-            )  # fmt: skip
+                other.sender,
+                other.sent,
+                other.received,
+                other.rssi,
+            )
             assert one.payload.tolist() == other.payload.tolist()
         assert client.inbox()[B][0].payload.tolist() == [1.5, -2.5, 0.0]
         with pytest.raises(Refused, match="say: 'vehicles_0': 4 numbers are more than a message has, 3"):

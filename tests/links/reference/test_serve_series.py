@@ -119,12 +119,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_session_is_one_folder_of_run_folders(recorded):
     listed = json.loads((recorded / "episodes.json").read_text("utf-8"))
     assert [(item["folder"], item["seed"]) for item in listed["episodes"]] == [
-        ("episode-0001", 40), ("episode-0002", 41), ("episode-0003", 42),
-    ]  # fmt: skip
+        ("episode-0001", 40),
+        ("episode-0002", 41),
+        ("episode-0003", 42),
+    ]
     episodes = qrsim.open_run(recorded).episodes
     assert [(run.info.seed, run["truth"].tick.tolist(), run.info.state) for run in episodes] == [
-        (40, [0, 1], "finished"), (41, [0, 1, 2], "finished"), (42, [0, 1, 2, 3], "finished"),
-    ]  # fmt: skip
+        (40, [0, 1], "finished"),
+        (41, [0, 1, 2], "finished"),
+        (42, [0, 1, 2, 3], "finished"),
+    ]
     alone = qrsim.open_run(recorded / "episode-0002")
     assert [run.folder for run in alone.episodes] == [alone.folder]
     for read in (lambda run: run["truth"], lambda run: run.info, lambda run: run.streams, list):

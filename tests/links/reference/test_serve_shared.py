@@ -305,7 +305,7 @@ def test_buildings_and_other_obstacles_are_described():
     solids = [
         {"type": "prism", "corners_ned": corners, "holes_ned": [courtyard], "z_min": -12.0},
         {"type": "cylinder", "x": -30, "y": 1, "radius": 2.0, "z_min": -15},
-    ]  # fmt: skip
+    ]
     scenario = bare_pair(obstacles=solids, wind={"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 90.0})
     simulation = Simulation(scenario.world())
     simulation.reset()

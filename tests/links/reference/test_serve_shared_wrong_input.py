@@ -50,7 +50,7 @@ def command(*orders: pb.Order, **others: Any) -> Message:
         (Message(type=Message.PACE, pace=pb.Pace(factor=2.0)), "PACE: client "),
         (Message(type=Message.SENSED), "SENSED is not a request"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_request_gets_one_reply_and_disturbs_nobody(message, said, barrier):
     server, connect = barrier
     other = connect()

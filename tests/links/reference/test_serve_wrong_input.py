@@ -77,7 +77,7 @@ def test_an_unknown_task_gets_one_ack_and_the_connection_is_closed(task, said, w
         (Message(type=Message.STATE), "STATE is not a request"),
         (Message(type=Message.SESSION), "SESSION is not a request"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_request_gets_one_ack_and_changes_nothing(message, said, connect):
     """All on the same session: what is refused leaves it as it was."""
     wire = connect()

@@ -97,9 +97,10 @@ class Node:
     def _qos(self, reliable: bool, latched: bool) -> Any:
         return Qos(
             Policy.Reliability.Reliable(duration(seconds=1)) if reliable else Policy.Reliability.BestEffort,
-            Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile, Policy.History.KeepLast(10),
+            Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+            Policy.History.KeepLast(10),
             Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
-        )  # fmt: skip
+        )
 
     def _topic(self, name: str, kind: str) -> Any:
         return Topic(self._participant, name, type_of(kind))
@@ -143,10 +144,11 @@ def px4(node: Node, space: str, system: int) -> None:
     modes, points, commands = (
         node.publisher(f"{space}/fmu/in/{name}", f"{kinds}{kind}", reliable=False, latched=True)
         for name, kind in (
-            ("offboard_control_mode", "OffboardControlMode"), ("trajectory_setpoint", "TrajectorySetpoint"),
+            ("offboard_control_mode", "OffboardControlMode"),
+            ("trajectory_setpoint", "TrajectorySetpoint"),
             ("vehicle_command", "VehicleCommand"),
         )
-    )  # fmt: skip
+    )
     odometry = node.subscriber(f"{space}/fmu/out/vehicle_odometry", f"{kinds}VehicleOdometry", latched=True)
     control = node.subscriber(f"{space}/fmu/out/vehicle_control_mode", f"{kinds}VehicleControlMode", latched=True)
     seen: dict[str, Any] = {}

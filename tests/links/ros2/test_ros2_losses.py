@@ -18,9 +18,10 @@ TYPES = Types("jazzy")
 DOMAIN = 100 + (os.getpid() + 50) % 100
 VEHICLES, TICKS_AT_ONCE, SAMPLES = 30, 8, 100_000
 KINDS = {
-    "odom": "nav_msgs/msg/Odometry", "pose": "geometry_msgs/msg/PoseStamped",
+    "odom": "nav_msgs/msg/Odometry",
+    "pose": "geometry_msgs/msg/PoseStamped",
     "velocity": "geometry_msgs/msg/TwistStamped",
-}  # fmt: skip
+}
 ALONE = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
     "</Domain></CycloneDDS>"

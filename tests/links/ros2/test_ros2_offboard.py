@@ -40,15 +40,20 @@ def test_an_offboard_node_flies_one_of_two_vehicles(api, space, tmp_path, monkey
         while "topics" not in lines.read_text() and server.poll() is None and time.monotonic() < end:
             time.sleep(0.1)
         done = subprocess.run(
-            [sys.executable, str(NODES), api, str(DOMAIN), space], capture_output=True, text=True, timeout=120,
+            [sys.executable, str(NODES), api, str(DOMAIN), space],
+            capture_output=True,
+            text=True,
+            timeout=120,
             check=False,
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stdout + done.stderr + lines.read_text()
         heights = ["3.0", "-3.0"]
         assert done.stdout.splitlines()[-4:] == [
-            "offboard, armed", f"at 0.0 0.0 {heights[api == 'px4']}",
-            "at 0.0 5.0 -3.0" if api == "px4" else "at 5.0 0.0 3.0", "landed",
-        ]  # fmt: skip
+            "offboard, armed",
+            f"at 0.0 0.0 {heights[api == 'px4']}",
+            "at 0.0 5.0 -3.0" if api == "px4" else "at 5.0 0.0 3.0",
+            "landed",
+        ]
     finally:
         server.terminate()
         server.wait(20.0)

@@ -92,9 +92,12 @@ def test_topics_are_those_of_the_orders_that_a_vehicle_takes():
         "/plane/setpoint_position/local"
     ]
     assert {topic.name for _, topic in topics_of("uav1", {"waypoint", "velocity", "attitude"})} == {
-        "/uav1/cmd_vel", "/uav1/setpoint_velocity/cmd_vel", "/uav1/setpoint_position/local",
-        "/uav1/setpoint_attitude/attitude", "/uav1/setpoint_attitude/thrust",
-    }  # fmt: skip
+        "/uav1/cmd_vel",
+        "/uav1/setpoint_velocity/cmd_vel",
+        "/uav1/setpoint_position/local",
+        "/uav1/setpoint_attitude/attitude",
+        "/uav1/setpoint_attitude/thrust",
+    }
 
 
 class Air:

@@ -129,10 +129,13 @@ def test_topics_are_discovered_by_their_names_types_and_hashes(server):
 
     until(all_there)
     for name, kind in (
-        ("/uav_0/imu/data", "sensor_msgs/msg/Imu"), ("/uav_1/fix", "sensor_msgs/msg/NavSatFix"),
-        ("/uav_2/odom", "nav_msgs/msg/Odometry"), ("/tf", "tf2_msgs/msg/TFMessage"),
-        ("/clock", "rosgraph_msgs/msg/Clock"), ("/tf_static", "tf2_msgs/msg/TFMessage"),
-    ):  # fmt: skip
+        ("/uav_0/imu/data", "sensor_msgs/msg/Imu"),
+        ("/uav_1/fix", "sensor_msgs/msg/NavSatFix"),
+        ("/uav_2/odom", "nav_msgs/msg/Odometry"),
+        ("/tf", "tf2_msgs/msg/TFMessage"),
+        ("/clock", "rosgraph_msgs/msg/Clock"),
+        ("/tf_static", "tf2_msgs/msg/TFMessage"),
+    ):
         found, qos = known[f"rt{name}"]
         assert found == dds_name(kind)
         assert qos[Policy.Userdata].data == f"typehash={TYPES.store.hash_rihs01(kind)};".encode()
@@ -147,11 +150,14 @@ def test_topics_are_discovered_by_their_names_types_and_hashes(server):
 def test_samples_off_the_wire_are_what_rosbags_writes(server):
     participant = Participant(TYPES, DOMAIN, "bytes")
     topics = {
-        "/uav_0/imu/data": ("sensor_msgs/msg/Imu", "sensor"), "/uav_0/fix": ("sensor_msgs/msg/NavSatFix", "sensor"),
-        "/uav_0/odom": ("nav_msgs/msg/Odometry", "reliable"), "/clock": ("rosgraph_msgs/msg/Clock", "clock"),
-        "/uav_0/pose": ("geometry_msgs/msg/PoseStamped", "reliable"), "/tf": ("tf2_msgs/msg/TFMessage", "reliable"),
+        "/uav_0/imu/data": ("sensor_msgs/msg/Imu", "sensor"),
+        "/uav_0/fix": ("sensor_msgs/msg/NavSatFix", "sensor"),
+        "/uav_0/odom": ("nav_msgs/msg/Odometry", "reliable"),
+        "/clock": ("rosgraph_msgs/msg/Clock", "clock"),
+        "/uav_0/pose": ("geometry_msgs/msg/PoseStamped", "reliable"),
+        "/tf": ("tf2_msgs/msg/TFMessage", "reliable"),
         "/uav_0/state": ("std_msgs/msg/String", "reliable"),
-    }  # fmt: skip
+    }
     for name, (kind, quality) in topics.items():
         reader = participant.reader(Topic(name, kind, quality))
         cdr = until(lambda entity=reader.entity: [each.cdr for each in entity.take(1) if hasattr(each, "cdr")])[0]

@@ -76,7 +76,9 @@ def test_qualities_that_do_not_match_are_reported_once(nodes):
     time.sleep(0.1)
     lines += own.remarks()
     assert sorted(line.split("Last incompatible policy: ")[1].split()[0] for line in lines) == [
-        "DURABILITY", "RELIABILITY", "RELIABILITY",
-    ]  # fmt: skip
+        "DURABILITY",
+        "RELIABILITY",
+        "RELIABILITY",
+    ]
     assert any(line.startswith("/qrsim/control: new publisher discovered, offering incompatible") for line in lines)
     assert any(line.startswith("/uav/imu/data: new subscription discovered, requesting incom") for line in lines)

@@ -73,18 +73,26 @@ class Client:
 
     def discover(self):
         presence = listed(
-            (0x15, b"\2\3\0\0"), (0x16, self.prefix[:2] + b"\0\0"), (0x50, self.prefix + b"\0\0\1\xc1"),
-            (0x32, self.place), (0x31, self.place), (0x02, struct.pack("<iI", 20, 0)), (0x58, b"\x3f\x0c\0\0"),
-        )  # fmt: skip
+            (0x15, b"\2\3\0\0"),
+            (0x16, self.prefix[:2] + b"\0\0"),
+            (0x50, self.prefix + b"\0\0\1\xc1"),
+            (0x32, self.place),
+            (0x31, self.place),
+            (0x02, struct.pack("<iI", 20, 0)),
+            (0x58, b"\x3f\x0c\0\0"),
+        )
         self.send(data(b"\0\1\0\xc7", b"\0\1\0\xc2", 1, b"\0\3\0\0" + presence))
         for writer, reader, own, topic, kind in (
             (b"\0\0\3\xc2", b"\0\0\3\xc7", WRITER, "rq/uav/askRequest", REQUEST),
             (b"\0\0\4\xc2", b"\0\0\4\xc7", READER, "rr/uav/askReply", RESPONSE),
         ):
             endpoint = listed(
-                (0x2F, self.place), (0x05, text(topic)), (0x07, text(kind)), (0x5A, self.prefix + own),
+                (0x2F, self.place),
+                (0x05, text(topic)),
+                (0x07, text(kind)),
+                (0x5A, self.prefix + own),
                 (0x1A, struct.pack("<III", 2, 0, 0)),
-            )  # fmt: skip
+            )
             self.send(data(reader, writer, 1, b"\0\3\0\0" + endpoint))
 
     def heard(self, kind):

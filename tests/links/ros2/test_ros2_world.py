@@ -38,8 +38,12 @@ CONTENT = {
                 "magnetometer": {"type": "magnetometer", "noise": 0.05},
                 "altimeter": {"type": "pressure_altimeter", "noise_std": 3.0},
                 "below": {
-                    "type": "rangefinder", "noise_std": 0.1, "noise_per_range": 0.01, "range_min": 0.5,
-                    "range_max": 60.0, "mount_position_body": [0.2, 0.1, 0.05],
+                    "type": "rangefinder",
+                    "noise_std": 0.1,
+                    "noise_per_range": 0.01,
+                    "range_min": 0.5,
+                    "range_max": 60.0,
+                    "mount_position_body": [0.2, 0.1, 0.05],
                 },
                 "lidar": {"type": "ideal_scan", "rays": 9, "field_of_view_rad": 2.0 * math.pi},
                 "uwb": {"type": "ideal_ranging"},
@@ -51,9 +55,9 @@ CONTENT = {
                 {"position_ned": [0, 0, -20], "yaw_deg": 30, "waypoints_ned": [[60, 30, -20]]},
                 {"position_ned": [5, 40, -20]},
             ],
-        },
+        }
     },
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +73,14 @@ def flown():
         said = {messages.topics[i].name: cdr for i, cdr in messages.due(["guidance", "hold"])}
         truth = simulation.truth
         seen = {
-            "reading": simulation.reading["uav"], "position": truth.position_ned.copy(), "time": simulation.time,
-            "velocity": truth.velocity_ned.copy(), "attitude": np.asarray(truth.attitude).copy(),
-            "body": truth.velocity_body.copy(), "wind": np.asarray(truth.wind_ned).copy(),
-        }  # fmt: skip
+            "reading": simulation.reading["uav"],
+            "position": truth.position_ned.copy(),
+            "time": simulation.time,
+            "velocity": truth.velocity_ned.copy(),
+            "attitude": np.asarray(truth.attitude).copy(),
+            "body": truth.velocity_body.copy(),
+            "wind": np.asarray(truth.wind_ned).copy(),
+        }
         found.append((said, seen))
     return messages, found, scenario.site
 

@@ -45,7 +45,7 @@ def test_without_names_all_that_are_free():
         (lambda found: found.check_own(1, "mouse", "COMMAND"), "COMMAND: 'mouse' is not claimed; CLAIM it first"),
         (lambda found: found.check_own(1, "cat_9", "COMMAND"), "COMMAND: no vehicle is called 'cat_9'; did you"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_said(ask, said):
     found = claims()
     found.take(7, ["cat_0"])

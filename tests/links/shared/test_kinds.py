@@ -36,8 +36,15 @@ def test_each_number_goes_into_the_field_of_its_name_and_unit(kind):
 def test_every_kind_of_setpoint_can_be_ordered_and_keeps_its_number_in_recordings():
     assert set(FIELDS) == set(SETPOINTS)
     assert NAMES == (
-        "waypoint", "velocity", "velocity_height", "attitude_height", "attitude", "path", "control", "track",
-    )  # fmt: skip
+        "waypoint",
+        "velocity",
+        "velocity_height",
+        "attitude_height",
+        "attitude",
+        "path",
+        "control",
+        "track",
+    )
 
 
 @pytest.mark.parametrize(("kind", "place"), [("velocity_height", 2), ("attitude_height", 2)])

@@ -56,9 +56,11 @@ def mil(height: Any, speed_20ft: float = SPEED_20FT, high_ft: float = 1750.0) ->
     above = np.clip(np.asarray(height, float) / (10.0 * FOOT), 0.0, 1.0)
     blend = partial(lambda a, b: (1.0 - share) * a + share * b)
     return Scales(
-        blend(low / shape**1.2 * FOOT, high_ft * FOOT), blend(low * FOOT, high_ft * FOOT),
-        blend(sigma_w * shape**-0.4, high), above * blend(sigma_w, high),
-    )  # fmt: skip
+        blend(low / shape**1.2 * FOOT, high_ft * FOOT),
+        blend(low * FOOT, high_ft * FOOT),
+        blend(sigma_w * shape**-0.4, high),
+        above * blend(sigma_w, high),
+    )
 
 
 # Closed forms of isotropic turbulence of length L [m] and variance 1.
@@ -218,9 +220,12 @@ def sampled(turbulence: DrydenField, worlds: int, place: Any, time: Any = 0.0, s
     time = np.broadcast_to(np.asarray(time, float), (len(place),))
     whole = np.floor(time)
     found = series(
-        turbulence, fields, jnp.asarray(place, jnp.float32), jnp.asarray(whole, jnp.int32),
+        turbulence,
+        fields,
+        jnp.asarray(place, jnp.float32),
+        jnp.asarray(whole, jnp.int32),
         jnp.asarray(time - whole, jnp.float32),
-    )  # fmt: skip
+    )
     return tuple(np.asarray(part, np.float64) for part in found)  # type: ignore[return-value]
 
 
@@ -253,14 +258,16 @@ def waves(turbulence: DrydenField, field: FieldWaves) -> Waves:
     d = float(field.dilation)
     parts: list[tuple[Any, ...]] = []
     for j in range(of.octaves):
-        parts.append((
-            (2.0**j * of.first[:, :, None] * of.directions * d).reshape(-1, 3) @ turned,
-            (of.cosine[j] - 1j * of.sine[j]).reshape(-1, 3) @ turned,
-            np.asarray(field.advance).astype(object),
-            2.0**j * np.asarray(field.frequency, float),
-            np.full(of.first.size, 2**j, object),
-            np.repeat(of.centre[j], of.first.shape[1]) * d,
-        ))  # fmt: skip
+        parts.append(
+            (
+                (2.0**j * of.first[:, :, None] * of.directions * d).reshape(-1, 3) @ turned,
+                (of.cosine[j] - 1j * of.sine[j]).reshape(-1, 3) @ turned,
+                np.asarray(field.advance).astype(object),
+                2.0**j * np.asarray(field.frequency, float),
+                np.full(of.first.size, 2**j, object),
+                np.repeat(of.centre[j], of.first.shape[1]) * d,
+            )
+        )
     return Waves(
         *(np.concatenate([part[i] for part in parts]) for i in range(6)), 2.0 * math.log(2.0) / turbulence.chains
     )

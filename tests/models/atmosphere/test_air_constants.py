@@ -77,9 +77,14 @@ def test_a_grid_of_one_time_is_steady_and_one_of_two_is_linear_between_them() ->
     steady, rising = grid(squares((1.0,)), (0,)), grid(squares((1.0, 3.0)), (0, 10))
     # After its last time it stays.
     for wind, seconds, factor, mean in (
-        (steady, 0, 1.0, 1.0), (steady, 7, 1.0, 1.0), (rising, 0, 1.0, 2.0), (rising, 5, 2.0, 2.0),
-        (rising, 10, 3.0, 2.0), (rising, 11, 3.0, 2.0), (rising, 14, 3.0, 2.0),
-    ):  # fmt: skip
+        (steady, 0, 1.0, 1.0),
+        (steady, 7, 1.0, 1.0),
+        (rising, 0, 1.0, 2.0),
+        (rising, 5, 2.0, 2.0),
+        (rising, 10, 3.0, 2.0),
+        (rising, 11, 3.0, 2.0),
+        (rising, 14, 3.0, 2.0),
+    ):
         found, over_all = north_of(wind, places, np.int32(seconds))
         np.testing.assert_allclose(found, factor * rows, rtol=1e-6)
         np.testing.assert_allclose(over_all, mean * 55.0 / 6.0, rtol=1e-6)

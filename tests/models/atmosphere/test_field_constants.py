@@ -42,9 +42,13 @@ def waves_as_they_are() -> FieldWaves:
     phase = (np.arange(count) * (2**32 // count) + 12345).astype(np.uint32)
     rows = [Vec3(*(jnp.float32(x) for x in row)) for row in np.eye(3)]
     return FieldWaves(
-        jnp.asarray(phase), jnp.zeros(count, jnp.uint32), jnp.zeros(count, jnp.float32), (rows[0], rows[1], rows[2]),
-        jnp.float32(1.0), jnp.float32(1.0),
-    )  # fmt: skip
+        jnp.asarray(phase),
+        jnp.zeros(count, jnp.uint32),
+        jnp.zeros(count, jnp.float32),
+        (rows[0], rows[1], rows[2]),
+        jnp.float32(1.0),
+        jnp.float32(1.0),
+    )
 
 
 @pytest.mark.long
@@ -64,11 +68,13 @@ def test_von_karman_field_is_its_waves_and_the_residual_what_they_leave_out() ->
     assert np.abs(expected).min() > 0.02
     np.testing.assert_allclose(found[::4], expected, rtol=0.0, atol=2e-4)
     # (A7) to (A9) at 10 and 49.21 ft, with u20 = 8 m/s; at 2500 ft 7.09 ft/s lies between 6.9 and 7.4 of figure 7.
-    for group, (length_h, length_w, sigma_h, sigma_w) in enumerate([
-        (10.0 / 0.18523**1.2 * FOOT, 10.0 * FOOT, 0.8 / 0.18523**0.4, 0.8),
-        (49.2126 / 0.217502**1.2 * FOOT, 15.0, 0.8 / 0.217502**0.4, 0.8),
-        (762.0, 762.0, 7.0875 * FOOT, 7.0875 * FOOT),
-    ]):  # fmt: skip
+    for group, (length_h, length_w, sigma_h, sigma_w) in enumerate(
+        [
+            (10.0 / 0.18523**1.2 * FOOT, 10.0 * FOOT, 0.8 / 0.18523**0.4, 0.8),
+            (49.2126 / 0.217502**1.2 * FOOT, 15.0, 0.8 / 0.217502**0.4, 0.8),
+            (762.0, 762.0, 7.0875 * FOOT, 7.0875 * FOOT),
+        ]
+    ):
         shares = [min(LENGTH_ALONG / (HIGHEST * length), 1.0) for length in (length_h, length_h, length_w)]
         sizes = np.array([sigma_h, sigma_h, sigma_w]) * np.sqrt(shares)
         differences = found[4 * group + 1 : 4 * group + 4] - found[4 * group]

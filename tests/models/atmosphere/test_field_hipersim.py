@@ -20,10 +20,9 @@ Floats = np.ndarray[Any, Any]
 HEIGHT, LENGTH, MANN = 3.048, 23.05, 30.87
 STEP, SEPARATIONS = 4.0, (8.0, 20.0, 40.0, 60.0)
 # Along and across, means over boxes of seeds 1 and 2, by hipersim 0.1.22.
-OF_BOXES = np.array([
-    [4.28868113, 2.64810374, 1.25891718, 0.61001793],
-    [3.53292474, 1.63850468, 0.35805184, -0.02700213],
-])  # fmt: skip
+OF_BOXES = np.array(
+    [[4.28868113, 2.64810374, 1.25891718, 0.61001793], [3.53292474, 1.63850468, 0.35805184, -0.02700213]]
+)
 
 
 def of_a_box(seed: int) -> tuple[Floats, Floats]:
@@ -31,9 +30,15 @@ def of_a_box(seed: int) -> tuple[Floats, Floats]:
     from hipersim import MannTurbulenceField
 
     box = MannTurbulenceField.generate(
-        alphaepsilon=1.0, L=MANN, Gamma=0, Nxyz=(512, 128, 128), dxyz=(STEP,) * 3, seed=seed, HighFreqComp=0,
+        alphaepsilon=1.0,
+        L=MANN,
+        Gamma=0,
+        Nxyz=(512, 128, 128),
+        dxyz=(STEP,) * 3,
+        seed=seed,
+        HighFreqComp=0,
         double_xyz=(False, True, True),
-    )  # fmt: skip
+    )
     velocity = np.asarray(box.uvw, np.float64)
 
     def product(component: int, axis: int, steps: int) -> float:
@@ -77,8 +82,9 @@ def test_both_have_the_same_shape_along_and_across() -> None:
     """
     ours = of_the_field()
     for mine, other, form in zip(ours, OF_BOXES, (field.along, field.across), strict=True):
-        closed, dryden = (form(SEPARATIONS, LENGTH, name) / field.along(8.0, LENGTH, name)
-                          for name in ("von_karman", "dryden"))  # fmt: skip
+        closed, dryden = (
+            form(SEPARATIONS, LENGTH, name) / field.along(8.0, LENGTH, name) for name in ("von_karman", "dryden")
+        )
         shapes = mine / ours[0][0], other / OF_BOXES[0, 0]
         assert np.abs(shapes[0] - shapes[1]).max() < 0.03
         for shape in shapes:

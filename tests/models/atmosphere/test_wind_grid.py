@@ -106,9 +106,14 @@ def test_rows_from_the_north_levels_from_above_and_the_classic_format(tmp_path, 
 
 @pytest.mark.parametrize(
     ("unit", "seconds"),
-    [("hours since 2026-01-01 00:00", 3600.0), ("Hours Since 2026-01-01", 3600.0), ("minutes since 2026-01-01", 60.0),
-     ("days since 1970-01-01", 86_400.0), ("milliseconds", 1e-3)],
-)  # fmt: skip
+    [
+        ("hours since 2026-01-01 00:00", 3600.0),
+        ("Hours Since 2026-01-01", 3600.0),
+        ("minutes since 2026-01-01", 60.0),
+        ("days since 1970-01-01", 86_400.0),
+        ("milliseconds", 1e-3),
+    ],
+)
 def test_times_in_other_units(tmp_path, whole, unit, seconds):
     """The last is 100 s after the first, so it covers a run of 100 s."""
     other = dataset()
@@ -270,9 +275,11 @@ def test_vehicles_feel_it_where_they_are(tmp_path, whole, compiler, monkeypatch)
 
     monkeypatch.setenv("QRSIM_COMPILER", compiler)
     changes = [
-        f"world.wind={{type: grid, file: {whole}}}", "duration=60", "world.area.z_min=-120",
+        f"world.wind={{type: grid, file: {whole}}}",
+        "duration=60",
+        "world.area.z_min=-120",
         "world.turbulence={type: dryden, speed_20ft: 2, wind_from_rad: 1.0}",
-    ]  # fmt: skip
+    ]
     sim = qrsim.Simulation(qrsim.load_scenario("patrol_plain", changes, quiet=True).world(), seed=1)
     sim.reset()
     sim.step(ticks=400)

@@ -59,9 +59,15 @@ def base_at(position_ned: tuple[float, float, float] = (0.0, 0.0, 0.0), **how: A
 
 
 def sky_of(
-    sensor: Gnss, start_s: float = 0.0, errors: Any = None, dtype: Any = np.float32, orbits: Any = None,
-    site: Site | None = None, base: Any = None, interference: Any = None,
-) -> SlottedSky:  # fmt: skip
+    sensor: Gnss,
+    start_s: float = 0.0,
+    errors: Any = None,
+    dtype: Any = np.float32,
+    orbits: Any = None,
+    site: Site | None = None,
+    base: Any = None,
+    interference: Any = None,
+) -> SlottedSky:
     """Return the sky of a receiver over a site, from a time after midnight [s] on; errors default to the budget."""
     ephemeris = NominalConstellations(sensor.systems) if orbits is None else orbits
     place = site or Site()
@@ -70,9 +76,13 @@ def sky_of(
         cast(ErrorBudget() if errors is None else errors, dtype),
         jnp.asarray(ephemeris.satellite_ids),
         jnp.asarray(system_numbers(ephemeris.system_of), jnp.int32),
-        sensor.period, sensor.period, SLOTS, math.sin(sensor.elevation_mask_rad), base=cast(base, dtype),
+        sensor.period,
+        sensor.period,
+        SLOTS,
+        math.sin(sensor.elevation_mask_rad),
+        base=cast(base, dtype),
         interference=cast(interference, dtype),
-    )  # fmt: skip
+    )
 
 
 # Optimised, the program takes ten times as long to compile, and flies no study in less time than that.

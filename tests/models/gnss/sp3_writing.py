@@ -23,10 +23,16 @@ def names_of(letter: str, count: int = 24) -> list[str]:
 
 
 def sp3_text(
-    version: str = "c", names: Iterable[str] = tuple(names_of("G")), epochs: int = 20, *, interval: float = 900.0,
-    time_system: str = "GPS", first: datetime = datetime(2010, 8, 31, 15), shift_s: float = 0.0,
+    version: str = "c",
+    names: Iterable[str] = tuple(names_of("G")),
+    epochs: int = 20,
+    *,
+    interval: float = 900.0,
+    time_system: str = "GPS",
+    first: datetime = datetime(2010, 8, 31, 15),
+    shift_s: float = 0.0,
     orbits: Any = NOMINAL,
-) -> str:  # fmt: skip
+) -> str:
     """An SP3 file of the nominal constellation, its slots repeated under as many names as asked for.
 
     ``first`` is what the first epoch line says; ``shift_s`` is GPS time minus the file's time system; ``orbits`` are

@@ -19,12 +19,18 @@ TEN_KM = (7071.0, 7071.0, 0.0)
 def scenario(sensor: dict[str, Any], world: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
     """Return a scenario of two vehicles with a receiver."""
     return {
-        "name": "x", "duration": 60.0, "world": world or {},
-        "fleets": {"a": {"sensors": {"gnss": {"type": "gnss", **sensor}},
-                         "controller": {"type": "cascade", "feed": "truth"},
-                         "vehicles": [{"position_ned": [30.0 * i, 0.0, -20.0]} for i in range(2)]}},
+        "name": "x",
+        "duration": 60.0,
+        "world": world or {},
+        "fleets": {
+            "a": {
+                "sensors": {"gnss": {"type": "gnss", **sensor}},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "vehicles": [{"position_ned": [30.0 * i, 0.0, -20.0]} for i in range(2)],
+            }
+        },
         **more,
-    }  # fmt: skip
+    }
 
 
 class TestScenarios:
@@ -55,7 +61,7 @@ class TestScenarios:
                 "corrections: 'sbas' takes away what receivers have in common",
             ),
         ],
-    )  # fmt: skip
+    )
     def test_what_is_wrong_is_said_in_one_line(self, sensor: dict[str, Any], world: dict[str, Any], expected: str):
         with pytest.raises(ScenarioError) as caught:
             load_scenario(scenario(sensor, world))

@@ -61,30 +61,53 @@ def one(value: Any) -> Any:
 def link_of(**changes: Any) -> Link:
     """Return what one receiver remembers whose phase floats."""
     usual: dict[str, Any] = {
-        "age": one(0.0), "on": one(True), "fixed": one(False), "stage": one(0.0), "carrier": vec(), "wrong": vec(),
-        "drift": vec(), "said": vec(),
-    }  # fmt: skip
+        "age": one(0.0),
+        "on": one(True),
+        "fixed": one(False),
+        "stage": one(0.0),
+        "carrier": vec(),
+        "wrong": vec(),
+        "drift": vec(),
+        "said": vec(),
+    }
     return Link(**{**usual, **changes})
 
 
 def geometry(strong: Any = 16.0, mirrored: Any = 0.0, count: Any = 20.0) -> Any:
     """Return a solution with satellites that carrier phase can be fixed with, and reflections of all used."""
     part = SimpleNamespace(
-        strong=strong, horizontal=one(0.8), vertical=one(1.2), float_horizontal=one(0.3), float_vertical=one(0.5),
-        before=vec(), after=vec(),
-    )  # fmt: skip
+        strong=strong,
+        horizontal=one(0.8),
+        vertical=one(1.2),
+        float_horizontal=one(0.3),
+        float_vertical=one(0.5),
+        before=vec(),
+        after=vec(),
+    )
     return SimpleNamespace(
-        enough=one(True), differential=part, mirrored=mirrored, count=count, horizontal=one(3.0), vertical=one(4.0),
-        slope_north=vec(), slope_east=vec(),
-    )  # fmt: skip
+        enough=one(True),
+        differential=part,
+        mirrored=mirrored,
+        count=count,
+        horizontal=one(3.0),
+        vertical=one(4.0),
+        slope_north=vec(),
+        slope_east=vec(),
+    )
 
 
 def slots_of(carrier: Any = None) -> Any:
     """Return slots with a base that sends nothing."""
     base = SimpleNamespace(
-        position_ned=vec(), sends=np.array(False), reach=np.float32(1e6), age=np.float32(0.0), coordinates=vec(),
-        carrier=carrier or vec(), tilt_north=vec(), tilt_east=vec(),
-    )  # fmt: skip
+        position_ned=vec(),
+        sends=np.array(False),
+        reach=np.float32(1e6),
+        age=np.float32(0.0),
+        coordinates=vec(),
+        carrier=carrier or vec(),
+        tilt_north=vec(),
+        tilt_east=vec(),
+    )
     return SimpleNamespace(base=base, part=np.float32(0.0))
 
 
@@ -103,9 +126,13 @@ def _stepped(
 
 
 def epoch(
-    link: Link | None = None, draw: Given | None = None, got: Received | None = None,
-    counts: tuple[float, float, float] = (16.0, 0.0, 20.0), base: Vec3 | None = None, corrections: str = "rtk",
-) -> tuple[Link, Any]:  # fmt: skip
+    link: Link | None = None,
+    draw: Given | None = None,
+    got: Received | None = None,
+    counts: tuple[float, float, float] = (16.0, 0.0, 20.0),
+    base: Vec3 | None = None,
+    corrections: str = "rtk",
+) -> tuple[Link, Any]:
     """Return memory and quality after an epoch, with counts of strong satellites, of reflections and of all."""
     given, numbers = draw or Given(), tuple(one(count) for count in counts)
     uniform, normals = (np.asarray(part, np.float32) for part in (given.uniform, given.normals))

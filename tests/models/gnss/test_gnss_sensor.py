@@ -20,11 +20,18 @@ APART = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (100.0, 0.0, 0.0), (10000.0, 0.0, 0.0
 def scenario(sensor: dict[str, Any], sky: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
     """Return a scenario of two vehicles with a receiver."""
     return {
-        "name": "x", "duration": 60.0, "world": {"sky": sky} if sky else {},
-        "fleets": {"a": {"sensors": {"gnss": {"type": "gnss", **sensor}}, "controller": CASCADE,
-                         "vehicles": [{"position_ned": [30.0 * i, 0.0, -20.0]} for i in range(2)]}},
+        "name": "x",
+        "duration": 60.0,
+        "world": {"sky": sky} if sky else {},
+        "fleets": {
+            "a": {
+                "sensors": {"gnss": {"type": "gnss", **sensor}},
+                "controller": CASCADE,
+                "vehicles": [{"position_ned": [30.0 * i, 0.0, -20.0]} for i in range(2)],
+            }
+        },
         **more,
-    }  # fmt: skip
+    }
 
 
 class TestScenarios:
@@ -64,7 +71,7 @@ class TestScenarios:
             ({"multipath": -1.0}, None, "multipath: -1.0 is out of range"),
             ({"elevation_mask_deg": 2.0}, None, "elevation_mask_deg"),
         ],
-    )  # fmt: skip
+    )
     def test_what_is_wrong_is_said_in_one_line(self, sensor: dict[str, Any], sky: Any, expected: str):
         with pytest.raises(ScenarioError) as caught:
             load_scenario(scenario(sensor, sky))

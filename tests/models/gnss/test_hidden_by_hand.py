@@ -55,10 +55,16 @@ def slots_at(part: Any) -> Any:
     scale: Any = F32(0.1)
     return SimpleNamespace(
         sight=Sight(directions, np.asarray(ELEVATION, F32), like, like, zero, zero),  # type: ignore[arg-type]
-        scales=Scales(like, scale, *((scale, scale) for _ in range(4))), system=np.zeros(4, np.int32), rough=False,
-        own=None, before=CommonErrors(*(zero,) * 6), after=CommonErrors(*(zero,) * 6), knot=np.int32(0), part=part,
+        scales=Scales(like, scale, *((scale, scale) for _ in range(4))),
+        system=np.zeros(4, np.int32),
+        rough=False,
+        own=None,
+        before=CommonErrors(*(zero,) * 6),
+        after=CommonErrors(*(zero,) * 6),
+        knot=np.int32(0),
+        part=part,
         knot_s=5.0,
-    )  # fmt: skip
+    )
 
 
 @jit

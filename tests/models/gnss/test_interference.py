@@ -26,11 +26,17 @@ CLEAR = 1.0
 def scenario(interference: list[dict[str, Any]], sensor: dict[str, Any] | None = None, **world: Any) -> dict[str, Any]:
     """Return a scenario of two vehicles with a receiver, 900 m apart."""
     return {
-        "name": "x", "duration": 60.0, "world": {"interference": interference, **world},
-        "fleets": {"a": {"sensors": {"gnss": {"type": "gnss", **(sensor or {})}},
-                         "controller": {"type": "cascade", "feed": "truth"},
-                         "vehicles": [{"position_ned": [900.0 * i, 0.0, -20.0]} for i in range(2)]}},
-    }  # fmt: skip
+        "name": "x",
+        "duration": 60.0,
+        "world": {"interference": interference, **world},
+        "fleets": {
+            "a": {
+                "sensors": {"gnss": {"type": "gnss", **(sensor or {})}},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "vehicles": [{"position_ned": [900.0 * i, 0.0, -20.0]} for i in range(2)],
+            }
+        },
+    }
 
 
 def at(item: Interference, seconds: float) -> Any:
@@ -74,8 +80,11 @@ class TestJammer:
         """A box 20 m high between the two takes 20 dB; above its roof the jammer is seen."""
         box = {"type": "box", "x_min": 40.0, "x_max": 60.0, "y_min": -30.0, "y_max": 30.0, "z_min": -20.0, "z_max": 0.0}
         jammer = {"kind": "jammer", "position_ned": [100.0, 0.0, -2.0], "power_w": 0.01}
-        fleet = {"sensors": {"gnss": {"type": "gnss"}}, "controller": {"type": "cascade", "feed": "truth"},
-                 "vehicles": [{"position_ned": [0.0, 0.0, -5.0]}]}  # fmt: skip
+        fleet = {
+            "sensors": {"gnss": {"type": "gnss"}},
+            "controller": {"type": "cascade", "feed": "truth"},
+            "vehicles": [{"position_ned": [0.0, 0.0, -5.0]}],
+        }
         content = {"name": "x", "duration": 1.0, "fleets": {"a": fleet}, "world": {"obstacles": [box]}}
         skyline = load_scenario(content, quiet=True).world().skyline
         assert skyline is not None
@@ -179,7 +188,7 @@ class TestScenarios:
             ({"kind": "iono_storm", "start": 100.0}, "start: 100 s is not within the run; allowed: from 0 s"),
             ({"kind": "iono_storm", "start": 10.0, "end": 5.0}, "end: 5 s is not after the start, 10 s"),
         ],
-    )  # fmt: skip
+    )
     def test_what_is_wrong_is_said_in_one_line(self, item: dict[str, Any], expected: str):
         with pytest.raises(ScenarioError) as caught:
             load_scenario(scenario([item]))

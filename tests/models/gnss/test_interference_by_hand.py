@@ -85,10 +85,13 @@ def test_gain_towards_what_is_below_or_hidden() -> None:
     found = [
         float(added(emitter(), place, (), ground, skyline)[0])
         for place, ground, skyline in (
-            (above, None, None), (below, None, None), (above, hidden, None), (above, None, hidden),
+            (above, None, None),
+            (below, None, None),
+            (above, hidden, None),
+            (above, None, hidden),
             (below, hidden, hidden),
         )
-    ]  # fmt: skip
+    ]
     np.testing.assert_allclose(found, [0.01, 0.00316227766, 1e-4, 1e-4, 3.16227766e-7], rtol=1e-5)
 
 

@@ -159,9 +159,15 @@ def test_secular_rates_against_integrated_motion() -> None:
     speed = math.sqrt(mu / axis)
     start = [axis, 0.0, 0.0, 0.0, speed * math.cos(tilt), speed * math.sin(tilt)]
     path = scipy.integrate.solve_ivp(
-        slope, (0.0, 4.2 * 43077.0), start, method="DOP853", rtol=1e-12, atol=1e-6, dense_output=True,
+        slope,
+        (0.0, 4.2 * 43077.0),
+        start,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-6,
+        dense_output=True,
         events=height_above_equator,
-    )  # fmt: skip
+    )
     late = path.t_events[0] > 1000.0
     nodes, states = path.t_events[0][late], path.y_events[0][late]
     # Mean elements over whole revolutions, because the osculating ones swing by J2.

@@ -98,8 +98,8 @@ def ephemeris_of(
     """Return the ephemeris of a file with these positions (E, S, 3) [m]."""
     shape = positions.shape[:2]
     data = Sp3File(
-        "orbits.sp3", "c", names, FIRST, interval, positions, np.zeros(shape), np.zeros(shape, bool), (), {}, (), "",
-    )  # fmt: skip
+        "orbits.sp3", "c", names, FIRST, interval, positions, np.zeros(shape), np.zeros(shape, bool), (), {}, (), ""
+    )
     found = Sp3Ephemeris("orbits.sp3", systems)
     vars(found)["data"] = data
     return found

@@ -41,10 +41,26 @@ def test_presets_are_those_of_the_page(name: str, std: float) -> None:
 
 def test_nodes_and_weights_are_those_of_gauss_and_legendre() -> None:
     """Abramowitz and Stegun, table 25.4, n = 12, brought from [-1, 1] to [0, 1]."""
-    x = np.array([0.125233408511469, 0.367831498998180, 0.587317954286617,
-                  0.769902674194305, 0.904117256370475, 0.981560634246719])  # fmt: skip
-    w = np.array([0.249147045813403, 0.233492536538355, 0.203167426723066,
-                  0.160078328543346, 0.106939325995318, 0.047175336386512])  # fmt: skip
+    x = np.array(
+        [
+            0.125233408511469,
+            0.367831498998180,
+            0.587317954286617,
+            0.769902674194305,
+            0.904117256370475,
+            0.981560634246719,
+        ]
+    )
+    w = np.array(
+        [
+            0.249147045813403,
+            0.233492536538355,
+            0.203167426723066,
+            0.160078328543346,
+            0.106939325995318,
+            0.047175336386512,
+        ]
+    )
     np.testing.assert_allclose(_NODES, np.concatenate([0.5 - 0.5 * x[::-1], 0.5 + 0.5 * x]), atol=1e-14)
     np.testing.assert_allclose(_WEIGHTS, 0.5 * np.concatenate([w[::-1], w]), atol=1e-14)
 

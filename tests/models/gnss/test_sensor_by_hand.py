@@ -23,8 +23,9 @@ from qrsim.models.gnss.slots import Slots
 F32 = np.float32
 # Elevation and azimuth [deg]; the last one is hidden by the ground, where there is some.
 PLACES = np.radians([[80.0, 10.0], [30.0, 0.0], [40.0, 80.0], [35.0, 150.0], [50.0, 220.0], [25.0, 300.0]])
-RAYS = np.stack([np.cos(PLACES[:, 0]) * np.cos(PLACES[:, 1]), np.cos(PLACES[:, 0]) * np.sin(PLACES[:, 1]),
-                 -np.sin(PLACES[:, 0])])  # fmt: skip
+RAYS = np.stack(
+    [np.cos(PLACES[:, 0]) * np.cos(PLACES[:, 1]), np.cos(PLACES[:, 0]) * np.sin(PLACES[:, 1]), -np.sin(PLACES[:, 0])]
+)
 COUNT = len(PLACES)
 # The code generator that compiles these programs in half the time.
 jit = partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0})
@@ -74,13 +75,18 @@ def slots_of(moved: Any = (0.0, 0.0, 0.0), base: bool = False, **changes: Any) -
         rest: Any = (zero, zero, none, none, np.array(True), np.full((), 1e6, F32))
         heard = BaseSeen(nowhere, vec(0, 0, 0), vec(0, 0, 0), vec(0, 0, 0), vec(0, 0, 0), *rest)
     values: dict[str, Any] = {
-        "ids": np.arange(COUNT, dtype=np.uint32), "system": np.zeros(COUNT, np.int32),
+        "ids": np.arange(COUNT, dtype=np.uint32),
+        "system": np.zeros(COUNT, np.int32),
         "places": np.arange(COUNT, dtype=np.int32),
         "sight": Sight(Vec3(*RAYS.astype(F32)), PLACES[:, 0].astype(F32), one, one, zero, zero),  # type: ignore[arg-type]
-        "before": CommonErrors(*(zero,) * 6), "after": CommonErrors(signal, *(zero,) * 5),  # type: ignore[arg-type]
+        "before": CommonErrors(*(zero,) * 6),
+        "after": CommonErrors(signal, *(zero,) * 5),  # type: ignore[arg-type]
         "scales": Scales(one, none, pair, pair, pair, pair),  # type: ignore[arg-type]
-        "dropped": np.int32(0), "knot": np.int32(0), "part": np.zeros((), F32), "base": heard,
-    }  # fmt: skip
+        "dropped": np.int32(0),
+        "knot": np.int32(0),
+        "part": np.zeros((), F32),
+        "base": heard,
+    }
     return Slots(**{**values, **changes})
 
 

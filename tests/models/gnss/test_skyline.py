@@ -28,8 +28,12 @@ def bytes_of(table: Skyline, number: int) -> Values:
 
 
 def sight(elevation: Values, azimuth: Values) -> Sight:
-    ray = Vec3(*(jnp.asarray(part, jnp.float32) for part in (
-        np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), -np.sin(elevation))))  # fmt: skip
+    ray = Vec3(
+        *(
+            jnp.asarray(part, jnp.float32)
+            for part in (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), -np.sin(elevation))
+        )
+    )
     none = jnp.zeros(len(elevation))
     return Sight(ray, jnp.asarray(elevation, jnp.float32), none, none, none, none)
 
@@ -124,8 +128,10 @@ def test_the_detour_of_a_reflection_is_the_shortest_way_over_the_wall() -> None:
 @pytest.mark.long
 def test_reflections_end_at_the_roof_and_above_all_roofs_there_is_nothing() -> None:
     # A wall 10 m to the north, 25 m high, seen from 5 m: up to atan(20/10).
-    table = table_of([([np.array([[10.0, -100.0], [10.0, 100.0], [14.0, 100.0], [14.0, -100.0]])], 25.0, 0.0)],
-                     (-2.0, 2.0, -2.0, 2.0))  # fmt: skip
+    table = table_of(
+        [([np.array([[10.0, -100.0], [10.0, 100.0], [14.0, 100.0], [14.0, -100.0]])], 25.0, 0.0)],
+        (-2.0, 2.0, -2.0, 2.0),
+    )
     elevation = np.radians([60.0, 65.0, 60.0, 66.0])
     azimuth = np.radians([0.0, 0.0, 180.0, 180.0]) + 0.02
     places = np.array([[0.0, 0.0, -5.0], [0.0, 0.0, -25.0], [0.0, 0.0, -80.0], [500.0, 0.0, -5.0]])
@@ -186,10 +192,13 @@ STREET = [
 
 def in_a_street(obstacles: list[Any]) -> Any:
     fleet = {
-        "controller": {"type": "waypoint", "feed": "truth"}, "sensors": {"gnss": {"type": "gnss", "preset": "m8n"}},
-        "vehicles": [{"position_ned": [0.0, 0.0, -3.0]}, {"position_ned": [0.0, 0.0, -30.0], "waypoints_ned":
-                     [[60.0, 30.0, -30.0]]}],
-    }  # fmt: skip
+        "controller": {"type": "waypoint", "feed": "truth"},
+        "sensors": {"gnss": {"type": "gnss", "preset": "m8n"}},
+        "vehicles": [
+            {"position_ned": [0.0, 0.0, -3.0]},
+            {"position_ned": [0.0, 0.0, -30.0], "waypoints_ned": [[60.0, 30.0, -30.0]]},
+        ],
+    }
     sim = qrsim.load({"name": "x", "duration": 9.0, "world": {"obstacles": obstacles}, "fleets": {"a": fleet}}, seed=1)
     sim.reset()
     return sim, sim.step(ticks=400).gnss

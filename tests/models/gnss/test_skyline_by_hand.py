@@ -99,9 +99,7 @@ def test_a_wall_that_spans_more_than_half_of_the_numbers(half: float) -> None:
     np.testing.assert_array_equal(found, np.where(meets, np.round(np.degrees(np.arctan(60.0 / away)) / PART), 0.0))
 
 
-@pytest.mark.parametrize(
-    ("away", "detour"), [(0.2, 1), (10.0, 20), (127.6, 255), (127.8, 0), (150.0, 0)],
-)  # fmt: skip
+@pytest.mark.parametrize(("away", "detour"), [(0.2, 1), (10.0, 20), (127.6, 255), (127.8, 0), (150.0, 0)])
 def test_detours_from_behind(away: float, detour: int) -> None:
     """A wall in the north, turned by 1 degree, mirrors to the north what comes from 182 degrees.
 

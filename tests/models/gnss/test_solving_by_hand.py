@@ -25,8 +25,10 @@ F32 = np.float32
 # Elevation and azimuth [deg] of ten satellites.
 PLACES = np.radians([[80.0, 10.0], [30.0, 0.0], [40.0, 80.0], [35.0, 150.0], [50.0, 220.0], [25.0, 300.0],
                      [60.0, 120.0], [15.0, 200.0], [20.0, 45.0], [55.0, 330.0]])  # fmt: skip
-RAYS = np.stack([np.cos(PLACES[:, 0]) * np.cos(PLACES[:, 1]), np.cos(PLACES[:, 0]) * np.sin(PLACES[:, 1]),
-                 -np.sin(PLACES[:, 0])], axis=1)  # fmt: skip
+RAYS = np.stack(
+    [np.cos(PLACES[:, 0]) * np.cos(PLACES[:, 1]), np.cos(PLACES[:, 0]) * np.sin(PLACES[:, 1]), -np.sin(PLACES[:, 0])],
+    axis=1,
+)
 # The code generator that compiles these programs in half the time.
 jit = partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0})
 
@@ -181,9 +183,15 @@ class TestReporting:
         @jit
         def coasting() -> GnssFix:
             now: Any = SimpleNamespace(
-                enough=one(False), count=number, hdop=number, vdop=number, speed=number, seen=number, blocked=None,
+                enough=one(False),
+                count=number,
+                hdop=number,
+                vdop=number,
+                speed=number,
+                seen=number,
+                blocked=None,
                 mirrored=None,
-            )  # fmt: skip
+            )
             quality: Any = SimpleNamespace(fix_type=number, horizontal=number, vertical=number, age=None)
             receiver, place = SimpleNamespace(period=0.2), full(0, 0, 0)
             return fix_of(receiver, now, quality, place, place, held, one(True), None)
@@ -209,10 +217,11 @@ def readings() -> Any:
     @partial(jit, static_argnums=0)
     def read(misled: bool) -> GnssFix:
         slots: Any = SimpleNamespace(
-            ids=jnp.array([11, 12, 13, 14, 15, 0xFFFFFFFF], jnp.uint32), system=jnp.zeros(6, jnp.int32),
+            ids=jnp.array([11, 12, 13, 14, 15, 0xFFFFFFFF], jnp.uint32),
+            system=jnp.zeros(6, jnp.int32),
             sight=SimpleNamespace(line_of_sight=Vec3(*jnp.asarray(rays)), elevation=jnp.float32(elevation)),
             interference=SimpleNamespace(silent=jnp.zeros(6, bool)),
-        )  # fmt: skip
+        )
         effect: Any = SimpleNamespace(jam=one(100.0), misled=one(True) if misled else None)
         now: Any = SimpleNamespace(age=jnp.asarray(tracked))
         skyline = SimpleNamespace(look=lambda position, sight: (jnp.asarray(hides), None))

@@ -79,10 +79,18 @@ def slots_of(**changes: Any) -> Any:
     scales: Any = Scales(f32(SIGNAL_STD), 0.12, (1.5, 0.5), (2e-3, 3e-4), (0.35, 0.2), (2.0, 0.5))  # type: ignore[arg-type]
     base = SimpleNamespace(multipath=F32(2.0), code_before=f32(NUMBERS[0]), code_after=f32(NUMBERS[7]))
     usual: dict[str, Any] = {
-        "sight": Sight(Vec3(*(f32(axis) for axis in UNIT.T)), *numbers), "scales": scales, "system": SYSTEM,
-        "before": common(0), "after": common(6), "rough": False, "own": None, "base": base, "knot": np.int32(0),
-        "part": F32(0.5), "knot_s": 5.0,
-    }  # fmt: skip
+        "sight": Sight(Vec3(*(f32(axis) for axis in UNIT.T)), *numbers),
+        "scales": scales,
+        "system": SYSTEM,
+        "before": common(0),
+        "after": common(6),
+        "rough": False,
+        "own": None,
+        "base": base,
+        "knot": np.int32(0),
+        "part": F32(0.5),
+        "knot_s": 5.0,
+    }
     return SimpleNamespace(**{**usual, **changes})
 
 
@@ -154,9 +162,7 @@ def level_and_height(covariance: Any) -> list[float]:
 
 
 def one_satellite(sine: float) -> Any:
-    sight = SimpleNamespace(
-        line_of_sight=SimpleNamespace(z=f32([-sine])), elevation=f32([math.asin(sine)])
-    )  # fmt: skip
+    sight = SimpleNamespace(line_of_sight=SimpleNamespace(z=f32([-sine])), elevation=f32([math.asin(sine)]))
     return SimpleNamespace(sight=sight)
 
 
@@ -256,9 +262,12 @@ def test_solution_and_accuracies_of_one_frequency(corrections: str, signal: floa
     np.testing.assert_allclose(found.multipath.stack()[:, 0, :], half, rtol=1e-3, atol=1e-3)
     each = own_variance() + (signal * SIGNAL_STD) ** 2 + (left * 0.35 * IONOSPHERE) ** 2
     together = [
-        (left * 1.5, IONOSPHERE), (0.12, TROPOSPHERE), (0.7, SYSTEM), (left * 2e-3, IONOSPHERE * NORTH),
+        (left * 1.5, IONOSPHERE),
+        (0.12, TROPOSPHERE),
+        (0.7, SYSTEM),
+        (left * 2e-3, IONOSPHERE * NORTH),
         (left * 2e-3, IONOSPHERE * EAST),
-    ]  # fmt: skip
+    ]
     covariance = a * each @ a.T + sum(std**2 * np.outer(a @ f, a @ f) for std, f in together)
     level, height = level_and_height(covariance)
     assert float(found.horizontal[0]) == pytest.approx(level, rel=1e-3)

@@ -124,9 +124,14 @@ def fate(kind, packet, power, begin, chance=(0.5, 0.5), speaks=False):
         return jnp.zeros((2, 3)).at[:, 2].set(f32(*values))
 
     links = outcomes(
-        radio, near, at_the_last(power), f32(*begin), jnp.array([True, True, speaks]), jnp.int32([-1, -1, -1]),
+        radio,
+        near,
+        at_the_last(power),
+        f32(*begin),
+        jnp.array([True, True, speaks]),
+        jnp.int32([-1, -1, -1]),
         at_the_last(chance),
-    )  # fmt: skip
+    )
     return links.outcome[:, 2].tolist()
 
 

@@ -39,8 +39,12 @@ def test_a_preset_named_in_python_is_that_of_its_sheet(preset, channel, law, air
     """MHz, dBm, kHz, kbit/s, dB; law of the loss with its ratio [dB]; time of a packet on the air (docs/radio.md)."""
     radio = Network(preset=preset)
     assert channel == (
-        radio.frequency_mhz, radio.power_dbm, radio.bandwidth_khz, radio.rate_kbps, radio.noise_figure_db
-    )  # fmt: skip
+        radio.frequency_mhz,
+        radio.power_dbm,
+        radio.bandwidth_khz,
+        radio.rate_kbps,
+        radio.noise_figure_db,
+    )
     assert radio.packet.model == law[0]
     assert law[1] is None or radio.packet.snr50_db == law[1]
     assert 1e3 * radio.air_time == pytest.approx(air_ms, rel=1e-4)
@@ -53,12 +57,21 @@ def test_what_is_not_of_a_preset_has_its_default():
     assert (radio.mac.period, radio.inbox.forget, radio.frequency_mhz) == (2.0, 20.0, 868.0)
     usual = Network()
     assert vars(usual.path_loss) == {
-        "exponent": 2.2, "shadowing_db": 3.0, "correlation_distance": 50.0, "blocked_db": 20.0, "waves": 32,
-        "ground": "two_ray", "air_to_ground": "none", "ground_height": 5.0,
-    }  # fmt: skip
+        "exponent": 2.2,
+        "shadowing_db": 3.0,
+        "correlation_distance": 50.0,
+        "blocked_db": 20.0,
+        "waves": 32,
+        "ground": "two_ray",
+        "air_to_ground": "none",
+        "ground_height": 5.0,
+    }
     assert (usual.packet.capture_db, usual.packet.width_db, usual.delay.fixed, usual.delay.jitter) == (
-        6.0, 0.5, 0.005, 0.002
-    )  # fmt: skip
+        6.0,
+        0.5,
+        0.005,
+        0.002,
+    )
     assert (usual.inbox.reach, usual.inbox.candidates, usual.inbox.forget) == (300.0, 24, 2.0)
 
 
@@ -180,9 +193,12 @@ def test_pure_aloha_is_heard_as_the_law_says(load):
     seconds = load * period / (n - 1)
     rate = 8 * 60 / seconds / 1000.0
     radio = network(
-        rate_kbps=rate, mac=Mac(type="aloha", period=period), inbox=InboxSize(size=1, candidates=n), beacon=False,
+        rate_kbps=rate,
+        mac=Mac(type="aloha", period=period),
+        inbox=InboxSize(size=1, candidates=n),
+        beacon=False,
         packet=Packet(model="probability", range=1e6, capture_db=300.0),
-    )  # fmt: skip
+    )
     sends = jnp.arange(n + 1) < n
     said = Outbox(jnp.zeros((6, n + 1)), sends, jnp.full(n + 1, n, jnp.int32))
     air = Air(radio, np.column_stack([np.arange(n + 1) * 1.0, np.zeros((n + 1, 2))]))
@@ -233,9 +249,10 @@ def test_the_chance_of_loss_at_five_distances_is_that_of_the_law():
         ratio = 10.0 ** ((20.0 - loss + 174.0 - 10.0 * np.log10(250e3) - 6.0) / 10.0)
         law = 1.0 - (1.0 - 0.5 * np.exp(-ratio * 250.0 / 64.0 / 2.0)) ** 480
         near = Neighbours(
-            jnp.zeros((1, many), jnp.int32).at[0, 0].set(-1), jnp.full((1, many), np.float32(distance**2)),
+            jnp.zeros((1, many), jnp.int32).at[0, 0].set(-1),
+            jnp.full((1, many), np.float32(distance**2)),
             jnp.zeros(many, bool),
-        )  # fmt: skip
+        )
         zero, power = jnp.zeros(many), jnp.full((1, many), np.float32(20.0 - loss))
         chance = radio._chance(keys, near, ids, jnp.int32(number))
         links = outcomes(radio, near, power, zero, zero == 0, jnp.full(many, -1), chance)

@@ -186,9 +186,11 @@ class TestPropagation:
     def test_lands_are_those_that_are_published(self) -> None:
         """a, b of Al-Hourani et al. 2014, and the excess losses with a line of sight and without [dB]."""
         assert LANDS == {
-            "suburban": (4.88, 0.43, 0.1, 21.0), "urban": (9.61, 0.16, 1.0, 20.0),
-            "dense_urban": (12.08, 0.11, 1.6, 23.0), "high_rise": (27.23, 0.08, 2.3, 34.0),
-        }  # fmt: skip
+            "suburban": (4.88, 0.43, 0.1, 21.0),
+            "urban": (9.61, 0.16, 1.0, 20.0),
+            "dense_urban": (12.08, 0.11, 1.6, 23.0),
+            "high_rise": (27.23, 0.08, 2.3, 34.0),
+        }
 
     def test_free_space_over_land_and_the_noise_floor(self) -> None:
         """Straight above gardens 0.1 dB beside 20 log10(4 pi f d/c): 71.676 dB at 915 MHz over 100 m; -174 dBm/Hz."""

@@ -130,8 +130,13 @@ def test_a_drop_walks_to_a_neighbour() -> None:
     Draws: the corner; a jump of no cell; a drop that turns its cell; a walk; a turn. Others would walk elsewhere.
     """
     ground: Any = PatchyGround(
-        clutter_share=0.125, occlusion_share=0.0, jump=0.0, drops_least=5.0, drops_spread=0.0, side=4  # type: ignore[arg-type]
-    )  # fmt: skip
+        clutter_share=0.125,
+        occlusion_share=0.0,
+        jump=0.0,
+        drops_least=5.0,
+        drops_spread=0.0,
+        side=4,  # type: ignore[arg-type]
+    )
     grow = jax.jit(lambda first, second: ground.init(Given(first, second)).classes)
     second = words([[0.6]] * 8)
     for part, cell in ((0.22, (2, 2)), (0.45, (0, 2)), (0.7, (1, 3)), (0.95, (1, 1))):

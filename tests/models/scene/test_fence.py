@@ -200,7 +200,8 @@ BAD: dict[str, tuple[list[list[float]], list[str]]] = {
     "repeated": ([*SQUARE[:2], *SQUARE[1:]], ["corners 1 and 2 are the same point"]),
     "closed": ([*SQUARE, SQUARE[0]], ["corners 4 and 0 are the same point"]),
     "on a line": (
-        [[0.0, 0.0], [1.0, 2.0], [3.0, 6.0], [2.0, 4.0]], ["encloses no area, because its corners lie on one line"],
+        [[0.0, 0.0], [1.0, 2.0], [3.0, 6.0], [2.0, 4.0]],
+        ["encloses no area, because its corners lie on one line"],
     ),
     "bow tie": (
         [SQUARE[i] for i in (0, 1, 3, 2)],
@@ -218,7 +219,7 @@ BAD: dict[str, tuple[list[list[float]], list[str]]] = {
         [[math.cos(0.8 * math.pi * i), math.sin(0.8 * math.pi * i)] for i in range(5)],
         ["crosses itself: the edge from corner 0 to 1 meets the edge from corner 2 to 3 (5 pairs of edges do)"],
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -256,10 +257,17 @@ SLIT = [[-10.0, -10.0], [-10.0, 10.0], [10.0, 10.0], [10.0, 0.05], [-5.0, 0.0], 
 
 def test_a_way_across_a_slit_leaves_the_area():
     """At 100 m/s a step of 0.02 s is 2 m: both ends are inside, and the way is not; south of the tip it is."""
-    ways = np.array([
-        [[0.0, -1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, -1.0]], [[9.0, -1.0], [-9.0, 1.0]],
-        [[-6.0, -1.0], [-6.0, 1.0]], [[0.0, -1.0], [0.0, -0.5]], [[0.0, 1.0], [0.0, 1.0]], [[-9.0, -9.0], [-9.0, 9.0]],
-    ])  # fmt: skip
+    ways = np.array(
+        [
+            [[0.0, -1.0], [0.0, 1.0]],
+            [[0.0, 1.0], [0.0, -1.0]],
+            [[9.0, -1.0], [-9.0, 1.0]],
+            [[-6.0, -1.0], [-6.0, 1.0]],
+            [[0.0, -1.0], [0.0, -0.5]],
+            [[0.0, 1.0], [0.0, 1.0]],
+            [[-9.0, -9.0], [-9.0, 9.0]],
+        ]
+    )
     start, end = places(ways[:, 0]), places(ways[:, 1])
     assert not np.asarray(check(area(SLIT), end)[0][2]).any(), "the ends alone show nothing"
     (_, distance, broken), _ = jax.jit(PolygonArea.swept)(area(SLIT), start, end)

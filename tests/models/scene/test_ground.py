@@ -84,8 +84,12 @@ class TestGrid:
         # One cell by hand: corners 0, 4 in the south and 2, 10 in the north; a quarter to the north, half to the east:
         # 2 + (6 - 2) / 4 = 3.
         grid = GridGround(
-            np.array([[0.0, 4.0], [2.0, 10.0]]), (0.0, 0.0), (10.0, 10.0), np.zeros((8, 180)), (0.0, -200.0)  # type: ignore[arg-type]
-        )  # fmt: skip
+            np.array([[0.0, 4.0], [2.0, 10.0]]),
+            (0.0, 0.0),
+            (10.0, 10.0),
+            np.zeros((8, 180)),
+            (0.0, -200.0),  # type: ignore[arg-type]
+        )
         np.testing.assert_allclose(grid.down(at(2.5, 5.0)), 3.0)
         np.testing.assert_allclose(grid.down(at([0.0, 10.0, -9.0, 99.0], [10.0, 0.0, -9.0, 99.0])), [4, 2, 0, 10])
         # Slopes there: to the north (2 + 6)/2 / 10 = 0.4, to the east (4 + (8 - 4)/4) / 10 = 0.5.
@@ -223,17 +227,21 @@ class TestRefused:
         ("changes", "words"),
         [
             ({"height": np.zeros((3, 3))}, "'north' has shape (21,), 'east' (11,) and 'height' (3, 3); expected (R,)"),
-            ({"north": 10.0 * np.arange(-4, 17)}, "covers north -40 to 160 and east -100 to 100 m; world.area asks for "
-             "north -50 to 50 and east -40 to 40 m"),
-            ({"height": without(115)},
-             "has no height at the site's origin"),
-            ({"height": without(127)},
-             "has no height at 1 of 55 points in world.area, the first at north 10 m, east 20 m"),
+            (
+                {"north": 10.0 * np.arange(-4, 17)},
+                "covers north -40 to 160 and east -100 to 100 m; world.area asks for "
+                "north -50 to 50 and east -40 to 40 m",
+            ),
+            ({"height": without(115)}, "has no height at the site's origin"),
+            (
+                {"height": without(127)},
+                "has no height at 1 of 55 points in world.area, the first at north 10 m, east 20 m",
+            ),
             ({"east": np.array([-100, -90, -50, -40, -20, 0, 20, 40, 60, 80, 100.0])}, "its east are not evenly"),
             ({"north": None, "norths": np.zeros(3)}, "has no 'north'; did you mean 'norths'?"),
             ({"height": np.full((21, 11), "a")}, "'height' is of type <U1; expected numbers"),
         ],
-    )  # fmt: skip
+    )
     def test_archives(self, tmp_path: Path, changes: dict[str, Any], words: str):
         with pytest.raises(UsageError) as caught:
             ElevationFile(slope(tmp_path, **changes)).at(SITE, BOX)
@@ -255,7 +263,7 @@ class TestRefused:
             (f"{HEADER}cellsize 10\n1 2 x 4 5 6\n", "line 6: the height 'x' is not a number"),
             ("", "its header has no 'ncols'"),
         ],
-    )  # fmt: skip
+    )
     def test_ascii_grids(self, tmp_path: Path, text: str, words: str):
         (tmp_path / "a.asc").write_text(text)
         with pytest.raises(UsageError) as caught:

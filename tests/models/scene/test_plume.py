@@ -147,8 +147,12 @@ def test_puffs_are_released_at_exponential_gaps_with_uniform_amounts() -> None:
 @pytest.mark.long
 def test_sources_are_in_the_inner_part_of_the_box_and_as_many_as_asked_for() -> None:
     plume = cast(DispersionPlume(fewest=1, most=5), np.float64)
-    begin = jax.jit(lambda seed: plume.init(Draw(Key.root(seed).stream("x", jnp.arange(5, dtype=jnp.uint32)),
-                                                 jnp.int32(0), jnp.zeros((), jnp.float64)), box()))  # fmt: skip
+    begin = jax.jit(
+        lambda seed: plume.init(
+            Draw(Key.root(seed).stream("x", jnp.arange(5, dtype=jnp.uint32)), jnp.int32(0), jnp.zeros((), jnp.float64)),
+            box(),
+        )
+    )
     found = [begin(np.array([seed, 0], np.uint32)) for seed in range(300)]
     counts = np.array([int((np.asarray(sources.strength) > 0.0).sum()) for sources in found])
     assert set(counts) == {1, 2, 3, 4, 5}

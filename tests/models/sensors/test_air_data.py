@@ -40,11 +40,14 @@ def scene(height: float, thrust: float = 1.0, **given: Any) -> dict[str, Any]:
     roll, pitch, yaw = state["angles"]
     ned = scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw, pitch, roll]).apply(state["velocity"])
     return {
-        "position_ned": vector(0.0, 0.0, -height), "velocity_ned": vector(*ned),
+        "position_ned": vector(0.0, 0.0, -height),
+        "velocity_ned": vector(*ned),
         "attitude": Euler(*(np.array([angle], np.float32) for angle in (roll, pitch, yaw))),  # type: ignore[arg-type]
-        "velocity_body": vector(*state["velocity"]), "wind_ned": vector(*state["wind"]),
-        "load": Load(np.array([thrust], np.float32), np.array([1.0], np.float32)), "ground": FlatGround(),  # type: ignore[arg-type]
-    }  # fmt: skip
+        "velocity_body": vector(*state["velocity"]),
+        "wind_ned": vector(*state["wind"]),
+        "load": Load(np.array([thrust], np.float32), np.array([1.0], np.float32)),
+        "ground": FlatGround(),  # type: ignore[arg-type]
+    }
 
 
 def drawn(*values: float) -> Any:
@@ -260,12 +263,22 @@ def test_presets_are_those_of_the_data_sheets() -> None:
 
 class TestInAWorld:
     def test_site_and_vehicle_are_those_of_the_scenario(self) -> None:
-        sensors = {"baro": {"type": "pressure_altimeter"}, "pitot": {"type": "airspeed"}, "true": {
-            "type": "ideal_airspeed"}}  # fmt: skip
-        (fleet,) = make_scenario(
-            [[0.0, 0.0, -10.0]], site={"height": 1000.0}, vehicle={"type": "multirotor"}, sensors=sensors,
-            controller={"type": "cascade", "feed": "truth"},
-        ).world().fleets  # fmt: skip
+        sensors = {
+            "baro": {"type": "pressure_altimeter"},
+            "pitot": {"type": "airspeed"},
+            "true": {"type": "ideal_airspeed"},
+        }
+        (fleet,) = (
+            make_scenario(
+                [[0.0, 0.0, -10.0]],
+                site={"height": 1000.0},
+                vehicle={"type": "multirotor"},
+                sensors=sensors,
+                controller={"type": "cascade", "feed": "truth"},
+            )
+            .world()
+            .fleets
+        )
         for sensor in fleet.sensors:
             assert float(sensor.site_pressure) == pytest.approx(89874.6, abs=0.1)  # type: ignore[attr-defined]
             assert float(sensor.site_temperature) == pytest.approx(281.65, abs=1e-3)  # type: ignore[attr-defined]
@@ -306,16 +319,21 @@ class TestInAWorld:
 
         flown = []
         sensors = {
-            "gnss": {"type": "gnss_receiver"}, "attitude": {"type": "attitude_estimator"},
+            "gnss": {"type": "gnss_receiver"},
+            "attitude": {"type": "attitude_estimator"},
             "baro": {"type": "pressure_altimeter", "delay": 2, "mount_position_body": [0.1, 0.0, 0.0]},
             "pitot": {"type": "airspeed"},
-        }  # fmt: skip
+        }
         faults = [{"sensor": "pitot", "kind": "biased", "field": "differential_pressure", "bias": 100.0, "start": 3.0}]
         for compiler in ("llvm", "xla"):
             monkeypatch.setenv("QRSIM_COMPILER", compiler)
-            world = make_scenario([[0.0, 0.0, -20.0]], sensors=sensors, faults=faults, controller={
-                "type": "waypoint", "feed": "measurements"}, wind={
-                "type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 90.0}).world()  # fmt: skip
+            world = make_scenario(
+                [[0.0, 0.0, -20.0]],
+                sensors=sensors,
+                faults=faults,
+                controller={"type": "waypoint", "feed": "measurements"},
+                wind={"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 90.0},
+            ).world()
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 simulation = Simulation(world, seed=3)

@@ -118,9 +118,13 @@ class TestEarthField:
     @pytest.mark.parametrize(
         ("year", "north", "east", "down"),
         # Test values of the models of these years, published with them: 80 N, 0 E, height 0 [nT].
-        [(2010, 6649.3, -714.8, 54346.2), (2015, 6636.6, -451.9, 54408.9), (2020, 6570.4, -146.3, 54606.0),
-         (2025, 6521.6, 145.9, 54791.5)],
-    )  # fmt: skip
+        [
+            (2010, 6649.3, -714.8, 54346.2),
+            (2015, 6636.6, -451.9, 54408.9),
+            (2020, 6570.4, -146.3, 54606.0),
+            (2025, 6521.6, 145.9, 54791.5),
+        ],
+    )
     def test_each_model(self, year: int, north: float, east: float, down: float) -> None:
         when = datetime(year, 1, 1, tzinfo=UTC)
         found = earth_field.earth_field_ned(Site.from_degrees(80.0, 0.0), when)

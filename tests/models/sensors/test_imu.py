@@ -115,10 +115,15 @@ class TestOnce:
         count = 20_000
         numbers = np.random.default_rng(5)
         sensor = chip(
-            gyroscope_turn_on_bias=0.3, accelerometer_turn_on_bias=0.7, gyroscope_scale=0.02,
-            gyroscope_misalignment=0.005, accelerometer_scale=0.03, accelerometer_misalignment=0.01,
-            gyroscope_g_sensitivity=0.001, gyroscope_bias_instability=2.0,
-        )  # fmt: skip
+            gyroscope_turn_on_bias=0.3,
+            accelerometer_turn_on_bias=0.7,
+            gyroscope_scale=0.02,
+            gyroscope_misalignment=0.005,
+            accelerometer_scale=0.03,
+            accelerometer_misalignment=0.01,
+            gyroscope_g_sensitivity=0.001,
+            gyroscope_bias_instability=2.0,
+        )
         drawn = Drawn(tuple(numbers.standard_normal((sensor.first_normals, count))))  # type: ignore[arg-type]
         zero = np.zeros(count)
         still: Any = Vec3(zero, zero, zero)  # type: ignore[arg-type]
@@ -126,9 +131,10 @@ class TestOnce:
         found = [np.std(axis) for axis in state.walk]
         np.testing.assert_allclose(found, [0.3] * 3 + [0.7] * 3, rtol=0.03)
         for rows, diagonal, beside in (
-            (state.gyroscope_error, 0.02, 0.005), (state.accelerometer_error, 0.03, 0.01),
+            (state.gyroscope_error, 0.02, 0.005),
+            (state.accelerometer_error, 0.03, 0.01),
             (state.g_sensitivity, 0.001, 0.001),
-        ):  # fmt: skip
+        ):
             spread = np.array([[np.std(axis) for axis in (row.x, row.y, row.z)] for row in rows])
             expected = np.full((3, 3), beside) + (diagonal - beside) * np.eye(3)
             np.testing.assert_allclose(spread, expected, rtol=0.03)
@@ -145,9 +151,12 @@ class TestOnce:
         rows = [tuple(vector(*row) for row in matrix) for matrix in matrices]
         bias = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
         state = replace(
-            state, gyroscope_error=rows[0], accelerometer_error=rows[1], g_sensitivity=rows[2],
+            state,
+            gyroscope_error=rows[0],
+            accelerometer_error=rows[1],
+            g_sensitivity=rows[2],
             walk=tuple(np.array([b]) for b in bias),
-        )  # fmt: skip
+        )
         _, reading = sensor.step(state, zeros(sensor.normals), vector(*rates), vector(*force), load)
         expected = (np.eye(3) + matrices[0]) @ rates + matrices[2] @ force + bias[:3]
         np.testing.assert_allclose(np.asarray(reading.rates_body.stack())[0], expected, rtol=1e-6)
@@ -175,9 +184,12 @@ class TestSignal:
     def test_range_and_resolution(self) -> None:
         """Steps of 0.1 of samples at 100 Hz, of which a reading is the mean of two."""
         sensor = chip(
-            gyroscope_range=1.0, gyroscope_resolution=0.1, accelerometer_range=20.0, accelerometer_resolution=0.5,
+            gyroscope_range=1.0,
+            gyroscope_resolution=0.1,
+            accelerometer_range=20.0,
+            accelerometer_resolution=0.5,
             sample_rate=100.0,
-        )  # fmt: skip
+        )
         found = steps(sensor, [[0.33, 0.02, -7.0]] * 2, [[0.3, 0.1, -30.0]] * 2)[0]
         np.testing.assert_allclose(found[:6], [0.35, 0.0, -1.0, 0.25, 0.0, -20.0], atol=1e-6)
 
@@ -308,8 +320,11 @@ def test_the_adis16470_has_its_random_walks() -> None:
 )
 def test_errors(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
-        make_scenario([[0.0, 0.0, -10.0]], sensors={"imu": {"type": "imu", **given}}, controller={
-            "type": "waypoint", "feed": "truth"})  # fmt: skip
+        make_scenario(
+            [[0.0, 0.0, -10.0]],
+            sensors={"imu": {"type": "imu", **given}},
+            controller={"type": "waypoint", "feed": "truth"},
+        )
 
 
 @pytest.mark.long
@@ -323,8 +338,9 @@ def test_both_compilers_fly_it_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     for compiler in ("llvm", "xla"):
         monkeypatch.setenv("QRSIM_COMPILER", compiler)
         sensors = {"imu": {"type": "imu", "vibration": "rotors", "bandwidth_hz": 20.0, "subsamples": 2}}
-        world = make_scenario([[0.0, 0.0, -10.0]], sensors=sensors, controller={
-            "type": "waypoint", "feed": "truth"}).world()  # fmt: skip
+        world = make_scenario(
+            [[0.0, 0.0, -10.0]], sensors=sensors, controller={"type": "waypoint", "feed": "truth"}
+        ).world()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             simulation = Simulation(world, seed=3)

@@ -69,9 +69,14 @@ def seen(target: tuple[float, float, float], fov: float, box: tuple[float, ...] 
 @pytest.mark.parametrize(
     ("bearing", "fov", "inside"),
     # Half the angle of the cone on each side; a millionth for rounding.
-    [(0.95, 2.0, True), (1.05, 2.0, False), (-0.95, 2.0, True), (0.5 * math.pi + 0.9e-6, math.pi, True),
-     (0.5 * math.pi + 1.1e-6, math.pi, False)],
-)  # fmt: skip
+    [
+        (0.95, 2.0, True),
+        (1.05, 2.0, False),
+        (-0.95, 2.0, True),
+        (0.5 * math.pi + 0.9e-6, math.pi, True),
+        (0.5 * math.pi + 1.1e-6, math.pi, False),
+    ],
+)
 def test_the_cone(bearing: float, fov: float, inside: bool) -> None:
     assert seen((10.0 * math.cos(bearing), 10.0 * math.sin(bearing), 0.0), fov) is inside
 
@@ -84,11 +89,14 @@ def test_what_is_within_a_tenth_of_a_metre_of_the_other_hides_it_not(begins: flo
 @pytest.mark.parametrize(
     ("unit", "moved"),
     # Across forward: down by the first angle, left by the second; across right: up and backward.
-    [((1.0, 0.0, 0.0), (1.0, -0.2, 0.1)), ((0.0, 1.0, 0.0), (-0.2, 1.0, -0.1)),
-     # Within 0.9 of forward it is as if right; at half of it, across forward.
-     ((0.95, 0.31225, 0.0), (0.95 + 0.2 * 0.31225, 0.31225 - 0.2 * 0.95, 0.1)),
-     ((0.5, 0.8660254, 0.0), (0.5 - 0.2 * 0.8660254, 0.8660254 + 0.2 * 0.5, -0.1))],
-)  # fmt: skip
+    [
+        ((1.0, 0.0, 0.0), (1.0, -0.2, 0.1)),
+        ((0.0, 1.0, 0.0), (-0.2, 1.0, -0.1)),
+        # Within 0.9 of forward it is as if right; at half of it, across forward.
+        ((0.95, 0.31225, 0.0), (0.95 + 0.2 * 0.31225, 0.31225 - 0.2 * 0.95, 0.1)),
+        ((0.5, 0.8660254, 0.0), (0.5 - 0.2 * 0.8660254, 0.8660254 + 0.2 * 0.5, -0.1)),
+    ],
+)
 def test_two_small_angles_across(unit: Any, moved: Any) -> None:
     found = uncompiled(neighbours._turned)(vector(*unit), jnp.array([0.1]), jnp.array([0.2]))
     expected = np.array(moved) / math.sqrt(1.05)
@@ -118,8 +126,9 @@ def test_noise_of_a_reading_by_hand() -> None:
     assert [float(item[0]) for item in found.distance] == pytest.approx([10.0 + 2.0 * 0.1, 20.0 + 3.0 * 0.2])
     # Normals 0.7 to 1.2 times 2 m/s: the first of each pair for the nearer one.
     velocities = np.array([np.ravel(item.stack()) for item in found.velocity])
-    np.testing.assert_allclose(velocities, [[-1.0 + 1.4, -2.0 + 1.8, -3.0 + 2.2], [3.0 + 1.6, -2.0 + 2.0, -3.0 + 2.4]],
-                               rtol=1e-5)  # fmt: skip
+    np.testing.assert_allclose(
+        velocities, [[-1.0 + 1.4, -2.0 + 1.8, -3.0 + 2.2], [3.0 + 1.6, -2.0 + 2.0, -3.0 + 2.4]], rtol=1e-5
+    )
     assert [float(item[0]) for item in found.vehicle] == [-1.0, -1.0]
     still = NeighbourSensor(slots=2, missed=0.0, false_alarms=0.0)  # type: ignore[arg-type]
     draw = Normals(1)
@@ -170,9 +179,13 @@ def test_turns_on_the_channel() -> None:
 @pytest.mark.parametrize(
     ("box", "hidden"),
     # Antennas are 0.1 m up; what ends 0.1 m before the other's is not in the way.
-    [((4.0, 6.0, -1.0, 1.0, -20.09, 0.0), False), ((4.0, 6.0, -1.0, 1.0, -20.11, 0.0), True),
-     ((9.89, 12.0, -1.0, 1.0, -25.0, 0.0), True), ((9.91, 12.0, -1.0, 1.0, -25.0, 0.0), False)],
-)  # fmt: skip
+    [
+        ((4.0, 6.0, -1.0, 1.0, -20.09, 0.0), False),
+        ((4.0, 6.0, -1.0, 1.0, -20.11, 0.0), True),
+        ((9.89, 12.0, -1.0, 1.0, -25.0, 0.0), True),
+        ((9.91, 12.0, -1.0, 1.0, -25.0, 0.0), False),
+    ],
+)
 def test_what_stands_between_antennas(box: tuple[float, ...], hidden: bool) -> None:
     both = traffic([[0.0, 0.0, -20.0], [10.0, 0.0, -20.0]])
 
@@ -205,11 +218,16 @@ WALL = (4.0, 6.0, -1.0, 1.0, -30.0, 0.0)
 
 @pytest.mark.parametrize(
     ("given", "share", "box"),
-    [({"dropouts": 0.3}, 0.7, ()), ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.45, WALL),
-     ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.9, (4.0, 6.0, 5.0, 7.0, -30.0, 0.0)),
-     # 1 / (1 + e^x): half at the largest range, 1 / (1 + 1 / e) one metre before it, none beyond.
-     ({"range_max": 10.0}, 0.5, ()), ({"range_max": 11.0}, 0.731059, ()), ({"range_max": 9.0}, 0.268941, ())],
-)  # fmt: skip
+    [
+        ({"dropouts": 0.3}, 0.7, ()),
+        ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.45, WALL),
+        ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.9, (4.0, 6.0, 5.0, 7.0, -30.0, 0.0)),
+        # 1 / (1 + e^x): half at the largest range, 1 / (1 + 1 / e) one metre before it, none beyond.
+        ({"range_max": 10.0}, 0.5, ()),
+        ({"range_max": 11.0}, 0.731059, ()),
+        ({"range_max": 9.0}, 0.268941, ()),
+    ],
+)
 def test_share_of_ranges_that_come(given: dict[str, Any], share: float, box: tuple[float, ...]) -> None:
     given = {"nlos_bias": 0.0, **given}
     assert measured(given, share - 0.01, box) == pytest.approx(10.0)

@@ -87,10 +87,12 @@ class TestEarth:
 
     def test_a_world_has_the_field_of_its_site_and_date(self) -> None:
         scenario = make_scenario(
-            [[0.0, 0.0, -10.0]], site={"latitude_deg": 80.0, "longitude_deg": 0.0, "height": 100.0},
-            start_time=datetime(2025, 1, 1, tzinfo=UTC), controller=TRUTH,
+            [[0.0, 0.0, -10.0]],
+            site={"latitude_deg": 80.0, "longitude_deg": 0.0, "height": 100.0},
+            start_time=datetime(2025, 1, 1, tzinfo=UTC),
+            controller=TRUTH,
             sensors={"compass": {"type": "magnetometer"}, "true": {"type": "ideal_magnetometer"}},
-        )  # fmt: skip
+        )
         expected = [6.5216, 0.1459, 54.7915]
         np.testing.assert_allclose(scenario.earth_field_ned, expected, atol=4e-3)
         for sensor in scenario.world().fleets[0].sensors:
@@ -115,8 +117,9 @@ class TestEarth:
         start = datetime.fromisoformat(when)
         make_scenario([[0.0, 0.0, -10.0]], start_time=start, controller=TRUTH)
         with pytest.raises(ScenarioError) as caught:
-            make_scenario([[0.0, 0.0, -10.0]], start_time=start, sensors={
-                "compass": {"type": "magnetometer"}}, controller=TRUTH)  # fmt: skip
+            make_scenario(
+                [[0.0, 0.0, -10.0]], start_time=start, sensors={"compass": {"type": "magnetometer"}}, controller=TRUTH
+            )
         assert caught.value.problems == [
             f"start_time: {start:%Y-%m-%d} is outside the World Magnetic Model, which fleets.vehicles.sensors.compass "
             "needs; allowed: 2010-01-01 to 2029-12-31"
@@ -154,9 +157,12 @@ class TestErrors:
         state, _ = sensor.init(drawn, place, level, weight)
         matrix = np.array([[0.01, 0.02, -0.03], [0.04, -0.05, 0.06], [0.07, 0.08, 0.09]])
         state = replace(
-            state, error=tuple(vector(*row) for row in matrix), offset=vector(1.0, 2.0, 3.0),
-            current=vector(-2.0, 0.0, 4.0), drift=vector(0.1, 0.2, 0.3),
-        )  # fmt: skip
+            state,
+            error=tuple(vector(*row) for row in matrix),
+            offset=vector(1.0, 2.0, 3.0),
+            current=vector(-2.0, 0.0, 4.0),
+            drift=vector(0.1, 0.2, 0.3),
+        )
         normals = Drawn(tuple(np.array([[1.0], [-1.0], [2.0], [0.0], [0.0], [0.0]])))  # type: ignore[arg-type]
         _, reading = replace(sensor, drift_time_constant=np.float64(1e12)).step(state, normals, place, level, weight)  # type: ignore[arg-type]
         # White noise of 0.2/sqrt(0.25 s) = 0.4.

@@ -55,8 +55,11 @@ class TestInAWorld:
             {"position_ned": place, "yaw_rad": yaw}
             for place, yaw in zip(STARTS, (0.0, math.pi / 2.0, 0.0), strict=True)
         ]
-        sensors = {"all": {"type": "ideal_neighbours", "slots": 3}, "one": {"type": "ideal_neighbours", "slots": 1},
-                   "nose": {"type": "ideal_neighbours", "mount_position_body": [2.0, 0.0, 0.0]}}  # fmt: skip
+        sensors = {
+            "all": {"type": "ideal_neighbours", "slots": 3},
+            "one": {"type": "ideal_neighbours", "slots": 1},
+            "nose": {"type": "ideal_neighbours", "mount_position_body": [2.0, 0.0, 0.0]},
+        }
         scenario = make_scenario(vehicles, sensors=sensors, controller=TRUTH)
         reading = Simulation(scenario.world(), seed=SEED).reset()
         nan = [math.nan] * 3

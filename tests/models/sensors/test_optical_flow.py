@@ -21,15 +21,24 @@ QUIET = {"noise_rate": 0.0, "gyroscope_noise": 0.0}
 
 
 def seen(
-    sensor: Any, velocity: Any = (0.0, 0.0, 0.0), rates: Any = (0.0, 0.0, 0.0), height: float = 10.0,
-    roll: float = 0.0, normals: Any = (0.0,) * 5, obstacles: Any = None,
-) -> dict[str, Any]:  # fmt: skip
+    sensor: Any,
+    velocity: Any = (0.0, 0.0, 0.0),
+    rates: Any = (0.0, 0.0, 0.0),
+    height: float = 10.0,
+    roll: float = 0.0,
+    normals: Any = (0.0,) * 5,
+    obstacles: Any = None,
+) -> dict[str, Any]:
     draw = Drawn(tuple(jnp.array([value], jnp.float32) for value in normals))
     scene = (attitude(roll), vector(*velocity), vector(*rates), obstacles or solids(), FlatGround())
     _, found = sensor.init(draw, vector(0.0, 0.0, -height), *scene)
     turned = np.ravel(found.delta_angle.stack())
-    return {"flow": (float(found.flow_x[0]), float(found.flow_y[0])), "turned": turned,
-            "quality": float(found.quality[0]), "status": int(found.status[0])}  # fmt: skip
+    return {
+        "flow": (float(found.flow_x[0]), float(found.flow_y[0])),
+        "turned": turned,
+        "quality": float(found.quality[0]),
+        "status": int(found.status[0]),
+    }
 
 
 @pytest.mark.parametrize("sensor", [OpticalFlow(**QUIET, range_half=1e4), IdealOpticalFlow()])  # type: ignore[arg-type]
@@ -111,9 +120,10 @@ def test_a_flight_by_flow_and_range() -> None:
         "worn": {"type": "optical_flow", "delay": 1},
     }
     scenario = make_scenario(
-        [{"position_ned": [0.0, 0.0, -12.0], "waypoints_ned": [[30.0, 20.0, -12.0]]}], sensors=sensors,
+        [{"position_ned": [0.0, 0.0, -12.0], "waypoints_ned": [[30.0, 20.0, -12.0]]}],
+        sensors=sensors,
         controller={"type": "waypoint", "feed": "truth"},
-    )  # fmt: skip
+    )
     simulation = Simulation(scenario.world("float64"), seed=SEED)
     simulation.reset()
     before = simulation.truth.velocity_body[0]
@@ -140,5 +150,8 @@ def test_a_flight_by_flow_and_range() -> None:
 )
 def test_errors(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
-        make_scenario([[0.0, 0.0, -20.0]], sensors={"flow": {"type": "optical_flow", **given}},
-                      controller={"type": "waypoint", "feed": "truth"})  # fmt: skip
+        make_scenario(
+            [[0.0, 0.0, -20.0]],
+            sensors={"flow": {"type": "optical_flow", **given}},
+            controller={"type": "waypoint", "feed": "truth"},
+        )

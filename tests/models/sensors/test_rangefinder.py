@@ -44,9 +44,13 @@ def attitude(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Euler:
 
 
 def read(
-    sensor: Any, place: tuple[float, float, float], pose: Euler | None = None, obstacles: Obstacles | None = None,
-    ground: Ground | None = None, normals: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> tuple[float, int]:  # fmt: skip
+    sensor: Any,
+    place: tuple[float, float, float],
+    pose: Euler | None = None,
+    obstacles: Obstacles | None = None,
+    ground: Ground | None = None,
+    normals: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[float, int]:
     draw = Drawn(tuple(jnp.array([value], jnp.float32) for value in normals))
     _, found = sensor.init(
         draw, vector(*place), pose or attitude(), obstacles or solids(), FlatGround() if ground is None else ground
@@ -205,9 +209,11 @@ def test_in_a_world_mounted_and_with_reasons() -> None:
     }
     box = {"type": "box", "x_min": 8.0, "x_max": 9.0, "y_min": -3.0, "y_max": 3.0, "z_min": -40.0}
     scenario = make_scenario(
-        [[0.0, 0.0, -6.0], [0.0, 30.0, -20.0]], sensors=sensors, obstacles=[box],
+        [[0.0, 0.0, -6.0], [0.0, 30.0, -20.0]],
+        sensors=sensors,
+        obstacles=[box],
         controller={"type": "waypoint", "feed": "truth"},
-    )  # fmt: skip
+    )
     simulation = Simulation(scenario.world(), seed=SEED)
     reading = simulation.reset()
     np.testing.assert_allclose(
@@ -233,5 +239,8 @@ def test_in_a_world_mounted_and_with_reasons() -> None:
 )
 def test_errors(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
-        make_scenario([[0.0, 0.0, -20.0]], sensors={"rf": {"type": "rangefinder", **given}},
-                      controller={"type": "waypoint", "feed": "truth"})  # fmt: skip
+        make_scenario(
+            [[0.0, 0.0, -20.0]],
+            sensors={"rf": {"type": "rangefinder", **given}},
+            controller={"type": "waypoint", "feed": "truth"},
+        )

@@ -59,8 +59,11 @@ def test_a_wall() -> None:
 
 @pytest.mark.long
 def test_a_mast_and_a_prism() -> None:
-    found = scanned(IdealScan(rays=9, field_of_view_rad=math.radians(9.0)), attitude=attitude(yaw=math.pi / 2.0),
-                    obstacles=solids(cylinder=MAST))  # fmt: skip
+    found = scanned(
+        IdealScan(rays=9, field_of_view_rad=math.radians(9.0)),
+        attitude=attitude(yaw=math.pi / 2.0),
+        obstacles=solids(cylinder=MAST),
+    )
     angle = ray_angles(9, math.radians(9.0))
     chord = 0.25 - (10.0 * np.sin(angle)) ** 2
     with np.errstate(invalid="ignore"):
@@ -139,8 +142,10 @@ def test_presets() -> None:
 def test_in_a_world() -> None:
     """Two vehicles between two walls, one behind the other: the code generator takes it, logs have a column each."""
     walls = [{"type": "box", "x_min": -50, "x_max": 50, "y_min": y, "y_max": y + 1, "z_min": -40} for y in (-9, 8)]
-    sensors = {"scan": {"type": "ideal_scan", "rays": 4, "sees_vehicles": True},
-               "worn": {"type": "scan", "rays": 8, "delay": 1, "dropouts": 0.5}}  # fmt: skip
+    sensors = {
+        "scan": {"type": "ideal_scan", "rays": 4, "sees_vehicles": True},
+        "worn": {"type": "scan", "rays": 8, "delay": 1, "dropouts": 0.5},
+    }
     starts = [{"position_ned": [x, 0.0, -20.0], "yaw_rad": math.pi / 4.0} for x in (0.0, 15.0)]
     scenario = make_scenario(starts, sensors=sensors, obstacles=walls, controller={"type": "waypoint", "feed": "truth"})
     simulation = Simulation(scenario.world(), seed=SEED)
@@ -166,5 +171,8 @@ def test_in_a_world() -> None:
 )
 def test_errors(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
-        make_scenario([[0.0, 0.0, -20.0]], sensors={"scan": {"type": "scan", **given}},
-                      controller={"type": "waypoint", "feed": "truth"})  # fmt: skip
+        make_scenario(
+            [[0.0, 0.0, -20.0]],
+            sensors={"scan": {"type": "scan", **given}},
+            controller={"type": "waypoint", "feed": "truth"},
+        )

@@ -36,17 +36,23 @@ LOAD = Load(np.ones(1), np.ones(1))  # type: ignore[arg-type]
     ("sensor", "first", "step"),
     # What the equations of docs/sensors.md add normals to; more would be drawn for nothing, and other ones be used.
     [
-        (Accelerometer, 0, 3), (AttitudeEstimator, 0, 3), (Barometer, 0, 2), (ConcentrationSensor, 0, 1),
-        (Gyroscope, 0, 3), (OpticalFlow, 0, 5), (Rangefinder, 0, 3),
+        (Accelerometer, 0, 3),
+        (AttitudeEstimator, 0, 3),
+        (Barometer, 0, 2),
+        (ConcentrationSensor, 0, 1),
+        (Gyroscope, 0, 3),
+        (OpticalFlow, 0, 5),
+        (Rangefinder, 0, 3),
         # Offset, scale and wander or position error; then white noise, or that and a slow error.
-        (Airspeed, 3, 1), (PressureAltimeter, 3, 2),
+        (Airspeed, 3, 1),
+        (PressureAltimeter, 3, 2),
         # Turn-on bias of 6 axes, three matrices of 9, 3 processes of 6 axes, a phase, and a reading of 6; then white
         # noise of 6, the 3 processes of one axis and its walk.
         (Imu, 58, 10),
         # Hard iron 3, soft iron 6, errors 9, direction 3, drift 3, and a reading of 3; then that and drift.
         (Magnetometer, 27, 6),
     ],
-)  # fmt: skip
+)
 def test_normals_that_are_drawn(sensor: Any, first: int, step: int) -> None:
     assert (sensor().first_normals, sensor().normals) == (first, step)
 

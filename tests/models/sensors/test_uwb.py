@@ -69,9 +69,12 @@ class TestInAWorld:
         mounted = {"type": "ideal_ranging", "vehicles": "all", "mount_position_body": [0.0, 0.0, -1.0]}
         fleets = {
             "a": {"vehicles": STARTS[:1], "sensors": {"uwb": {"type": "ideal_ranging"}}, "controller": TRUTH},
-            "b": {"vehicles": STARTS[1:], "controller": TRUTH, "sensors": {
-                "uwb": mounted, "own": {"type": "ideal_ranging", "vehicles": "fleet"}}},
-        }  # fmt: skip
+            "b": {
+                "vehicles": STARTS[1:],
+                "controller": TRUTH,
+                "sensors": {"uwb": mounted, "own": {"type": "ideal_ranging", "vehicles": "fleet"}},
+            },
+        }
         simulation = Simulation(make_scenario(fleets=fleets).world(), seed=SEED)
         reading = simulation.reset()
         np.testing.assert_allclose(reading["a"].uwb.vehicle_range, [[0.0, 30.0, 25.0]], rtol=1e-6)

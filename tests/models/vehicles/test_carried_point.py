@@ -95,7 +95,7 @@ def test_one_that_has_stopped_halts_nobody(tmp_path: Path) -> None:
         ({"world": {"area": {"type": "box", "x_max": 60.0}}}, "at 11.75 s it carries vehicle 0: x = 60.3779 m is "),
         ({"speed": 3.0}, "at 0 s it carries vehicle 0: u = 4"),
     ],
-)  # fmt: skip
+)
 def test_a_path_that_does_not_fit_is_refused(tmp_path: Path, changes: dict[str, Any], problem: str) -> None:
     world = content(deck(tmp_path))
     world |= {key: value for key, value in changes.items() if key != "speed"}

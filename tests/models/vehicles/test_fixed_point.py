@@ -207,8 +207,9 @@ def test_a_task_beside_fixed_points_acts_as_alone() -> None:
     plays = [Play(each.task(), each.world(), each.steps) for each in (beside, alone)]
     assert plays[0].axes == plays[1].axes
     assert [(axis.name, axis.low, axis.high) for axis in plays[0].axes][2:4] == [
-        ("throttle", 0.0, 1.0), ("yaw_rate", -4.5, 4.5),
-    ]  # fmt: skip
+        ("throttle", 0.0, 1.0),
+        ("yaw_rate", -4.5, 4.5),
+    ]
     assert plays[0].agents == ("pelicans_0",)
     with pytest.raises(ScenarioError) as caught:
         load_scenario({**content, "task": {"type": "keep_spot", "fleet": "base"}})

@@ -149,8 +149,10 @@ def test_a_rotor_without_a_fault_turns_as_fast_as_it_is_told() -> None:
     """A fault of the second of two vehicles from tick 10 on, of which the autopilot knows at 15."""
     fault = RotorFault(jnp.int32(10), jnp.int32(15), jnp.asarray([False, True]), jnp.asarray(0.3), 2)
     for tick, health, known in (
-        (9, [1.0, 1.0], [False, False]), (10, [1.0, 0.3], [False, False]), (15, [1.0, 0.3], [False, True])
-    ):  # fmt: skip
+        (9, [1.0, 1.0], [False, False]),
+        (10, [1.0, 0.3], [False, False]),
+        (15, [1.0, 0.3], [False, True]),
+    ):
         ((rotor, left, knows),) = failed_rotors((fault,), jnp.int32(tick))
         assert rotor == 2
         assert left.tolist() == health

@@ -27,15 +27,18 @@ THIN = 1.160803
 
 def hovering(height: float = 0.0, battery: str = "lithium_cells", offset: float = 0.0, **vehicle: Any) -> Any:
     return {
-        "name": "thin_air", "duration": 10.0, "site": {"height": height, "temperature_offset": offset},
+        "name": "thin_air",
+        "duration": 10.0,
+        "site": {"height": height, "temperature_offset": offset},
         "fleets": {
             "quads": {
                 "vehicle": {"type": "multirotor", **({"model": "x500"} | vehicle)},
-                "controller": {"type": "cascade", "feed": "truth"}, "battery": {"type": battery},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "battery": {"type": battery},
                 "vehicles": [{"position_ned": [0.0, 0.0, -10.0]}],
-            },
+            }
         },
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize(("dtype", "rtol"), [(np.float32, 2e-5), (np.float64, 1e-5)])
@@ -176,10 +179,12 @@ def test_a_wing_at_three_thousand_metres_flies_at_a_larger_angle() -> None:
         content = hovering(3000.0, offset=offset)
         content["world"] = {"area": {"type": "box", "x_min": -2000.0, "x_max": 2000.0, "z_min": -400.0}}
         content["fleets"]["quads"] = {
-            "vehicle": {"type": "fixed_wing"}, "controller": {"type": "fixed_wing", "feed": "truth"},
-            "guidance": {"type": "fixed_wing", "radius": 300.0}, "sensors": {"pitot": {"type": "ideal_airspeed"}},
+            "vehicle": {"type": "fixed_wing"},
+            "controller": {"type": "fixed_wing", "feed": "truth"},
+            "guidance": {"type": "fixed_wing", "radius": 300.0},
+            "sensors": {"pitot": {"type": "ideal_airspeed"}},
             "vehicles": [{"position_ned": [-1000.0, 0.0, -100.0], "waypoints_ned": [[1500.0, 0.0, -100.0]]}],
-        }  # fmt: skip
+        }
         simulation = qrsim.Simulation(load_scenario(content).world())
         simulation.reset(seed=1)
         simulation.step(ticks=1000)

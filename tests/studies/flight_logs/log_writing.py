@@ -101,7 +101,10 @@ def write_ulog(path: Path, signals: dict[str, Floats], without: tuple[str, ...] 
             1,
             np.column_stack(
                 [
-                    _quaternion(s["roll_command"], s["pitch_command"], zero), s["yaw_rate_command"], zero, zero,
+                    _quaternion(s["roll_command"], s["pitch_command"], zero),
+                    s["yaw_rate_command"],
+                    zero,
+                    zero,
                     -s["throttle"],
                 ]
             ),
@@ -109,7 +112,7 @@ def write_ulog(path: Path, signals: dict[str, Floats], without: tuple[str, ...] 
         "vehicle_angular_velocity": (1, np.column_stack([s["roll_rate"], s["pitch_rate"], s["yaw_rate"]])),
         "vehicle_local_position": (2, np.column_stack([s["velocity_north"], s["velocity_east"], s["velocity_down"]])),
         "battery_status": (10, s["battery"][:, None]),
-    }  # fmt: skip
+    }
     topics = _ULOG_TOPICS
     if old:
         rates = np.column_stack([s["roll_rate"], s["pitch_rate"], s["yaw_rate"]])
@@ -164,8 +167,10 @@ def write_dataflash(
     def text(words: str, length: int) -> bytes:
         return words.encode().ljust(length, b"\0")
 
-    content = packet(128, struct.pack("<BB", 128, 89) + text("FMT", 4) + text("BBnNZ", 16)
-                     + text("Type,Length,Name,Format,Columns", 64))  # fmt: skip
+    content = packet(
+        128,
+        struct.pack("<BB", 128, 89) + text("FMT", 4) + text("BBnNZ", 16) + text("Type,Length,Name,Format,Columns", 64),
+    )
     for name, (number, layout, columns) in _BIN_MESSAGES.items():
         length = 3 + struct.calcsize("<" + "".join(formats[c] for c in layout))
         content += packet(
@@ -181,10 +186,13 @@ def write_dataflash(
             "RATE": [(stamp, 0.0, d["roll_rate"], 0.0, d["pitch_rate"], d["yaw_rate_command"], d["yaw_rate"])],
             "CTUN": [(stamp, float(s["throttle"][i]))],
             "BAT": [(stamp, number, 3.0 if j else float(s["battery"][i])) for j, number in enumerate(instances)]
-                   if i % 5 == 0 else [],
-            "XKF1": [(stamp, core, *(float(s[f"velocity_{axis}"][i]) + j for axis in ("north", "east", "down")))
-                     for j, core in enumerate(instances)],
-        }  # fmt: skip
+            if i % 5 == 0
+            else [],
+            "XKF1": [
+                (stamp, core, *(float(s[f"velocity_{axis}"][i]) + j for axis in ("north", "east", "down")))
+                for j, core in enumerate(instances)
+            ],
+        }
         for name, messages in rows.items():
             number, layout, _ = _BIN_MESSAGES[name]
             if name not in without:

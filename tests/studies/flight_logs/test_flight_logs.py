@@ -56,9 +56,13 @@ def test_an_old_ulog_has_its_rates_with_the_attitude(signals: dict[str, Floats],
 
 def test_units_of_a_table(signals: dict[str, Floats], tmp_path: Path) -> None:
     units = {
-        "time": ("ms", 1e3), "roll": ("deg", 180 / np.pi), "velocity_north": ("km/h", 3.6), "battery": ("mV", 1e3),
-        "throttle": ("%", 100.0), "pitch_command": ("raw", -1 / np.radians(0.025)),
-    }  # fmt: skip
+        "time": ("ms", 1e3),
+        "roll": ("deg", 180 / np.pi),
+        "velocity_north": ("km/h", 3.6),
+        "battery": ("mV", 1e3),
+        "throttle": ("%", 100.0),
+        "pitch_command": ("raw", -1 / np.radians(0.025)),
+    }
     log = read_log(write_csv(tmp_path / "log.csv", signals, units))
     for name in ("roll", "velocity_north", "battery", "throttle", "pitch_command"):
         assert np.allclose(log.signals[name], signals[name][: len(log.time)], atol=1e-6), name
@@ -78,8 +82,9 @@ def test_a_table_of_a_country_with_decimal_commas(delimiter: str, signals: dict[
 def test_readings_of_an_imu_with_decimal_commas(tmp_path: Path) -> None:
     rows = [f"{i / 100:.2f};0.25;-1.5;2e-1" for i in range(100)]
     path = tmp_path / "imu.csv"
-    path.write_text("time [s];gyroscope_x [rad/s];gyroscope_y [rad/s];gyroscope_z [rad/s]\n"
-                    + "\n".join(rows).replace(".", ","))  # fmt: skip
+    path.write_text(
+        "time [s];gyroscope_x [rad/s];gyroscope_y [rad/s];gyroscope_z [rad/s]\n" + "\n".join(rows).replace(".", ",")
+    )
     found = read_inertial(path)
     assert found.period == pytest.approx(0.01)
     assert found.values["gyroscope"].tolist() == [[0.25, -1.5, 0.2]] * 100
@@ -266,8 +271,9 @@ class TestMessagesOfAULog:
     def test_a_message_of_no_type_beyond_the_end_ends_the_log(self, tmp_path: Path) -> None:
         content = self.HEADER + b"\xff\xff\x00" + bytes(20)
         assert whole_messages(content) == (
-            self.HEADER, ["the file ends inside a message: the last 23 bytes are lost (log cut off)"],
-        )  # fmt: skip
+            self.HEADER,
+            ["the file ends inside a message: the last 23 bytes are lost (log cut off)"],
+        )
         path = tmp_path / "log.ulg"
         path.write_bytes(content)
         for read in (read_log, read_inertial):
@@ -316,10 +322,16 @@ class TestMessagesOfAULog:
             ([b"Ft:" + b"float[60000] x;" * 4, b"A\0\0\0t"], "more than 200000 fields in all"),
             ([b"Ft:float[60000] x;", *[b"A\0\0\0t"] * 4], "more than 200000 fields in all"),
             ([b"Ft:t x;t y;", b"A\0\0\0t"], "nested more than 20 deep"),
-            ([b"Fsensor_combined:float[3] gyro_rad;float[3] accelerometer_m_s2;", b"A\0\0\0sensor_combined",
-              b"D\0\0" + bytes(24)], "no topic sensor_combined with timestamp|no data of the topics"),
+            (
+                [
+                    b"Fsensor_combined:float[3] gyro_rad;float[3] accelerometer_m_s2;",
+                    b"A\0\0\0sensor_combined",
+                    b"D\0\0" + bytes(24),
+                ],
+                "no topic sensor_combined with timestamp|no data of the topics",
+            ),
         ],
-    )  # fmt: skip
+    )
     def test_formats_that_no_memory_holds_are_refused(self, messages: list[bytes], told: str, tmp_path: Path) -> None:
         path = tmp_path / "log.ulg"
         path.write_bytes(self.HEADER + b"".join(ulog_message(each[:1], each[1:]) for each in messages))

@@ -91,9 +91,13 @@ def odometry(signals: dict[str, Floats], i: int, time: float, matrix: Any) -> An
 def target(signals: dict[str, Floats], i: int, time: float, matrix: Any, mask: int = 0) -> Any:
     rates = FRD_OF_FLU @ np.array([0.0, 0.0, signals["yaw_rate_command"][i]])
     return make(
-        TARGET, header(time), type_mask=mask, orientation=quaternion(matrix), body_rate=vector(rates),
+        TARGET,
+        header(time),
+        type_mask=mask,
+        orientation=quaternion(matrix),
+        body_rate=vector(rates),
         thrust=float(signals["throttle"][i]),
-    )  # fmt: skip
+    )
 
 
 def write_bag(

@@ -65,9 +65,11 @@ def test_noise_is_found_again() -> None:
     assert found.mean == pytest.approx([0.1, 0.0, -0.2], abs=0.02)
     sensor = sensor_of({"gyroscope": found}, "bmi088")
     assert sensor == {
-        "type": "imu", "preset": "bmi088", "gyroscope_noise": pytest.approx(1e-3, rel=0.03),
+        "type": "imu",
+        "preset": "bmi088",
+        "gyroscope_noise": pytest.approx(1e-3, rel=0.03),
         "gyroscope_random_walk": pytest.approx(1e-4, rel=0.3),
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.long
@@ -122,8 +124,11 @@ def test_the_command_writes_a_sensor_that_flies(
     assert (tmp_path / "my_imu.png").stat().st_size > 10_000
     sensor = yaml.safe_load((tmp_path / "my_imu.yaml").read_text("utf-8"))["imu"]
     assert sensor["gyroscope_noise"] == pytest.approx(1e-3, rel=0.05)
-    fleet = {"controller": {"feed": "truth", "type": "cascade"}, "sensors": {"imu": sensor},
-             "vehicles": [{"position_ned": [0, 0, -10]}]}  # fmt: skip
+    fleet = {
+        "controller": {"feed": "truth", "type": "cascade"},
+        "sensors": {"imu": sensor},
+        "vehicles": [{"position_ned": [0, 0, -10]}],
+    }
     made = qrsim.load_scenario({"name": "one", "fleets": {"a": fleet}}, quiet=True).world()
     assert float(made.fleets[0].sensors[0].gyroscope_noise) == pytest.approx(1e-3, rel=0.05)
     assert main(["identify", log, "--imu"]) == 2
@@ -149,9 +154,13 @@ def test_the_command_writes_a_sensor_that_flies(
     ],
 )
 def test_wrong_logs_end_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], change: str, code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    change: str,
+    code: int,
     message: str,
-) -> None:  # fmt: skip
+) -> None:
     """Nothing is written."""
     monkeypatch.chdir(tmp_path)
     seconds = {"short": 30.0, "few": 0.8}.get(change, 100.0)

@@ -137,8 +137,10 @@ def test_a_missing_signal_is_named(refused: Callable[..., None], tmp_path: Path)
     path = write_csv(tmp_path / "log.csv", {name: v for name, v in signals.items() if name != "pitch_rate"})
     refused(
         ["identify", str(path), "--quiet", "-o", str(tmp_path / "v.yaml")],
-        "the rotation of a vehicle needs pitch_rate", "there: roll, pitch, yaw", code=1,
-    )  # fmt: skip
+        "the rotation of a vehicle needs pitch_rate",
+        "there: roll, pitch, yaw",
+        code=1,
+    )
 
 
 def test_a_thrust_that_cannot_be_used_leaves_the_rotation(log: FlightLog) -> None:

@@ -49,9 +49,11 @@ def test_a_log_on_the_ground_is_refused(signals: Signals, refused: Callable[...,
         identify([read_log(path)], Question((), START))
     details = "\n".join(caught.value.details)
     for part in (
-        "roll moves by 0.000", "velocity_down moves by 0.0",
-        "kpq0, kpq1, kpq2: ", "does not answer, although roll_command moves by 0.1",
-    ):  # fmt: skip
+        "roll moves by 0.000",
+        "velocity_down moves by 0.0",
+        "kpq0, kpq1, kpq2: ",
+        "does not answer, although roll_command moves by 0.1",
+    ):
         assert part in details
     assert not (tmp_path / "v.yaml").exists()
     assert not (tmp_path / "v_report").exists()
@@ -148,7 +150,9 @@ BROKEN: dict[str, Callable[[Signals], Signals]] = {
     "on the ground": grounded,
     "first half on the ground": lambda s: {
         name: np.concatenate([(grounded(s) | {n: 0.0 * s[n] for n in (*TURNED, "throttle")})[name][:400], values[400:]])
-        if name != "time" else values for name, values in s.items()
+        if name != "time"
+        else values
+        for name, values in s.items()
     },
     "noisy": each((*ANGLES, *RATES, *VELOCITY), noisy(0.05)),
     "noise": each((*ANGLES, *RATES, *VELOCITY), noisy(0.3)),
@@ -156,8 +160,11 @@ BROKEN: dict[str, Callable[[Signals], Signals]] = {
     "holed": each((*ANGLES, "throttle"), holed),
     "yaw wrapped": each(("yaw",), lambda v: (v + 3.1 + np.pi) % (2.0 * np.pi) - np.pi),
     "offsets": each(("roll", "pitch", "velocity_down"), lambda v: v + 0.3),
-    "one axis copied": lambda s: s | {name.replace("roll", "pitch"): s[name] for name in ("roll", "roll_rate")}
-    | {"pitch_command": s["roll_command"]},
+    "one axis copied": lambda s: (
+        s
+        | {name.replace("roll", "pitch"): s[name] for name in ("roll", "roll_rate")}
+        | {"pitch_command": s["roll_command"]}
+    ),
     "velocities of something else": each(VELOCITY, walk),
     "commands of something else": each((*TURNED, "throttle"), lambda v: np.roll(v, 333)),
     "commands late by 1.2 s": each((*TURNED, "throttle"), lambda v: np.roll(v, -60)),
@@ -170,7 +177,7 @@ BROKEN: dict[str, Callable[[Signals], Signals]] = {
         (*ANGLES, *RATES, *VELOCITY, *TURNED), lambda v: np.where(np.arange(len(v)) < 480, v, 1e-3 * v)
     ),
     "quantised": each((*ANGLES, *RATES, *VELOCITY), lambda v: np.round(v, 2)),
-}  # fmt: skip
+}
 
 
 # One of each kind; the others differ in which signal is broken, or by how much.

@@ -65,9 +65,15 @@ def answer(values: dict[str, float], **changes: Any) -> Answer:
     names = tuple(values)
     one = np.ones(len(names))
     known = Covariance(
-        names, np.array(list(values.values())), np.eye(len(names)), 1e6 * one, 5.0 * one, one, np.eye(len(names)),
+        names,
+        np.array(list(values.values())),
+        np.eye(len(names)),
+        1e6 * one,
+        5.0 * one,
+        one,
+        np.eye(len(names)),
         np.zeros(len(names), bool),
-    )  # fmt: skip
+    )
     known = dataclasses.replace(known, **changes.pop("known", {}))
     found = Answer(START | values, names, {}, [], known, [], [], (), 1)
     return dataclasses.replace(found, **changes)

@@ -119,9 +119,13 @@ def short(share: float) -> tuple[JointGraph, Any, Any]:
     made, generator = [], np.random.default_rng(4)
     for flight, ranging in zip(flights, rangings, strict=True):
         first = other_than(
-            flight, commands=flight.commands[:3], air_ned=flight.air_ned[:3], truth=flight.truth[:4],
-            estimate=flight.estimate[:4], fixes=flight.fixes[:4],
-        )  # fmt: skip
+            flight,
+            commands=flight.commands[:3],
+            air_ned=flight.air_ned[:3],
+            truth=flight.truth[:4],
+            estimate=flight.estimate[:4],
+            fixes=flight.fixes[:4],
+        )
         seen = other_than(ranging, ranges=ranging.ranges[:4], counts=ranging.counts[:4])
         options: dict[str, Any] = {"graph": "gnss", "states": "poses", "prior": "estimate", "fix_std": 0.5}
         options["bias_time_constant"] = 20.0 if share < 1.0 else None
@@ -279,8 +283,12 @@ def test_ranges_between_vehicles_bring_one_without_fixes_to_its_place() -> None:
     flights, rangings = two(0.02)
     lost = other_than(flights[1], fixes=np.full((STATES, 2), np.nan))
     lost.estimate[:, :2] += [12.0, -16.0]
-    unseen = [rangings[0], other_than(rangings[1], ranges=np.full_like(rangings[1].ranges, np.nan),
-                                      counts=np.zeros_like(rangings[1].counts))]  # fmt: skip
+    unseen = [
+        rangings[0],
+        other_than(
+            rangings[1], ranges=np.full_like(rangings[1].ranges, np.nan), counts=np.zeros_like(rangings[1].counts)
+        ),
+    ]
     # A third vehicle elsewhere, so that the ranges are from two sides.
     third = moved(flights[0], np.array([-9.0, -7.0, 2.0]))
     every, ranged = [flights[0], lost, third], [*unseen, rangings[0]]

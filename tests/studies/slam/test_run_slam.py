@@ -89,11 +89,15 @@ def test_a_late_fix_belongs_to_the_state_at_which_it_was_made(tmp_path: Path) ->
 def test_where_a_receiver_goes_on_without_satellites_there_is_no_fix(tmp_path: Path) -> None:
     """No satellite sends from 2 to 4 s; the receiver goes on for a second, which the log has as positions."""
     content = {
-        "name": "outage", "extends": "range_only_slam", "duration": 8.0,
-        "world": {"sky": {"orbits": {"type": "nominal_constellations"}, "errors": {"type": "error_budget"}},
-                  "interference": [{"kind": "outage", "systems": "GERC", "start": 2.0, "end": 4.0}]},
+        "name": "outage",
+        "extends": "range_only_slam",
+        "duration": 8.0,
+        "world": {
+            "sky": {"orbits": {"type": "nominal_constellations"}, "errors": {"type": "error_budget"}},
+            "interference": [{"kind": "outage", "systems": "GERC", "start": 2.0, "end": 4.0}],
+        },
         "fleets": {"pelicans": {"sensors": {"gnss": {"type": "gnss", "preset": "f9p_single"}}}},
-    }  # fmt: skip
+    }
     fly(load_scenario(content), tmp_path / "outage", seed=1, precision="float32")
     flight = qrsim.slam.from_run(tmp_path / "outage", states="poses", graph="paper", iterations=1).flight
     without = flight.time[~np.isfinite(flight.fixes[:, 0])]

@@ -52,9 +52,11 @@ def test_the_first_vehicles_of_a_run(tmp_path: Path, capsys: Any) -> None:
     vehicles = [{"position_ned": place, "waypoints_ned": [[-place[0], 12.0, place[2]]]} for place in places]
     sensors = {"uwb": {"type": "ranging", "beacons": []}}
     scenario: dict[str, Any] = {
-        "name": "two", "extends": "range_only_slam", "duration": 6.0,
+        "name": "two",
+        "extends": "range_only_slam",
+        "duration": 6.0,
         "fleets": {"pelicans": {"sensors": sensors, "vehicles": vehicles}},
-    }  # fmt: skip
+    }
     fly(load_scenario(scenario), tmp_path / "run", seed=3, precision="float32")
     words = ["slam", "--run", str(tmp_path / "run"), "--states", "poses"]
     assert cli.main([*words, "--vehicles", "3"]) == 2

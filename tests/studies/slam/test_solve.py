@@ -152,11 +152,17 @@ def test_scipy_finds_the_same_optimum(small: tuple[graphs.Graph, Any, Any]) -> N
     ours = solve(problem, x, landmarks, 300)
     residuals, jacobian = functions(problem, x, landmarks)
     theirs = scipy.optimize.least_squares(
-        residuals, np.concatenate([x.ravel(), landmarks.ravel()]),
+        residuals,
+        np.concatenate([x.ravel(), landmarks.ravel()]),
         lambda values: scipy.sparse.csr_array(jacobian(values)),
-        x_scale="jac", tr_solver="lsmr", tr_options={"maxiter": 3000, "atol": 1e-14, "btol": 1e-14},
-        ftol=1e-14, xtol=1e-14, gtol=1e-10, max_nfev=300,
-    )  # fmt: skip
+        x_scale="jac",
+        tr_solver="lsmr",
+        tr_options={"maxiter": 3000, "atol": 1e-14, "btol": 1e-14},
+        ftol=1e-14,
+        xtol=1e-14,
+        gtol=1e-10,
+        max_nfev=300,
+    )
     assert ours.converged
     assert ours.point.cost == pytest.approx(theirs.cost, rel=1e-6)
 

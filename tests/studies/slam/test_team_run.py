@@ -21,12 +21,13 @@ def scenario(sensors: dict[str, Any]) -> dict[str, Any]:
     """Three Pelicans that fly 8 s towards each other's places, with further sensors."""
     vehicles = [{"position_ned": place, "waypoints_ned": [[-x for x in place[:2]] + [place[2]]]} for place in PLACES]
     return {
-        "name": "three", "extends": "range_only_slam", "duration": 8.0, "world": {"collision_distance": 0.0},
+        "name": "three",
+        "extends": "range_only_slam",
+        "duration": 8.0,
+        "world": {"collision_distance": 0.0},
         # They pass through each other, where wakes would be the strongest.
-        "fleets": {
-            "pelicans": {"vehicle": {"downwash": "ignored"}, "sensors": sensors, "vehicles": vehicles},
-        },
-    }  # fmt: skip
+        "fleets": {"pelicans": {"vehicle": {"downwash": "ignored"}, "sensors": sensors, "vehicles": vehicles}},
+    }
 
 
 def flown(folder: Path, sensors: dict[str, Any]) -> Path:

@@ -30,11 +30,14 @@ def sampled(kind: str, points: int, **more: Any) -> dict[str, Any]:
         {"batch": 11},
         {"batch": None},
         sampled("latin_hypercube", 13, batch=17),
-        {"vary": {"fleets.pelicans.controller.feed": {"values": ["truth", "measurements"]}, **RANGES},
-         "sampling": {"type": "sobol", "points": 8}, "batch": 12},
+        {
+            "vary": {"fleets.pelicans.controller.feed": {"values": ["truth", "measurements"]}, **RANGES},
+            "sampling": {"type": "sobol", "points": 8},
+            "batch": 12,
+        },
         {"vary": {WIND: {"values": [0.0, 1.0, 2.0]}, MASS: {"values": [1.5, 1.6, 1.7]}}, "sampling": {"type": "list"}},
     ],
-)  # fmt: skip
+)
 def test_every_episode_is_in_one_batch_with_the_values_of_its_place(tmp_path: Path, changes: dict[str, Any]) -> None:
     plan = planned(tmp_path, **changes)
     seen = np.zeros(plan.shape, int)
@@ -48,8 +51,12 @@ def test_every_episode_is_in_one_batch_with_the_values_of_its_place(tmp_path: Pa
             assert {path: column[i] for path, column in batch.numbers.items()} == {
                 path: value for path, value in values.items() if path in batch.numbers
             }
-            chosen = [axis.values[at] for axis, at in zip(
-                [axis for axis in plan.axes if axis.path in plan.structural], batch.group, strict=True)]  # type: ignore[index] # fmt: skip
+            chosen = [
+                axis.values[at]
+                for axis, at in zip(
+                    [axis for axis in plan.axes if axis.path in plan.structural], batch.group, strict=True
+                )
+            ]  # type: ignore[index]
             assert chosen == [values[path] for path in plan.structural]
             assert batch.seeds[i] == position[-1]
     assert (seen == 1).all()

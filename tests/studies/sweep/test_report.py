@@ -131,9 +131,13 @@ def test_the_boundary_of_failure_is_found_with_its_interval(tmp_path: Path) -> N
         MASS: {"low": 1.5, "high": 2.5, "count": 5, "name": "mass"},
     }
     path = made(
-        tmp_path, lambda wind, mass, noise: wind + 2.0 * (mass - 2.0) + 0.5 * noise, vary=vary, seeds=60, batch=None,
+        tmp_path,
+        lambda wind, mass, noise: wind + 2.0 * (mass - 2.0) + 0.5 * noise,
+        vary=vary,
+        seeds=60,
+        batch=None,
         failure={"metric": "tracking_error_rms_m", "above": 6.3},
-    )  # fmt: skip
+    )
     found = analysis.boundary(Results(path))
     assert not isinstance(found, str)
     crossing = found.crossing(0)
@@ -151,7 +155,9 @@ def test_the_boundary_of_failure_is_found_with_its_interval(tmp_path: Path) -> N
 
 def test_between_a_level_that_never_fails_and_one_that_always_does_nothing_is_known(tmp_path: Path) -> None:
     vary = {WIND: {"values": [0.0, 2.0, 4.0, 6.0], "name": "wind"}, MASS: {"values": [1.5, 1.7], "name": "mass"}}
-    path = made(tmp_path, lambda wind, mass, noise: wind, vary=vary, seeds=8, failure={"metric": "wind_max_m_s", "above": 3.0})  # fmt: skip # noqa: E501
+    path = made(
+        tmp_path, lambda wind, mass, noise: wind, vary=vary, seeds=8, failure={"metric": "wind_max_m_s", "above": 3.0}
+    )
     found = analysis.boundary(Results(path))
     assert not isinstance(found, str)
     crossing = found.crossing(0)

@@ -41,9 +41,14 @@ def state(true: Any, known: Any, flying: Any) -> Any:
         return SimpleNamespace(position_ned=SimpleNamespace(x=jnp.asarray(north), y=jnp.asarray(east)))
 
     return SimpleNamespace(
-        fleets=[SimpleNamespace(vehicle=place(true), estimate=place(known),
-                                violation=SimpleNamespace(code=jnp.where(jnp.asarray(flying), 0, 1)))]
-    )  # fmt: skip
+        fleets=[
+            SimpleNamespace(
+                vehicle=place(true),
+                estimate=place(known),
+                violation=SimpleNamespace(code=jnp.where(jnp.asarray(flying), 0, 1)),
+            )
+        ]
+    )
 
 
 @pytest.mark.long

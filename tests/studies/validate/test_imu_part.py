@@ -18,9 +18,14 @@ def test_numbers_of_data_sheets() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{}, {"gyroscope_noise": 6.1707e-5 * 1.2}, {"accelerometer_noise": 2.7737e-3 * 1.2},
-     {"gyroscope_turn_on_bias": 0.34907 * 1.2}, {"accelerometer_turn_on_bias": 0.78453 * 1.2}],
-)  # fmt: skip
+    [
+        {},
+        {"gyroscope_noise": 6.1707e-5 * 1.2},
+        {"accelerometer_noise": 2.7737e-3 * 1.2},
+        {"gyroscope_turn_on_bias": 0.34907 * 1.2},
+        {"accelerometer_turn_on_bias": 0.78453 * 1.2},
+    ],
+)
 def test_a_chip_with_more_of_an_error_fails(change: dict[str, float]) -> None:
     """20 % more of each number that its data sheet has; as it is, all pass."""
     found = {"mpu6000": part.chips_of("mpu6000", part.FEW_CHIPS, **change)}

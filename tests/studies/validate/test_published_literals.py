@@ -55,10 +55,15 @@ def test_the_driven_process_is_the_recursion_of_the_reference() -> None:
 
 @pytest.mark.parametrize(
     ("sensor", "change"),
-    [("barometer", {"drift_std": 0.26 * MORE}), ("barometer", {"drift_time_constant": 300.0 * MORE}),
-     ("attitude", {"std": 0.00354 * MORE}), ("attitude", {"time_constant": 100.0 * MORE}),
-     ("barometer", {}), ("attitude", {})],
-)  # fmt: skip
+    [
+        ("barometer", {"drift_std": 0.26 * MORE}),
+        ("barometer", {"drift_time_constant": 300.0 * MORE}),
+        ("attitude", {"std": 0.00354 * MORE}),
+        ("attitude", {"time_constant": 100.0 * MORE}),
+        ("barometer", {}),
+        ("attitude", {}),
+    ],
+)
 def test_a_drift_of_another_size_or_speed_fails(sensor: str, change: dict[str, float]) -> None:
     """20 % more of either; as it is, all pass."""
     models: dict[str, Any] = {"barometer": Barometer(), "attitude": AttitudeEstimator()}
@@ -70,8 +75,9 @@ def test_a_drift_of_another_size_or_speed_fails(sensor: str, change: dict[str, f
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("change", [{"std": 0.58878 * MORE}, {"time_constant": 40.1 * MORE},
-                                    {"drive_time_constant": 4.0 * MORE}, {}])  # fmt: skip
+@pytest.mark.parametrize(
+    "change", [{"std": 0.58878 * MORE}, {"time_constant": 40.1 * MORE}, {"drive_time_constant": 4.0 * MORE}, {}]
+)
 def test_range_errors_of_another_size_or_speed_fail(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, float]
 ) -> None:
@@ -93,9 +99,7 @@ def test_gusts_of_another_size_or_length_fail(monkeypatch: pytest.MonkeyPatch, c
 
     def other(*arguments: Any, **more: Any) -> Any:
         lengths, sigmas = own(*arguments, **more)
-        return (
-            lengths * MORE if changed == "length" else lengths, sigmas * MORE if changed == "sigma" else sigmas,
-        )  # fmt: skip
+        return (lengths * MORE if changed == "length" else lengths, sigmas * MORE if changed == "sigma" else sigmas)
 
     monkeypatch.setattr(dryden, "dryden_scales", other)
     spectra._simulate.clear_cache()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.apps.check.outcomes import CONFIDENCE
+from qrsim.core.arrays import NumpyArray
 from qrsim.simulation.rollout import Rollout
 
 # What is told, by the metric that it is.
@@ -71,7 +72,7 @@ def consistency(flown: Rollout) -> list[Row]:
     return found
 
 
-def _row(name: str, runs: np.ndarray[Any, Any]) -> Row:
+def _row(name: str, runs: NumpyArray) -> Row:
     from scipy import stats
 
     mean, count = float(runs.mean()), len(runs)

@@ -18,12 +18,20 @@ COLOURS = dict(
     zip(
         (*KINDS, LOST, UNFINISHED),
         (
-            "tab:red", "tab:purple", "tab:pink", "tab:olive", "tab:brown", "tab:cyan", "tab:orange", "black",
-            "tab:blue", "tab:gray",
+            "tab:red",
+            "tab:purple",
+            "tab:pink",
+            "tab:olive",
+            "tab:brown",
+            "tab:cyan",
+            "tab:orange",
+            "black",
+            "tab:blue",
+            "tab:gray",
         ),
         strict=True,
     )
-)  # fmt: skip
+)
 
 
 def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> None:

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.apps import SECONDS
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from qrsim.apps.openloop.command_file import CommandTable
     from qrsim.models.vehicles.quadrotor import Quadrotor
 
@@ -79,7 +78,7 @@ class OpenLoop:
         if self.output != STANDARD_OUTPUT:
             print(f"{self.output}: {len(states)} steps, {len(states) * self.time_step:g} s")
 
-    def _simulate(self, table: CommandTable, wind: list[float], initial: list[float] | None) -> np.ndarray[Any, Any]:
+    def _simulate(self, table: CommandTable, wind: list[float], initial: list[float] | None) -> NumpyArray:
         """Return the (T, 16) states and specific forces."""
         import numpy as np
 
@@ -124,7 +123,7 @@ def _vehicle(name: str) -> Quadrotor:
     return vehicles[name]()
 
 
-def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> np.ndarray[Any, Any]:
+def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> NumpyArray:
     """Return the (13,) state; what ``initial`` leaves out is zero, thrust the weight."""
     from qrsim.simulation.openloop import hover_state
 

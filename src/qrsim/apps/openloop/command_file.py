@@ -13,10 +13,11 @@ import re
 from array import array
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Literal, NoReturn
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files.csv_rows import CsvRows
 from qrsim.files.user_files import read_bytes
@@ -43,9 +44,9 @@ class CommandTable:
     """
 
     source: Path
-    values: np.ndarray[Any, Any]
+    values: NumpyArray
     names: tuple[str, ...]
-    lines: np.ndarray[Any, Any]
+    lines: NumpyArray
     ignored: tuple[str, ...]
 
 
@@ -124,7 +125,7 @@ def _missing_column_hint(column: str, names: list[str], units: Units) -> str:
     return did_you_mean(column, [name for name in names if name and name not in COLUMNS])
 
 
-def _read_fast(content: bytes, header: _Header) -> np.ndarray[Any, Any] | None:
+def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
     """Return the (T, 5) values of a plain file, None where anything is out of the ordinary."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -148,7 +149,7 @@ def _read_fast(content: bytes, header: _Header) -> np.ndarray[Any, Any] | None:
     return values if len(values) and np.isfinite(values).all() else None
 
 
-def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[NumpyArray, NumpyArray]:
     """Return the (T, 5) values and the (T,) lines, or name the first fault."""
     reader = CsvRows(io.StringIO(_decode(path, content), newline=""))
     # Flat arrays: a million small lists would keep the garbage collector busy.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError
 
 HEADER = "step,px,py,pz,phi,theta,psi,u,v,w,p,q,r,thrust,ax,ay,az"
@@ -38,7 +39,7 @@ def check_output(output: str, overwrite: bool, source: Path) -> None:
         raise UsageError(f"{path}: exists already; --overwrite replaces it")
 
 
-def write_states(states: np.ndarray[Any, Any], output: str) -> None:
+def write_states(states: NumpyArray, output: str) -> None:
     """Write states of shape (T, 16) with 17 significant digits; a file appears only when it is complete.
 
     Raises:
@@ -59,7 +60,7 @@ def write_states(states: np.ndarray[Any, Any], output: str) -> None:
         raise RunError(f"{output}: cannot be written: {error.strerror}") from error
 
 
-def _write_and_rename(path: Path, states: np.ndarray[Any, Any]) -> None:
+def _write_and_rename(path: Path, states: NumpyArray) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("w", newline="") as stream:
@@ -69,7 +70,7 @@ def _write_and_rename(path: Path, states: np.ndarray[Any, Any]) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _write_rows(stream: IO[str], states: np.ndarray[Any, Any]) -> None:
+def _write_rows(stream: IO[str], states: NumpyArray) -> None:
     stream.write(HEADER + "\n")
     for first in range(0, len(states), _ROWS_PER_WRITE):
         block = states[first : first + _ROWS_PER_WRITE].astype(np.float64)

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from qrsim.apps.openloop.command_file import CommandTable, Units
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, raw_to_command
 
 _LIMITS = np.array([COMMAND_LIMITS[name] for name in COMMAND_FIELDS])
 
 
-def to_si(values: np.ndarray[Any, Any], units: Units) -> np.ndarray[Any, Any]:
+def to_si(values: NumpyArray, units: Units) -> NumpyArray:
     """Convert commands of shape (T, 5); no limits are applied."""
     if units == "si":
         return values
@@ -22,15 +23,13 @@ def to_si(values: np.ndarray[Any, Any], units: Units) -> np.ndarray[Any, Any]:
     return np.column_stack([getattr(command, name) for name in COMMAND_FIELDS])
 
 
-def limits_in(units: Units) -> np.ndarray[Any, Any]:
+def limits_in(units: Units) -> NumpyArray:
     """Return the lowest and highest commands (5, 2) in the given units."""
     scale = to_si(np.ones((1, 5)), units)[0]
     return np.sort(_LIMITS / scale[:, None], axis=1)
 
 
-def si_within_limits(
-    table: CommandTable, units: Units, clip: bool
-) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def si_within_limits(table: CommandTable, units: Units, clip: bool) -> tuple[NumpyArray, NumpyArray]:
     """Convert commands to SI, (T, 5), clipped to the limits; also return whether each row was clipped, (T,).
 
     Raises:

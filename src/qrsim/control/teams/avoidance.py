@@ -191,9 +191,12 @@ class AvoidanceGuidance(TeamGuidance):
         default=8.0, unit="s", doc="how far ahead collisions are avoided", above=0.0, maximum=1e3
     )
     keep_right_rad: Array = parameter(
-        default=0.1, unit="rad", doc="what is wanted is turned to the right by this while somebody is known",
-        minimum=-1.5, maximum=1.5,
-    )  # fmt: skip
+        default=0.1,
+        unit="rad",
+        doc="what is wanted is turned to the right by this while somebody is known",
+        minimum=-1.5,
+        maximum=1.5,
+    )
     gain: Array = parameter(default=0.5, unit="1/s", doc="velocity for each metre to the waypoint", above=0.0)
     reach: Array = parameter(default=60.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
     mates: int = setting(default=6, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=16)

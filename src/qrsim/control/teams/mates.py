@@ -118,9 +118,15 @@ class TeamGuidance(Guidance, Protocol):
         return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])
 
     def step(
-        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None,
-        velocity_ned: Vec3 | None = None, dt: float = 0.0, mates: Mates | None = None,
-    ) -> tuple[RouteState, VelocityHeightSetpoint]:  # fmt: skip
+        self,
+        state: RouteState,
+        route: Route,
+        position_ned: Vec3,
+        others_ned: Vec3 | None = None,
+        velocity_ned: Vec3 | None = None,
+        dt: float = 0.0,
+        mates: Mates | None = None,
+    ) -> tuple[RouteState, VelocityHeightSetpoint]:
         """Return the state and the set-point.
 
         Args:

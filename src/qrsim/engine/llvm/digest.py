@@ -18,7 +18,7 @@ class UnknownError(Exception):
     """A program with a part that another process could not tell from another one."""
 
 
-def digest(closed: Any) -> str | None:
+def digest(closed: object) -> str | None:
     """Return the digest of a closed jaxpr, None where it has a part that no digest tells.
 
     Names, source lines and rules of differentiation are no part of it: they change nothing that is computed.
@@ -48,7 +48,7 @@ class _Walk:
     def _jaxpr(self, jaxpr: Any, constants: Any) -> str:
         result, numbers = hashlib.sha256(), dict[Any, int]()
 
-        def add(*parts: Any) -> None:
+        def add(*parts: object) -> None:
             result.update(repr(parts).encode())
 
         def define(variables: Any) -> list[Any]:
@@ -58,7 +58,7 @@ class _Walk:
                 found.append((variable.aval.shape, variable.aval.dtype.name))
             return found
 
-        def read(atom: Any) -> Any:
+        def read(atom: object) -> Any:
             if isinstance(atom, jex.Literal):
                 return _array(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
             return numbers[atom]
@@ -80,7 +80,7 @@ class _Walk:
         add([read(atom) for atom in jaxpr.outvars])
         return result.hexdigest()
 
-    def _value(self, value: Any) -> Any:
+    def _value(self, value: object) -> Any:
         """Return a parameter as something with a text that says all of it."""
         for kinds, text in self._TEXTS:
             if isinstance(value, kinds):

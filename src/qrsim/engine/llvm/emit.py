@@ -359,8 +359,9 @@ class Emitter(Loops):
         region, outputs = step.nodes[0].regions[number], step.nodes[1:]
         moves = [
             (region.results[node.attributes[0]], node.shape, self.places[node.number])
-            for node in outputs if node.op == "output"
-        ]  # fmt: skip
+            for node in outputs
+            if node.op == "output"
+        ]
         self.move_all(moves, keep)
         self.do(f"br label %{after}")
         self.scalars = outside

@@ -131,7 +131,7 @@ class Region:
     results: list[Access] = field(default_factory=list)
     known: dict[Any, Node] = field(default_factory=dict)
 
-    def find(self, key: Any) -> Node | None:
+    def find(self, key: object) -> Node | None:
         """Return an equal node computed before, here or outside."""
         # What lies outside is computed before the region, so it may be used inside; the reverse does not hold.
         region: Region | None = self
@@ -183,7 +183,7 @@ class Graph:
         self.region.known[key] = node
         return node
 
-    def constant(self, value: Any) -> View:
+    def constant(self, value: object) -> View:
         """Return an array that is known now."""
         array = np.asarray(value)
         # An array of numbers that the code generator does not have is refused here.

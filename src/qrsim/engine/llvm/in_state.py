@@ -53,8 +53,11 @@ class InState:
         for i, step in enumerate(self.body):
             if step.kind == "cond" and self._agreed(step):
                 for output, results_of in _outputs(step):
-                    self._hold(i, output, [own[a.node.number] for a in results_of
-                                           if a.node.number in own and a.identical(output.shape)])  # fmt: skip
+                    self._hold(
+                        i,
+                        output,
+                        [own[a.node.number] for a in results_of if a.node.number in own and a.identical(output.shape)],
+                    )
         for step in self.body:
             if step.kind == "cond" and self._agreed(step):
                 self._within(step)

@@ -56,7 +56,7 @@ class Lanes:
         """Return where the buffers of a tile begin."""
         return [buffer.ctypes.data + tile * buffer.strides[0] for buffer in self._buffers]
 
-    def fill(self, tree: Any) -> None:
+    def fill(self, tree: object) -> None:
         """Take a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes
         for number, leaf in enumerate(jax.tree.leaves(tree)):
@@ -105,7 +105,7 @@ class Lanes:
         return buffer[:, begin:end].reshape(self.tiles, part.stop - part.start, self._lanes)
 
     @staticmethod
-    def _stored(leaf: Any) -> Array:
+    def _stored(leaf: object) -> Array:
         array = np.asarray(leaf)
         rows = array.reshape(len(array), -1)
         if rows.dtype.kind == "f":

@@ -89,7 +89,7 @@ class Loops(Writer):
         self.do(f"call void @llvm.memcpy.p0.p0.i64({begins}, i64 {size}, i1 false)")
         return True
 
-    def _kept(self, to: Place, dtype: Any, value: str, lanes: int, keep: str) -> str:
+    def _kept(self, to: Place, dtype: object, value: str, lanes: int, keep: str) -> str:
         """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)

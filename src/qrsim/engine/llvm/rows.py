@@ -84,9 +84,12 @@ class _Cluster:
 
     def _fits(self, node: Node) -> bool:
         domain = node.domain
-        return bool(domain) and domain[-1] == self.extent and 0 not in domain and (
-            node.op != "reduce" or reduces_rows(node)
-        )  # fmt: skip
+        return (
+            bool(domain)
+            and domain[-1] == self.extent
+            and 0 not in domain
+            and (node.op != "reduce" or reduces_rows(node))
+        )
 
     def _with_what_they_need(self, nodes: Iterable[Node]) -> set[int]:
         found: set[int] = set()

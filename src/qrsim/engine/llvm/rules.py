@@ -43,13 +43,15 @@ _OTHERS = (
     "shift_left", "shift_right_logical", "shift_right_arithmetic", "clamp", "atan2", "pow",
 )  # fmt: skip
 _REDUCTIONS = {
-    "reduce_sum": "add", "reduce_prod": "mul", "reduce_min": "min", "reduce_max": "max", "reduce_and": "and",
+    "reduce_sum": "add",
+    "reduce_prod": "mul",
+    "reduce_min": "min",
+    "reduce_max": "max",
+    "reduce_and": "and",
     "reduce_or": "or",
-}  # fmt: skip
+}
 _RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-_SCATTERS = {
-    "scatter": "set", "scatter_add": "add", "scatter_mul": "mul", "scatter_min": "min", "scatter_max": "max",
-}  # fmt: skip
+_SCATTERS = {"scatter": "set", "scatter_add": "add", "scatter_mul": "mul", "scatter_min": "min", "scatter_max": "max"}
 _INDEXED = {"dimension_numbers", "unique_indices", "indices_are_sorted", "mode"}
 _STAGED = {
     "jaxpr", "call_jaxpr", "in_shardings", "out_shardings", "in_layouts", "out_layouts", "donated_invars",
@@ -88,9 +90,8 @@ def _rows() -> dict[str, Rule]:
     rows["cond"] = Rule("cond", "", {"branches"})
     rows["while"] = Rule("while_", "", {"cond_nconsts", "cond_jaxpr", "body_nconsts", "body_jaxpr"})
     rows["scan"] = Rule(
-        "scan", "",
-        {"jaxpr", "length", "reverse", "num_consts", "num_carry", "linear", "unroll", "_split_transpose"},
-    )  # fmt: skip
+        "scan", "", {"jaxpr", "length", "reverse", "num_consts", "num_carry", "linear", "unroll", "_split_transpose"}
+    )
     # What is only there for differentiation, staging or for other compilers.
     rows |= {name: Rule("transparent", "") for name in ("copy", "stop_gradient", "optimization_barrier")}
     rows |= {name: Rule("call", "jaxpr", _STAGED) for name in ("jit", "remat")}

@@ -22,7 +22,7 @@ def trace_of(function: Callable[..., Any], inputs: Sequence[Input]) -> tuple[Any
     return found
 
 
-def state_of(shape: Any) -> Packer:
+def state_of(shape: object) -> Packer:
     """Return the layout of a state of which ``trace_of`` returned the shapes.
 
     Raises:

@@ -51,7 +51,7 @@ class Tracer(Indexing):
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
             environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
 
-        def read(atom: Any) -> View:
+        def read(atom: object) -> View:
             if isinstance(atom, jex.Literal):
                 of: Any = atom.aval
                 return self.graph.constant(np.asarray(atom.val, of.dtype))
@@ -138,7 +138,7 @@ class Tracer(Indexing):
             for i, dtype in enumerate(KERNELS[op].gives)
         ]
 
-    def transparent(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def transparent(self, op: str, inputs: list[View], out: object, parameters: object) -> list[View]:
         """Pass the arguments on."""
         return inputs
 
@@ -181,7 +181,7 @@ class Tracer(Indexing):
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
         if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
-            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
             return self.run(pairs.jaxpr, pairs.consts, inputs)[0]
         accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
@@ -353,10 +353,10 @@ class Tracer(Indexing):
             first = (jnp.int32(0), *given[constants:])
             return jax.lax.while_loop(lambda state: state[0] < length, body, first)[1:]
 
-        counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+        counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
         return self.run(counted.jaxpr, counted.consts, inputs)
 
-    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: Any) -> Any:
+    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Any:
         dtype = like.node.dtype
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
@@ -377,15 +377,15 @@ class _Products:
         self.made: dict[Any, list[View]] = {}
         self._once = once
 
-    def of(self, atom: Any) -> list[View] | None:
+    def of(self, atom: object) -> list[View] | None:
         """Return the factors, if it is a product."""
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
-    def only_here(self, atom: Any) -> bool:
+    def only_here(self, atom: object) -> bool:
         """Return whether it is looked at once."""
         return atom in self._once
 
 
-def trace(function: Callable[..., Any], *arguments: Any) -> Any:
+def trace(function: Callable[..., Any], *arguments: object) -> Any:
     """Return the closed jaxpr of a function for arguments, or their shapes."""
     return jax.make_jaxpr(function)(*arguments)

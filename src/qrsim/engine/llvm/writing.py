@@ -332,8 +332,9 @@ class Writer:
         """Return elements that do not lie side by side as a vector; behind the last one it is read again."""
         element = scalar_type(node.dtype)
         of, result = vector(element, self.lanes), "poison"
-        extent = self.scope.domain[self.scope.lane_axis]  # type: ignore[index]
-        counter = self.scope.variables[self.scope.lane_axis]  # type: ignore[index]
+        axis = self.scope.lane_axis
+        assert axis is not None
+        extent, counter = self.scope.domain[axis], self.scope.variables[axis]
         for lane in range(self.lanes):
             at = self.emit(f"add i64 {counter}, {lane}")
             self.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
@@ -344,7 +345,7 @@ class Writer:
             result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
         return result
 
-    def widened(self, found: tuple[str, int], dtype: Any, lanes: int) -> str:
+    def widened(self, found: tuple[str, int], dtype: object, lanes: int) -> str:
         """Return a value in all lanes."""
         text, have = found
         if have == lanes or (have == 0 and lanes == 1):

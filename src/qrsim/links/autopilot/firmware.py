@@ -36,13 +36,22 @@ THROTTLE_LOW = 1000
 EEPROM = "eeprom.bin"
 # Angle mode at 60 deg of a full stick, in proportion; a yaw rate of 200 deg/s; no waiting for what only hands do.
 CONFIGURATION = (
-    "set small_angle = 180", "set gyro_calib_noise_limit = 0", "set runaway_takeoff_prevention = OFF",
-    "set pid_process_denom = 1", "set angle_limit = 60", "aux 0 0 0 1700 2100 0 0", "aux 1 1 1 1700 2100 0 0",
-    "rateprofile 0", "set rates_type = ACTUAL",
-    *(f"set {axis}_{name} = {value}" for axis, value in (("roll", 67), ("pitch", 67), ("yaw", 20))
-      for name in ("rc_rate", "srate")),
+    "set small_angle = 180",
+    "set gyro_calib_noise_limit = 0",
+    "set runaway_takeoff_prevention = OFF",
+    "set pid_process_denom = 1",
+    "set angle_limit = 60",
+    "aux 0 0 0 1700 2100 0 0",
+    "aux 1 1 1 1700 2100 0 0",
+    "rateprofile 0",
+    "set rates_type = ACTUAL",
+    *(
+        f"set {axis}_{name} = {value}"
+        for axis, value in (("roll", 67), ("pitch", 67), ("yaw", 20))
+        for name in ("rc_rate", "srate")
+    ),
     *(f"set {axis}_expo = 0" for axis in ("roll", "pitch", "yaw")),
-)  # fmt: skip
+)
 
 
 def binary(path: str | None = None) -> Path:
@@ -90,9 +99,14 @@ class Process:
         try:
             with open(self._log, "wb") as log:
                 self._process = subprocess.Popen(
-                    [str(program)], cwd=folder, env=environment, pass_fds=[theirs.fileno()],
-                    stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                )  # fmt: skip
+                    [str(program)],
+                    cwd=folder,
+                    env=environment,
+                    pass_fds=[theirs.fileno()],
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                )
         except OSError as error:
             ours.close()
             raise RunError(f"{program}: {error.strerror or error}") from None

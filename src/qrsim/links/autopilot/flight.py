@@ -105,9 +105,14 @@ class Flight:
     """
 
     def __init__(
-        self, simulation: Simulation, fleets: Sequence[str], program: Path, eeprom: bytes,
-        override: Override | None = None, lost: Callable[[str], None] | None = None,
-    ):  # fmt: skip
+        self,
+        simulation: Simulation,
+        fleets: Sequence[str],
+        program: Path,
+        eeprom: bytes,
+        override: Override | None = None,
+        lost: Callable[[str], None] | None = None,
+    ):
         self.simulation = simulation
         self._override = override
         chosen = [checked_fleet(simulation.world, name) for name in fleets]

@@ -61,9 +61,10 @@ def motor_order(fleet: Fleet) -> tuple[int, ...]:
     for rotor in rotors:
         bearing = np.degrees(np.arctan2(rotor.position[1], rotor.position[0]))
         order += [
-            number for number, (arm, turn) in enumerate(frame)
+            number
+            for number, (arm, turn) in enumerate(frame)
             if abs((bearing - arm + 180.0) % 360.0 - 180.0) < NEAR_DEG and turn == rotor.direction
-        ]  # fmt: skip
+        ]
     if not frame or sorted(order) != list(range(len(frame))):
         raise UsageError(
             f"fleet '{fleet.name}': its {len(rotors)} rotors are no frame X of ArduPilot's, with 4, 6 or 8 arms, the "
@@ -117,9 +118,14 @@ class JsonFlight:
     """
 
     def __init__(
-        self, simulation: Simulation, fleets: Sequence[str], port: int, wait: float,
-        say: Callable[[str], None] = lambda line: None, lost: Callable[[str], None] | None = None,
-    ):  # fmt: skip
+        self,
+        simulation: Simulation,
+        fleets: Sequence[str],
+        port: int,
+        wait: float,
+        say: Callable[[str], None] = lambda line: None,
+        lost: Callable[[str], None] | None = None,
+    ):
         self.simulation = simulation
         world = simulation.world
         chosen = [next(fleet for fleet in world.fleets if fleet.name == name) for name in fleets]

@@ -61,9 +61,11 @@ def state_packet(time: float, sensed: Sensed) -> bytes:
     roll, pitch, yaw = (0.5 * angle for angle in sensed.attitude)
     cr, sr, cp, sp, cy, sy = *_turn(roll), *_turn(pitch), *_turn(yaw)
     quaternion = (
-        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
-    )  # fmt: skip
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
     return STATE.pack(
         time, p, q, r, -x, y, z, *quaternion, east, north, -down, longitude, latitude, height, sensed.pressure
     )

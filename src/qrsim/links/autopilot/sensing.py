@@ -86,10 +86,13 @@ class FleetSight:
         longitude += east / (6.371e6 * math.cos(latitude))
         pressure = row[PRESSURE] if row[PRESSURE] == row[PRESSURE] else pressure_at(height + row[HEIGHT])
         return Sensed(
-            row[RATES : RATES + 3], row[FORCE : FORCE + 3], row[ATTITUDE : ATTITUDE + 3],
-            row[VELOCITY : VELOCITY + 3], (math.degrees(latitude), math.degrees(longitude), height - down),
+            row[RATES : RATES + 3],
+            row[FORCE : FORCE + 3],
+            row[ATTITUDE : ATTITUDE + 3],
+            row[VELOCITY : VELOCITY + 3],
+            (math.degrees(latitude), math.degrees(longitude), height - down),
             pressure or PRESSURE_PA,
-        )  # fmt: skip
+        )
 
 
 def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:

@@ -30,9 +30,7 @@ def channels(
         speed = min(math.sqrt(thrust), 1.0)
         share = max((speed - IDLE) / (1.0 - IDLE), 0.0)
         lift = round(MIN_CHECK + (FULL - MIN_CHECK) * share)
-    return (
-        _stick(roll / TILT_RAD), _stick(-pitch / TILT_RAD), lift, _stick(yaw_rate / YAW_RATE_RAD_S), FULL, FULL
-    )  # fmt: skip
+    return (_stick(roll / TILT_RAD), _stick(-pitch / TILT_RAD), lift, _stick(yaw_rate / YAW_RATE_RAD_S), FULL, FULL)
 
 
 def _stick(share: float) -> int:

@@ -126,9 +126,17 @@ FENCE_STATUS 162 breach_status:B breach_count:H breach_type:B breach_time:I | br
 """
 _SIZES = {"c": 1, "B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4, "Q": 8, "q": 8}
 _TYPES = {
-    "c": "char", "B": "uint8_t", "b": "int8_t", "H": "uint16_t", "h": "int16_t", "I": "uint32_t", "i": "int32_t",
-    "Q": "uint64_t", "q": "int64_t", "f": "float",
-}  # fmt: skip
+    "c": "char",
+    "B": "uint8_t",
+    "b": "int8_t",
+    "H": "uint16_t",
+    "h": "int16_t",
+    "I": "uint32_t",
+    "i": "int32_t",
+    "Q": "uint64_t",
+    "q": "int64_t",
+    "f": "float",
+}
 
 
 @dataclass(frozen=True)

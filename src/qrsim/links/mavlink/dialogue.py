@@ -110,9 +110,13 @@ def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
 def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
     """Send COMMAND_ACK to whoever sent a frame."""
     link.say(
-        "COMMAND_ACK", command=command, result=int(ack.result), progress=ack.progress, target_system=frame.system,
+        "COMMAND_ACK",
+        command=command,
+        result=int(ack.result),
+        progress=ack.progress,
+        target_system=frame.system,
         target_component=frame.component,
-    )  # fmt: skip
+    )
 
 
 def _set_mode(system: System, link: Link, frame: Frame) -> None:
@@ -135,18 +139,30 @@ def _take(system: System, link: Link, target: Target) -> None:
 def _local_target(system: System, link: Link, frame: Frame) -> None:
     m = frame.message()
     target = LocalTarget(
-        m.coordinate_frame, m.type_mask, _axes(m, "x", "y", "z"), _axes(m, "vx", "vy", "vz"),
-        _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
-    )  # fmt: skip
+        m.coordinate_frame,
+        m.type_mask,
+        _axes(m, "x", "y", "z"),
+        _axes(m, "vx", "vy", "vz"),
+        _axes(m, "afx", "afy", "afz"),
+        m.yaw,
+        m.yaw_rate,
+    )
     _take(system, link, target)
 
 
 def _global_target(system: System, link: Link, frame: Frame) -> None:
     m = frame.message()
     target = GlobalTarget(
-        m.coordinate_frame, m.type_mask, m.lat_int, m.lon_int, m.alt, _axes(m, "vx", "vy", "vz"),
-        _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
-    )  # fmt: skip
+        m.coordinate_frame,
+        m.type_mask,
+        m.lat_int,
+        m.lon_int,
+        m.alt,
+        _axes(m, "vx", "vy", "vz"),
+        _axes(m, "afx", "afy", "afz"),
+        m.yaw,
+        m.yaw_rate,
+    )
     _take(system, link, target)
 
 
@@ -200,9 +216,12 @@ def _ping(system: System, link: Link, frame: Frame) -> None:
     message = frame.message()
     if message.target_system == 0:
         link.say(
-            "PING", time_usec=message.time_usec, seq=message.seq, target_system=frame.system,
+            "PING",
+            time_usec=message.time_usec,
+            seq=message.seq,
+            target_system=frame.system,
             target_component=frame.component,
-        )  # fmt: skip
+        )
 
 
 def _timesync(system: System, link: Link, frame: Frame) -> None:
@@ -219,9 +238,11 @@ def _file(system: System, link: Link, frame: Frame) -> None:
     why = _NO_FILE if request[3] in _OPENS else _UNKNOWN
     reply = sequence.to_bytes(2, "little") + bytes([request[2], _NAK, 1, request[3], 0, 0, 0, 0, 0, 0, why])
     link.say(
-        "FILE_TRANSFER_PROTOCOL", target_system=frame.system, target_component=frame.component,
+        "FILE_TRANSFER_PROTOCOL",
+        target_system=frame.system,
+        target_component=frame.component,
         payload=list(reply.ljust(251, b"\0")),
-    )  # fmt: skip
+    )
 
 
 def _logs(system: System, link: Link, frame: Frame) -> None:

@@ -109,13 +109,19 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     limited = area.is_box or isinstance(area, PolygonArea)
     ceiling, floor = (float(area.z_min), float(area.z_max)) if limited else (-np.inf, np.inf)
     common = Facts(
-        name=fleet.vehicle_names[number], system=system, time_step=world.time_step, mav_type=type_of(fleet.vehicle),
-        kinds=frozenset(kinds_of(fleet)), has_battery=fleet.battery.drains,
-        fence=_fence(world.area), z_min=ceiling, z_max=floor,
-    )  # fmt: skip
+        name=fleet.vehicle_names[number],
+        system=system,
+        time_step=world.time_step,
+        mav_type=type_of(fleet.vehicle),
+        kinds=frozenset(kinds_of(fleet)),
+        has_battery=fleet.battery.drains,
+        fence=_fence(world.area),
+        z_min=ceiling,
+        z_max=floor,
+    )
     controller = fleet.controller
 
-    def own(value: Any) -> float:
+    def own(value: object) -> float:
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     if isinstance(controller, RoverController):
@@ -147,7 +153,7 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
     vehicle: Any = fleet.vehicle
     guidance: Any = fleet.guidance
 
-    def own(value: Any) -> float:
+    def own(value: object) -> float:
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     circles = isinstance(guidance, FixedWingGuidance)

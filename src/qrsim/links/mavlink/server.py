@@ -133,7 +133,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._link = Link(system.number, server.streams(rates, phase), self._send)
         self._transport: Any = None
 
-    def connection_made(self, transport: Any) -> None:
+    def connection_made(self, transport: object) -> None:
         self._transport = transport
         self._system.links.append(self._link)
 

@@ -26,9 +26,13 @@ from qrsim.simulation.simulation import Simulation
 
 # What says that a sensor is there and works.
 _BITS = (
-    (Sensor.GYRO, RATES), (Sensor.ACCELEROMETER, FORCE), (Sensor.MAGNETOMETER, FIELD), (Sensor.BAROMETER, HEIGHT),
-    (Sensor.GPS, FIX_POSITION), (Sensor.BATTERY, CHARGE),
-)  # fmt: skip
+    (Sensor.GYRO, RATES),
+    (Sensor.ACCELEROMETER, FORCE),
+    (Sensor.MAGNETOMETER, FIELD),
+    (Sensor.BAROMETER, HEIGHT),
+    (Sensor.GPS, FIX_POSITION),
+    (Sensor.BATTERY, CHARGE),
+)
 _COLUMNS = [column for _, column in _BITS]
 _WEIGHTS = np.array([int(bit) for bit, _ in _BITS])
 # What a stack sees, in the order of ``look``.

@@ -43,9 +43,13 @@ class Streams:
     """
 
     def __init__(
-        self, rates: Mapping[str, float], time_step: float, factor: float = 1.0, by_simulated_time: bool = False,
+        self,
+        rates: Mapping[str, float],
+        time_step: float,
+        factor: float = 1.0,
+        by_simulated_time: bool = False,
         phase: float = 0.0,
-    ):  # fmt: skip
+    ):
         self._rates = {LAYOUTS[name].number: rate for name, rate in rates.items()}
         self._dt, self._phase = time_step, phase
         self._least = time_step if by_simulated_time else max(time_step, factor / MOST_HZ)

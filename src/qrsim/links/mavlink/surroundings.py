@@ -38,10 +38,16 @@ def obstacle_distance(v: View) -> bytes | None:
     step = math.degrees(sensor.field_of_view_rad) / sensor.rays
     first = math.degrees(float(ray_angles(sensor.rays, sensor.field_of_view_rad)[0])) + 0.5 * (each - 1) * step
     return LAYOUTS["OBSTACLE_DISTANCE"].payload(
-        time_usec=v.boot_us, sensor_type=_LASER, distances=distances + [_UNUSED] * (_MOST_RAYS - len(distances)),
-        increment=min(round(each * step), 255), min_distance=round(100.0 * nearest), max_distance=limit,
-        increment_f=each * step, angle_offset=first, frame=_BODY_FRD,
-    )  # fmt: skip
+        time_usec=v.boot_us,
+        sensor_type=_LASER,
+        distances=distances + [_UNUSED] * (_MOST_RAYS - len(distances)),
+        increment=min(round(each * step), 255),
+        min_distance=round(100.0 * nearest),
+        max_distance=limit,
+        increment_f=each * step,
+        angle_offset=first,
+        frame=_BODY_FRD,
+    )
 
 
 def optical_flow_rad(v: View) -> bytes | None:
@@ -53,11 +59,16 @@ def optical_flow_rad(v: View) -> bytes | None:
     x, y = (row[s.FLOW], row[s.FLOW + 1]) if there else (0.0, 0.0)
     turn, distance = row[s.FLOW_TURN : s.FLOW_TURN + 3], row[s.RANGE]
     return LAYOUTS["OPTICAL_FLOW_RAD"].payload(
-        time_usec=v.boot_us, integration_time_us=round(1e6 * period), integrated_x=x, integrated_y=y,
-        integrated_xgyro=turn[0], integrated_ygyro=turn[1], integrated_zgyro=turn[2],
+        time_usec=v.boot_us,
+        integration_time_us=round(1e6 * period),
+        integrated_x=x,
+        integrated_y=y,
+        integrated_xgyro=turn[0],
+        integrated_ygyro=turn[1],
+        integrated_zgyro=turn[2],
         quality=round(255.0 * row[s.FLOW_QUALITY]) if there else 0,
         distance=distance if math.isfinite(distance) else -1.0,
-    )  # fmt: skip
+    )
 
 
 def adsb_vehicle(v: View) -> bytes | None:
@@ -78,13 +89,18 @@ def adsb_vehicle(v: View) -> bytes | None:
         vn, ve, vd = (own + other for own, other in zip(seen.velocity_ned, _ned(v, moves), strict=True))
     return LAYOUTS["ADSB_VEHICLE"].payload(
         # Of who is not known, by its place in the reading.
-        ICAO_address=number + 1 if number >= 0 else 0xFFF000 + v.turn, lat=round(latitude * 1e7),
-        lon=round(longitude * 1e7), altitude_type=_GEOMETRIC, altitude=round(altitude * 1e3),
+        ICAO_address=number + 1 if number >= 0 else 0xFFF000 + v.turn,
+        lat=round(latitude * 1e7),
+        lon=round(longitude * 1e7),
+        altitude_type=_GEOMETRIC,
+        altitude=round(altitude * 1e3),
         heading=round(math.degrees(math.atan2(ve, vn)) * 100.0) % 36000,
         hor_velocity=min(round(100.0 * math.hypot(vn, ve)), 65535),
         ver_velocity=max(-32768, min(round(-100.0 * vd), 32767)),
-        callsign=f"V{number + 1}".encode()[:_LONGEST_NAME] if number >= 0 else b"", emitter_type=_UAV, flags=flags,
-    )  # fmt: skip
+        callsign=f"V{number + 1}".encode()[:_LONGEST_NAME] if number >= 0 else b"",
+        emitter_type=_UAV,
+        flags=flags,
+    )
 
 
 def _ned(v: View, frd: np.ndarray) -> tuple[float, float, float]:

@@ -20,9 +20,13 @@ _MOST_TOLD = 4000
 _ATTITUDE = NUMBERS["ATTITUDE"]
 # What clients are told at once when it changes.
 _AT_ONCE = {
-    "mission": ("MISSION_CURRENT",), "landed": ("EXTENDED_SYS_STATE",), "mode": ("HEARTBEAT", "CURRENT_MODE"),
-    "armed": ("HEARTBEAT",), "home": ("HOME_POSITION",), "fence": ("FENCE_STATUS",),
-}  # fmt: skip
+    "mission": ("MISSION_CURRENT",),
+    "landed": ("EXTENDED_SYS_STATE",),
+    "mode": ("HEARTBEAT", "CURRENT_MODE"),
+    "armed": ("HEARTBEAT",),
+    "home": ("HOME_POSITION",),
+    "fence": ("FENCE_STATUS",),
+}
 
 
 class System:
@@ -106,9 +110,11 @@ class System:
                 pieces.append(b"")
         for chunk, piece in enumerate(pieces):
             values: Mapping[str, object] = {
-                "severity": int(text.severity), "text": piece, "id": self._text if len(pieces) > 1 else 0,
+                "severity": int(text.severity),
+                "text": piece,
+                "id": self._text if len(pieces) > 1 else 0,
                 "chunk_seq": chunk,
-            }  # fmt: skip
+            }
             self._broadcast("STATUSTEXT", LAYOUTS["STATUSTEXT"].payload(**values))
 
     def present(self) -> None:

@@ -103,6 +103,10 @@ def _payload(system: System, parameter: Parameter) -> bytes:
 
 def _refuse(link: Link, frame: Frame, name: bytes, index: int, error: int) -> None:
     link.say(
-        "PARAM_ERROR", target_system=frame.system, target_component=frame.component, param_id=name, param_index=index,
+        "PARAM_ERROR",
+        target_system=frame.system,
+        target_component=frame.component,
+        param_id=name,
+        param_index=index,
         error=error,
-    )  # fmt: skip
+    )

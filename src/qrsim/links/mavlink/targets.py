@@ -68,9 +68,11 @@ def attitude_target(v: View) -> Payload:
     roll, pitch, yaw, throttle = order.numbers
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(0.5 * x), math.cos(0.5 * x)) for x in (roll, pitch, yaw))
     quaternion = (
-        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
-    )  # fmt: skip
+    )
     return LAYOUTS["ATTITUDE_TARGET"].payload(
         time_boot_ms=v.boot_ms, type_mask=_NO_RATES, q=quaternion, thrust=v.stack.thrust_of(throttle)
     )
@@ -96,11 +98,16 @@ def available_modes(v: View, index: int) -> list[bytes]:
     modes = v.stack.modes()
     return [
         LAYOUTS["AVAILABLE_MODES"].payload(
-            number_modes=len(modes), mode_index=number, standard_mode=mode.standard, custom_mode=mode.custom_mode,
-            properties=mode.properties, mode_name=mode.name.encode(),
+            number_modes=len(modes),
+            mode_index=number,
+            standard_mode=mode.standard,
+            custom_mode=mode.custom_mode,
+            properties=mode.properties,
+            mode_name=mode.name.encode(),
         )
-        for number, mode in enumerate(modes, 1) if index in (0, number)
-    ]  # fmt: skip
+        for number, mode in enumerate(modes, 1)
+        if index in (0, number)
+    ]
 
 
 def orbit_execution_status(v: View) -> Payload:
@@ -110,18 +117,24 @@ def orbit_execution_status(v: View) -> Payload:
         return None
     latitude, longitude, altitude = v.stack.place(orbit.centre)
     return LAYOUTS["ORBIT_EXECUTION_STATUS"].payload(
-        time_usec=v.boot_us, radius=orbit.radius, frame=_GLOBAL_INT, x=round(latitude * 1e7),
-        y=round(longitude * 1e7), z=altitude,
-    )  # fmt: skip
+        time_usec=v.boot_us,
+        radius=orbit.radius,
+        frame=_GLOBAL_INT,
+        x=round(latitude * 1e7),
+        y=round(longitude * 1e7),
+        z=altitude,
+    )
 
 
 def gps_global_origin(v: View) -> Payload:
     """GPS_GLOBAL_ORIGIN: the origin of the vehicle's local frame."""
     latitude, longitude, altitude = v.stack.place(v.stack.origin)
     return LAYOUTS["GPS_GLOBAL_ORIGIN"].payload(
-        latitude=round(latitude * 1e7), longitude=round(longitude * 1e7), altitude=round(altitude * 1e3),
+        latitude=round(latitude * 1e7),
+        longitude=round(longitude * 1e7),
+        altitude=round(altitude * 1e3),
         time_usec=v.boot_us,
-    )  # fmt: skip
+    )
 
 
 def autopilot_version(v: View) -> Payload:

@@ -71,9 +71,7 @@ def sys_status(v: View) -> Payload:
     remaining = -1 if seen.charge != seen.charge else bounded(seen.charge, 100.0, 0, 100)
     present, enabled = seen.present | health.present, seen.present | health.enabled
     healthy = seen.healthy | health.healthy
-    return _STRUCT["SYS_STATUS"](
-        present, enabled, healthy, v.load, voltage, -1, 0, 0, 0, 0, 0, 0, remaining, 0, 0, 0
-    )  # fmt: skip
+    return _STRUCT["SYS_STATUS"](present, enabled, healthy, v.load, voltage, -1, 0, 0, 0, 0, 0, 0, remaining, 0, 0, 0)
 
 
 def system_time(v: View) -> Payload:
@@ -137,10 +135,16 @@ def global_position_int(v: View) -> Payload:
     north, east, down = seen.velocity_ned
     heading = round(math.degrees(seen.attitude[2]) * 100.0) % 36000
     return _STRUCT["GLOBAL_POSITION_INT"](
-        v.boot_ms, round(seen.latitude * 1e7), round(seen.longitude * 1e7), round(seen.altitude * 1e3),
-        round((seen.altitude - v.home_altitude) * 1e3), _short(north, 100.0), _short(east, 100.0), _short(down, 100.0),
+        v.boot_ms,
+        round(seen.latitude * 1e7),
+        round(seen.longitude * 1e7),
+        round(seen.altitude * 1e3),
+        round((seen.altitude - v.home_altitude) * 1e3),
+        _short(north, 100.0),
+        _short(east, 100.0),
+        _short(down, 100.0),
         heading,
-    )  # fmt: skip
+    )
 
 
 def vfr_hud(v: View) -> Payload:
@@ -192,10 +196,16 @@ def highres_imu(v: View) -> Payload:
         return None
     # Microtesla are 0.01 gauss, pascals 0.01 mbar.
     numbers = (
-        *row[s.FORCE : s.FORCE + 3], *row[s.RATES : s.RATES + 3], 0.01 * row[s.FIELD], 0.01 * row[s.FIELD + 1],
-        0.01 * row[s.FIELD + 2], 0.01 * row[s.PRESSURE], 0.01 * row[s.DIFFERENTIAL], row[s.HEIGHT],
+        *row[s.FORCE : s.FORCE + 3],
+        *row[s.RATES : s.RATES + 3],
+        0.01 * row[s.FIELD],
+        0.01 * row[s.FIELD + 1],
+        0.01 * row[s.FIELD + 2],
+        0.01 * row[s.PRESSURE],
+        0.01 * row[s.DIFFERENTIAL],
+        row[s.HEIGHT],
         row[s.TEMPERATURE] - 273.15,
-    )  # fmt: skip
+    )
     return _STRUCT["HIGHRES_IMU"](v.boot_us, *[x if x == x else 0.0 for x in numbers], updated, 0)
 
 
@@ -205,8 +215,10 @@ def _imu_numbers(row: list[float]) -> tuple[int, ...] | None:
     if force[0] != force[0] and rates[0] != rates[0]:
         return None
     return (
-        *(_short(x, 1e3 / GRAVITY) for x in force), *(_short(x, 1e3) for x in rates), *(_short(x, 10.0) for x in field)
-    )  # fmt: skip
+        *(_short(x, 1e3 / GRAVITY) for x in force),
+        *(_short(x, 1e3) for x in rates),
+        *(_short(x, 10.0) for x in field),
+    )
 
 
 def scaled_imu(v: View) -> Payload:
@@ -227,9 +239,12 @@ def scaled_pressure(v: View) -> Payload:
     if pressure != pressure:
         return None
     return _STRUCT["SCALED_PRESSURE"](
-        v.boot_ms, 0.01 * pressure, 0.0 if differential != differential else 0.01 * differential,
-        _short(temperature - 273.15, 100.0), 0,
-    )  # fmt: skip
+        v.boot_ms,
+        0.01 * pressure,
+        0.0 if differential != differential else 0.01 * differential,
+        _short(temperature - 273.15, 100.0),
+        0,
+    )
 
 
 def distance_sensor(v: View) -> Payload:
@@ -239,7 +254,7 @@ def distance_sensor(v: View) -> Payload:
         return None
     return _STRUCT["DISTANCE_SENSOR"](
         v.boot_ms, 0, _UINT16, _unsigned(distance, 100.0), 0, 0, 25, 255, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
-    )  # fmt: skip
+    )
 
 
 def odometry(v: View) -> Payload:
@@ -294,9 +309,7 @@ def estimator_status(v: View) -> Payload:
     row = v.row
     north, east, down = row[s.STD_POSITION : s.STD_POSITION + 3]
     flags = _ESTIMATES if v.seen.valid else 0
-    return _STRUCT["ESTIMATOR_STATUS"](
-        v.boot_us, NAN, NAN, NAN, NAN, NAN, NAN, math.hypot(north, east), down, flags
-    )  # fmt: skip
+    return _STRUCT["ESTIMATOR_STATUS"](v.boot_us, NAN, NAN, NAN, NAN, NAN, NAN, math.hypot(north, east), down, flags)
 
 
 def ekf_status_report(v: View) -> Payload:
@@ -376,7 +389,11 @@ def sendable(number: int, view: View) -> bool:
     if number not in ENCODERS:
         return False
     later: tuple[Any, ...] = (
-        home_position, position_target_local_ned, position_target_global_int, attitude_target, orbit_execution_status,
-    )  # fmt: skip
+        home_position,
+        position_target_local_ned,
+        position_target_global_int,
+        attitude_target,
+        orbit_execution_status,
+    )
     encoder = ENCODERS[number]
     return encoder in later or encoder(view) is not None

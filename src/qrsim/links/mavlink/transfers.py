@@ -195,10 +195,19 @@ class Transfers:
         current = kind is PlanKind.MISSION and self._stack.mission().seq == item.seq
         values: dict[str, Any] = dict(zip(("param1", "param2", "param3", "param4"), item.params, strict=True))
         link.say(
-            "MISSION_ITEM_INT" if integers else "MISSION_ITEM", **_to(partner), seq=message.seq, frame=item.frame,
-            command=item.command, current=int(current), autocontinue=item.autocontinue, **values, x=x, y=y, z=item.z,
+            "MISSION_ITEM_INT" if integers else "MISSION_ITEM",
+            **_to(partner),
+            seq=message.seq,
+            frame=item.frame,
+            command=item.command,
+            current=int(current),
+            autocontinue=item.autocontinue,
+            **values,
+            x=x,
+            y=y,
+            z=item.z,
             mission_type=kind,
-        )  # fmt: skip
+        )
 
     def refuse(self, link: Link, partner: Partner, message: Message) -> None:
         """Answer requests for a part of a list."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from qrsim.models.site import Site
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.simulation import Simulation
 
-Array = np.ndarray[Any, Any]
 # A stack for a vehicle at a site.
 MakeStack = Callable[[Facts, Site], Stack]
 
@@ -158,7 +156,13 @@ class FlownWorld:
         airspeed = np.linalg.norm(velocity - truth.wind_ned, axis=1)
         quaternion = quaternion_of(np.asarray(truth.attitude))
         columns = (
-            quaternion, truth.rates_body, np.degrees(latitude)[:, None], np.degrees(longitude)[:, None],
-            height[:, None], velocity, airspeed[:, None], truth.specific_force,
-        )  # fmt: skip
+            quaternion,
+            truth.rates_body,
+            np.degrees(latitude)[:, None],
+            np.degrees(longitude)[:, None],
+            height[:, None],
+            velocity,
+            airspeed[:, None],
+            truth.specific_force,
+        )
         return np.concatenate(columns, axis=1, dtype=np.float64).tolist()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 from qrsim.links.reference.kinds import KINDS, WIDTHS
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
@@ -17,7 +18,6 @@ from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 # Tags and lengths of a vector and of the Arrayd in it.
 HEAD_SIZE = 4
 
@@ -60,7 +60,7 @@ class _Known:
 
     begin: bytes
     ticks: int
-    numbers: Array
+    numbers: NumpyArray
     command: Any
 
 
@@ -94,7 +94,7 @@ class Commands:
             numbers[...] = rows
         return command
 
-    def samples(self, start_ned: Array) -> list[Any]:
+    def samples(self, start_ned: NumpyArray) -> list[Any]:
         """Return a command of each kind of the reference, for vehicles at positions (n, 3) [m]."""
         hover = np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start_ned), 1))
         return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]
@@ -166,7 +166,7 @@ class MixedCommands(Commands):
                     found[fleet.name] = _command(request.type, np.asarray(rows).astype(self._dtype))
         return found
 
-    def samples(self, start_ned: Array) -> list[Any]:
+    def samples(self, start_ned: NumpyArray) -> list[Any]:
         """Return commands of each kind of the reference, for vehicles at positions (n, 3) [m]."""
         found: list[dict[str, Any]] = [{}, {}, {}]
         first = 0
@@ -192,7 +192,7 @@ def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
     return MixedCommands(fleets, dtype)
 
 
-def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[Array, Any]:
+def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
     """Return an array (n, width) for the vectors of a STEP, and the command of a fleet that has its numbers."""
     if KINDS[kind] == CONTROL:
         control = np.zeros((size, WIDTHS[kind]), dtype)
@@ -202,7 +202,7 @@ def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[Array, Any]:
     return columns[: WIDTHS[kind]].T, record_of(KINDS[kind], columns, Command)
 
 
-def _command(kind: int, rows: Array) -> Any:
+def _command(kind: int, rows: NumpyArray) -> Any:
     """Return the command of a fleet from the vectors (n, width) of a STEP."""
     if KINDS[kind] == CONTROL:
         return rows

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Key
 from qrsim.core.tree import cast
 from qrsim.engine.layout import Buffers, Packer
@@ -26,7 +27,6 @@ from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import World
 
-Array = np.ndarray[Any, Any]
 PRECISION = np.dtype(np.float32)
 # An action may be outside [-1, 1] by no more than rounding.
 ROUNDING = 1e-5
@@ -143,11 +143,16 @@ class EpisodeSession:
             reward += score(self.play, self._episodes.episode(0), answer)
         self._running = not (terminated or truncated)
         return Outcome(
-            step=self._step, t=self.time, observation=self.observation(), reward=reward.tolist(),
-            terminated=terminated, truncated=truncated, info=self.info(),
-        )  # fmt: skip
+            step=self._step,
+            t=self.time,
+            observation=self.observation(),
+            reward=reward.tolist(),
+            terminated=terminated,
+            truncated=truncated,
+            info=self.info(),
+        )
 
-    def _action(self, given: Sequence[Arrayd]) -> Array:
+    def _action(self, given: Sequence[Arrayd]) -> NumpyArray:
         """Return the actions (n, A) of a request."""
         axes, agents = self.play.axes, self.play.agents
         with np.errstate(over="ignore"):
@@ -159,7 +164,7 @@ class EpisodeSession:
             raise UsageError(f"action: {said}; allowed: -1 to 1")
         return action
 
-    def _answer(self, given: Sequence[Act.Answer]) -> Array:
+    def _answer(self, given: Sequence[Act.Answer]) -> NumpyArray:
         """Return the answers of the n agents, (n, ...)."""
         shape, agents = self.answer_shape, self.play.agents
         if not shape:

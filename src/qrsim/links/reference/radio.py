@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 from qrsim.interface.messages import Message as Received
 from qrsim.interface.messages import checked_message
@@ -18,7 +18,6 @@ from qrsim.links.reference.readout import varint
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import Play
 
-Array = np.ndarray[Any, Any]
 _HEARD = b"\x32"
 
 
@@ -64,7 +63,7 @@ def heard_bytes(heard: Sequence[pb.Readings.Heard]) -> bytes:
     return b"".join(_HEARD + varint(len(part)) + part for part in parts)
 
 
-def said(play: Play, request: Act) -> Array:
+def said(play: Play, request: Act) -> NumpyArray:
     """Return what agents say (n, D), NaN for those who say nothing; D = 0 without a radio.
 
     Raises:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.links.reference.protocol.framing import HEAD_SIZE, frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, State
@@ -22,7 +23,6 @@ from qrsim.models.sensors.pressure import PressureReading
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.world.state import FleetState, World
 
-Array = np.ndarray[Any, Any]
 STATE_SIZE, MEASURED_SIZE = 13, 20
 # Of the state vector, before the thrust.
 POSE = ("position_ned", "attitude", "velocity_body", "rates_body")
@@ -110,8 +110,14 @@ class Readout:
         head = _STATE_HEAD + varint(body)
         self._body_at = HEAD_SIZE + len(head)
         x_at = self._body_at + len(_T_HEAD) + 8
-        content = frame(head + _T_HEAD + bytes(8) + _X_HEAD.ljust(_X_STRIDE, b"\0") * count
-                        + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count + tail)  # fmt: skip
+        content = frame(
+            head
+            + _T_HEAD
+            + bytes(8)
+            + _X_HEAD.ljust(_X_STRIDE, b"\0") * count
+            + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count
+            + tail
+        )
         self._buffer = bytearray(content)
         self._time = np.ndarray((1,), "<f8", self._buffer, x_at - 8)
         self._x = np.ndarray((count, STATE_SIZE), "<f8", self._buffer, x_at + len(_X_HEAD), (_X_STRIDE, 8))
@@ -154,7 +160,7 @@ class Readout:
             return self._explained()
         return bytes(self._buffer)
 
-    def vectors(self) -> Array:
+    def vectors(self) -> NumpyArray:
         """Write the present state vectors (n, 13) and return them."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._x[...] = floats.take(self._x_places)
@@ -197,7 +203,7 @@ class States:
         """Write the present STATE with its length message."""
         return (self._with_reasons() if reasons else self._plain).frame()
 
-    def vectors(self) -> Array:
+    def vectors(self) -> NumpyArray:
         """Return the present state vectors (n, 13)."""
         return self._plain.vectors()
 
@@ -227,7 +233,7 @@ class _Posed:
         self._vehicle, self._number, self.rows = vehicle, number, rows
         self._compiled = jax.jit(_vectors)
 
-    def vectors(self, layout: Packer, buffers: Buffers) -> Array:
+    def vectors(self, layout: Packer, buffers: Buffers) -> NumpyArray:
         """Return the state vectors (n, 13) of the vehicles of a packed state, the first parts of positions in them."""
         part = layout.numbers.fleets[self._number].vehicle
         state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
@@ -252,7 +258,7 @@ def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
     return found
 
 
-def _state_places(fleet: FleetState) -> Array:
+def _state_places(fleet: FleetState) -> NumpyArray:
     """Return the places (n, 13) of the state vector of vehicles; -1 for what their own state has not."""
     own = vars(fleet.vehicle)
     nothing = np.full(len(fleet.violation.code), -1)
@@ -262,7 +268,7 @@ def _state_places(fleet: FleetState) -> Array:
     return np.stack([*columns, own.get("thrust", nothing)], axis=1)
 
 
-def _low_places(fleets: Sequence[FleetState]) -> Array | None:
+def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
     """Return the places (n, 3) of what single precision leaves out of the positions, None in double precision."""
     lows = [fleet.position_low_ned for fleet in fleets]
     if any(low is None for low in lows):

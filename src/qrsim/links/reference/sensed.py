@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Readings
 from qrsim.links.reference.radio import heard_by_all, heard_bytes
@@ -17,7 +18,6 @@ from qrsim.links.reference.sensors import sensor_of
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 _HEADS = {
     Message.READINGS: b"\x08\x6a\xd2\x06",
     Message.SENSED: b"\x08\x7a\xd2\x07",
@@ -47,7 +47,7 @@ class Sensed:
         self._of_row = [(fleet, row) for fleet in self._fleets for row in range(fleet.size)]
         self._tick = -1
         self._written: dict[int, bytes] = {}
-        self._vectors: Array | None = None
+        self._vectors: NumpyArray | None = None
         # Of all vehicles, once somebody asks.
         self._heard: list[list[Readings.Heard]] = []
 
@@ -108,17 +108,17 @@ class _FleetSensed:
         found = [sensor_of(name, reading, simulation.site) for name, reading in pairs]
         self._sensors = [sensor for sensor in found if sensor is not None]
         self._quick = len(self._sensors) == len(found)
-        self._templates: dict[int, tuple[bytearray, Array, Array]] = {}
+        self._templates: dict[int, tuple[bytearray, NumpyArray, NumpyArray]] = {}
         # Of vehicles that have stopped: why each sensor says nothing, and why they have.
         self._last_words: dict[int, tuple[str, list[str]]] = {}
-        self._values: Array | None = None
+        self._values: NumpyArray | None = None
         self._reading: Any = None
 
     def look(self) -> None:
         """Forget what was of another tick."""
         self._values = self._reading = None
 
-    def _told(self) -> tuple[Array, Array]:
+    def _told(self) -> tuple[NumpyArray, NumpyArray]:
         """Return what the sensors say (n, W), with when it was true (n, S), and whether it is fresh (n, S) bool."""
         if self._values is None:
             simulation = self._simulation
@@ -130,7 +130,7 @@ class _FleetSensed:
             self._fresh = fresh
         return self._values, self._fresh
 
-    def _when(self) -> tuple[Array, Array]:
+    def _when(self) -> tuple[NumpyArray, NumpyArray]:
         """Return when the reading of each sensor was true (n, S) [s], and whether it arrives at this tick (n, S)."""
         simulation, fleet = self._simulation, self._fleet
         tick: Any = simulation.tick
@@ -166,7 +166,7 @@ class _FleetSensed:
         content[flags] = fresh[row]
         return bytes(buffer)
 
-    def _template(self, name: str) -> tuple[bytearray, Array, Array]:
+    def _template(self, name: str) -> tuple[bytearray, NumpyArray, NumpyArray]:
         """Return the Vehicle with numbers that are easily found, and the places of bytes of numbers, and of flags."""
         count = self._told()[0].shape[1]
         # Each number says its own place: what protobuf makes of them is searched once.
@@ -180,7 +180,9 @@ class _FleetSensed:
         places = (np.array(numbers, int)[:, None] + np.arange(8)).ravel()
         return bytearray(content), places, np.array(flags, int)
 
-    def _message(self, name: str, values: Array, fresh: Array, why: str = "", reasons: Sequence[str] = ()) -> Any:
+    def _message(
+        self, name: str, values: NumpyArray, fresh: NumpyArray, why: str = "", reasons: Sequence[str] = ()
+    ) -> Any:
         found = Readings.Vehicle(name=name, valid=not why, reason=why)
         at, count = 0, len(values) - len(self._sensors)
         for i, sensor in enumerate(self._sensors):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.interface.arrays import as_array, quaternion_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
@@ -19,8 +20,7 @@ from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.site import Site
 from qrsim.simulation.simulation import Simulation
 
-Array = np.ndarray[Any, Any]
-Derive = Callable[[Array], Array]
+Derive = Callable[[NumpyArray], NumpyArray]
 # Tags, all of fields of type bytes but the time (double) and valid (varint); see qrsim.proto.
 _TYPE_READINGS = b"\x08\x6a"
 _READINGS, _TIME, _VEHICLE = b"\xd2\x06", b"\x09", b"\x12"
@@ -60,9 +60,9 @@ class SensorPart:
 
     name: str
     fields: list[tuple[str, int]]
-    sources: list[tuple[Array, Derive | None]]
+    sources: list[tuple[NumpyArray, Derive | None]]
 
-    def values(self, floats: Array) -> Array:
+    def values(self, floats: NumpyArray) -> NumpyArray:
         """Return the numbers (n, W) of all fields."""
         found = []
         for places, derive in self.sources:
@@ -162,7 +162,7 @@ def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
     own = {name: as_array(value) for name, value in said.items() if value is not None}
     own = {field: places.reshape(len(places), -1) for field, places in own.items()}
     fields = [(field, places.shape[1]) for field, places in own.items()]
-    sources: list[tuple[Array, Derive | None]] = [(np.concatenate(list(own.values()), axis=1), None)]
+    sources: list[tuple[NumpyArray, Derive | None]] = [(np.concatenate(list(own.values()), axis=1), None)]
     if isinstance(reading, AttitudeReading):
         fields.append(("quaternion", 4))
         sources.append((own["attitude"], quaternion_of))
@@ -170,7 +170,7 @@ def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
         derived = ["latitude_deg", "longitude_deg", "height", *(() if "fix_type" in own else ("fix_type",))]
         fields += [(field, 1) for field in derived]
 
-        def geodetic(position_ned: Array) -> Array:
+        def geodetic(position_ned: NumpyArray) -> NumpyArray:
             latitude, longitude, height = site.ned_to_geodetic(position_ned)
             # Who has a position has a fix of three dimensions.
             columns = [np.degrees(latitude), np.degrees(longitude), height, np.full_like(height, 3.0)]

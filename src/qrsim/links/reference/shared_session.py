@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Packer
 from qrsim.errors import warn_user
 from qrsim.links.contracts import Pace, Silence
@@ -26,9 +27,8 @@ from qrsim.simulation.history import History
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView
 
-Array = np.ndarray[Any, Any]
 # What a tick was flown by (shared/plant.py).
-Flown = dict[str, Array]
+Flown = dict[str, NumpyArray]
 # So many ticks are kept at a time, which costs little more than to keep one.
 KEPT_TICKS = 25
 
@@ -59,7 +59,7 @@ class SharedSession(Session):
         self.pace, self._silence, self._say = pace, silence, say
         # A tick must not wait for a disk: what is kept of it is written by another thread, many ticks at a time.
         self._keeping = ThreadPoolExecutor(1, thread_name_prefix=f"keep-{number}")
-        self._ticks: list[tuple[int, list[Array], Flown]] = []
+        self._ticks: list[tuple[int, list[NumpyArray], Flown]] = []
         self._flown: list[Flown] = []
 
     def prepare(self) -> None:
@@ -140,7 +140,7 @@ class SharedSession(Session):
         self.hand_over()
         self._keeping.submit(int).result()
 
-    def _keep_ticks(self, layout: Packer, ticks: list[tuple[int, list[Array], Flown]]) -> None:
+    def _keep_ticks(self, layout: Packer, ticks: list[tuple[int, list[NumpyArray], Flown]]) -> None:
         numbers, states, flown = zip(*ticks, strict=True)
         floats, integers = (np.stack(parts) for parts in zip(*states, strict=True))
         history = History(np.array(numbers), self.time_step, layout.unpack((floats, integers)))

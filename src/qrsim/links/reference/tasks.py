@@ -54,7 +54,7 @@ def offboard(scenario: Scenario) -> Scenario:
     """
     content = scenario.spec.model_dump(mode="json")
     for fleet in content["fleets"].values():
-        if OffboardController.gives not in VEHICLES[fleet["vehicle"]["type"]].actions:  # type: ignore[attr-defined]
+        if OffboardController.gives not in VEHICLES[fleet["vehicle"]["type"]].actions:
             continue
         own: Any = CONTROLLERS[fleet["controller"]["type"]]
         if set(own.setpoints) >= set(OffboardController.setpoints):

@@ -108,8 +108,13 @@ def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9
 def _qos(quality: t.Quality) -> Qos:
     profile = PROFILES[quality]
     return Qos(
-        QosHistory.KEEP_LAST, profile.depth,
+        QosHistory.KEEP_LAST,
+        profile.depth,
         QosReliability.RELIABLE if profile.reliable else QosReliability.BEST_EFFORT,
         QosDurability.TRANSIENT_LOCAL if profile.latched else QosDurability.VOLATILE,
-        _ENDLESS, _ENDLESS, QosLiveliness.AUTOMATIC, _ENDLESS, False,
-    )  # fmt: skip
+        _ENDLESS,
+        _ENDLESS,
+        QosLiveliness.AUTOMATIC,
+        _ENDLESS,
+        False,
+    )

@@ -19,9 +19,13 @@ CMD_VEL, VELOCITY = "cmd_vel", "setpoint_velocity/cmd_vel"
 POSITION, ATTITUDE, THRUST = "setpoint_position/local", "setpoint_attitude/attitude", "setpoint_attitude/thrust"
 # Topic, type, and kind of order that the vehicle must take.
 TAKEN = (
-    (CMD_VEL, TWIST, "velocity"), (CMD_VEL, TWIST_STAMPED, "velocity"), (VELOCITY, TWIST_STAMPED, "velocity"),
-    (POSITION, POSE_STAMPED, "waypoint"), (ATTITUDE, POSE_STAMPED, "attitude"), (THRUST, FLOAT, "attitude"),
-)  # fmt: skip
+    (CMD_VEL, TWIST, "velocity"),
+    (CMD_VEL, TWIST_STAMPED, "velocity"),
+    (VELOCITY, TWIST_STAMPED, "velocity"),
+    (POSITION, POSE_STAMPED, "waypoint"),
+    (ATTITUDE, POSE_STAMPED, "attitude"),
+    (THRUST, FLOAT, "attitude"),
+)
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,7 @@ def _motion(own: str, twist: Any) -> Motion:
     return Motion((x, -y, -z), rate, True) if own == CMD_VEL else Motion((y, x, -z), rate, False)
 
 
-def _angles(own: str, quaternion: Any) -> tuple[float, float, float] | None:
+def _angles(own: str, quaternion: object) -> tuple[float, float, float] | None:
     """Return roll, pitch and yaw of an orientation; None where it is nothing."""
     numbers = [_finite(own, f"orientation.{axis}", value) for axis, value in _axes(quaternion, "xyzw")]
     if math.hypot(*numbers) < 1e-6:
@@ -114,12 +118,12 @@ def _angles(own: str, quaternion: Any) -> tuple[float, float, float] | None:
     return roll, pitch, yaw
 
 
-def _vector(own: str, name: str, vector: Any) -> tuple[float, float, float]:
+def _vector(own: str, name: str, vector: object) -> tuple[float, float, float]:
     x, y, z = (_finite(own, f"{name}.{axis}", value) for axis, value in _axes(vector, "xyz"))
     return x, y, z
 
 
-def _axes(record: Any, names: str) -> list[tuple[str, float]]:
+def _axes(record: object, names: str) -> list[tuple[str, float]]:
     return [(axis, float(getattr(record, axis))) for axis in names]
 
 

@@ -51,9 +51,10 @@ def service_types(name: str, info: Fields) -> dict[str, tuple[list[Any], Fields]
     # Its identifier is of type char, which is hashed as uint8 (rosidl's parser of .msg files).
     known = [
         (field, (kind, (content[0] if content[0][1][0] != "char" else (content[0][0], ("uint8", 0)), content[1])))
-        if kind == Nodetype.ARRAY else (field, (kind, content))
+        if kind == Nodetype.ARRAY
+        else (field, (kind, content))
         for field, (kind, content) in info
-    ]  # fmt: skip
+    ]
     event: Fields = [("info", (one, EVENT_INFO))]
     event += [
         (field, (Nodetype.SEQUENCE, ((one, f"{name}_{field.capitalize()}"), 1))) for field in ("request", "response")

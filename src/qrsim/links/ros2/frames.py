@@ -6,33 +6,33 @@ Arrays are (..., 3) or (..., 4). The conversions of vectors and quaternions are 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from qrsim.core.arrays import NumpyArray
+
 _HALF_ROOT = math.sqrt(0.5)
 
 
-def enu_of(ned: Array) -> Array:
+def enu_of(ned: NumpyArray) -> NumpyArray:
     """Return a vector of NED in ENU, or of ENU in NED."""
     x, y, z = np.moveaxis(np.asarray(ned), -1, 0)
     return np.stack([y, x, -z], axis=-1)
 
 
-def flu_of(frd: Array) -> Array:
+def flu_of(frd: NumpyArray) -> NumpyArray:
     """Return a vector of forward-right-down body axes in forward-left-up, or the reverse."""
     x, y, z = np.moveaxis(np.asarray(frd), -1, 0)
     return np.stack([x, -y, -z], axis=-1)
 
 
-def quaternion_enu_flu(quaternion: Array) -> Array:
+def quaternion_enu_flu(quaternion: NumpyArray) -> NumpyArray:
     """Return the attitude of FLU axes in ENU (x, y, z, w) for that of FRD axes in NED (w, x, y, z)."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion), -1, 0)
     return _HALF_ROOT * np.stack([x + y, x - y, w - z, w + z], axis=-1)
 
 
-def angles_ned_frd(quaternion: Array) -> Array:
+def angles_ned_frd(quaternion: NumpyArray) -> NumpyArray:
     """Return roll, pitch and yaw [rad] of FRD axes in NED for the attitude of FLU axes in ENU (x, y, z, w)."""
     i, j, k, s = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
     w, x, y, z = s + k, i + j, i - j, s - k

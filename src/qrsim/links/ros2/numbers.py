@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.ros2.frames import enu_of, flu_of, quaternion_enu_flu
 from qrsim.links.shared import sight as s
 from qrsim.links.shared.turning import turned, turned_back
 from qrsim.simulation.simulation import Simulation
 
-Array = np.ndarray[Any, Any]
 # Columns. Positions, velocities and turns are ENU, of the body FLU, in SI units; variances are of the same axes.
 POSITION, ORIENTATION, VELOCITY, BODY_VELOCITY, RATES, MAP_RATES = 0, 3, 7, 10, 13, 16
 FORCE, FIELD = 19, 22
@@ -37,7 +35,7 @@ _TOO_NEAR, _TOO_FAR = 1.0, 2.0
 _CORRECTED = 4.0
 
 
-def seen(values: Array) -> Array:
+def seen(values: NumpyArray) -> NumpyArray:
     """Return the numbers (n, WIDTH) for what vehicles know of themselves.
 
     Args:
@@ -45,9 +43,12 @@ def seen(values: Array) -> Array:
     """
     found = np.full((len(values), WIDTH), np.nan)
     _put_motion(
-        found, values[:, s.POSITION : s.POSITION + 3], values[:, s.QUATERNION : s.QUATERNION + 4],
-        values[:, s.VELOCITY : s.VELOCITY + 3], values[:, s.RATES : s.RATES + 3],
-    )  # fmt: skip
+        found,
+        values[:, s.POSITION : s.POSITION + 3],
+        values[:, s.QUATERNION : s.QUATERNION + 4],
+        values[:, s.VELOCITY : s.VELOCITY + 3],
+        values[:, s.RATES : s.RATES + 3],
+    )
     found[:, FORCE : FORCE + 3] = flu_of(values[:, s.FORCE : s.FORCE + 3])
     found[:, FIELD : FIELD + 3] = _MICRO * flu_of(values[:, s.FIELD : s.FIELD + 3])
     found[:, PLACE : PLACE + 3] = values[:, s.FIX_PLACE : s.FIX_PLACE + 3]
@@ -57,9 +58,15 @@ def seen(values: Array) -> Array:
     found[:, PLACE_VARIANCE : PLACE_VARIANCE + 3] = np.nan_to_num(np.stack(variances, axis=1))
     found[:, FIX_STATUS] = np.where(values[:, s.FIX_TYPE] >= _CORRECTED, 2.0, 0.0)
     for column, source in (
-        (PRESSURE, s.PRESSURE), (HEIGHT, s.HEIGHT), (RANGE, s.RANGE), (CHARGE, s.CHARGE), (VOLTAGE, s.VOLTAGE),
-        (DIFFERENTIAL, s.DIFFERENTIAL), (AIRSPEED, s.AIRSPEED), (FLOW, s.FLOW),
-    ):  # fmt: skip
+        (PRESSURE, s.PRESSURE),
+        (HEIGHT, s.HEIGHT),
+        (RANGE, s.RANGE),
+        (CHARGE, s.CHARGE),
+        (VOLTAGE, s.VOLTAGE),
+        (DIFFERENTIAL, s.DIFFERENTIAL),
+        (AIRSPEED, s.AIRSPEED),
+        (FLOW, s.FLOW),
+    ):
         found[:, column] = values[:, source]
     found[:, FLOW + 1], found[:, FLOW + 2] = -values[:, s.FLOW + 1], 0.0
     found[:, FLOW_TURN : FLOW_TURN + 3] = flu_of(values[:, s.FLOW_TURN : s.FLOW_TURN + 3])
@@ -80,7 +87,7 @@ def seen(values: Array) -> Array:
     return found
 
 
-def asked(commands: Array, yaw: Array) -> Array:
+def asked(commands: NumpyArray, yaw: NumpyArray) -> NumpyArray:
     """Return the numbers (n, WIDTH) for commands (n, 4) of pitch, roll [rad], throttle and yaw rate [rad/s].
 
     Args:
@@ -96,19 +103,25 @@ def asked(commands: Array, yaw: Array) -> Array:
     return found
 
 
-def true(simulation: Simulation) -> Array:
+def true(simulation: Simulation) -> NumpyArray:
     """Return the numbers (n, WIDTH) for what is true: motion and wind, with variances 0."""
     truth = simulation.truth
     parts = truth.position_ned, truth.attitude, truth.velocity_ned, truth.rates_body, truth.wind_ned
     return of_motion(*(np.asarray(part, np.float64) for part in parts))
 
 
-def velocity_ned(attitude: Array, velocity_body: Array) -> Array:
+def velocity_ned(attitude: NumpyArray, velocity_body: NumpyArray) -> NumpyArray:
     """Return velocities NED (R, 3) of those in FRD body axes, for attitudes of Euler angles (R, 3) [rad]."""
     return enu_of(turned(quaternion_enu_flu(quaternion_of(attitude)), flu_of(velocity_body)))
 
 
-def of_motion(position_ned: Array, attitude: Array, velocity_ned: Array, rates_body: Array, wind_ned: Array) -> Array:
+def of_motion(
+    position_ned: NumpyArray,
+    attitude: NumpyArray,
+    velocity_ned: NumpyArray,
+    rates_body: NumpyArray,
+    wind_ned: NumpyArray,
+) -> NumpyArray:
     """Return the numbers (R, WIDTH) for known motion and wind (R, 3): angles [rad], rates [rad/s], m, m/s."""
     found = np.full((len(position_ned), WIDTH), np.nan)
     _put_motion(found, position_ned, quaternion_of(attitude), velocity_ned, rates_body)
@@ -117,7 +130,13 @@ def of_motion(position_ned: Array, attitude: Array, velocity_ned: Array, rates_b
     return found
 
 
-def _put_motion(found: Array, position_ned: Array, quaternion: Array, velocity_ned: Array, rates_body: Array) -> None:
+def _put_motion(
+    found: NumpyArray,
+    position_ned: NumpyArray,
+    quaternion: NumpyArray,
+    velocity_ned: NumpyArray,
+    rates_body: NumpyArray,
+) -> None:
     orientation = quaternion_enu_flu(quaternion)
     velocity, rates = enu_of(velocity_ned), flu_of(rates_body)
     found[:, POSITION : POSITION + 3] = enu_of(position_ned)

@@ -190,7 +190,7 @@ def _is_latched(qos: Any) -> bool:
     return Policy.Durability in qos and qos[Policy.Durability] != Policy.Durability.Volatile
 
 
-def _plain(profile: Profile, *more: Any) -> Any:
+def _plain(profile: Profile, *more: object) -> Any:
     """Return qualities of service: XCDR1, as ROS has it, and no waiting for slow readers."""
     latched = (
         Policy.Durability.TransientLocal,

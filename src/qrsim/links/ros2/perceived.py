@@ -23,7 +23,6 @@ from qrsim.models.sensors.scan import FARTHEST, Scan, ray_angles
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 SCAN, RANGE, POSES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range", "geometry_msgs/msg/PoseArray"
 
 
@@ -39,9 +38,8 @@ class Perceived:
     """
 
     def __init__(
-        self, types: Types, simulation: Simulation, namespaces: Sequence[str], sight: Sight,
-        add: Callable[[Topic], int],
-    ):  # fmt: skip
+        self, types: Types, simulation: Simulation, namespaces: Sequence[str], sight: Sight, add: Callable[[Topic], int]
+    ):
         self._types, self._simulation, self._sight = types, simulation, sight
         self._spaces, self._add = namespaces, add
         self._parts: list[tuple[Fleet, int, _Part]] = []
@@ -77,7 +75,7 @@ class _Part:
     def begin(self) -> None:
         """Add the topics."""
 
-    def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
+    def messages(self, reading: object, row: int, time: float) -> Iterator[tuple[int, bytes]]:
         """Yield topics and messages of the reading of a vehicle, by its row in the fleet."""
         raise NotImplementedError
 
@@ -111,10 +109,12 @@ class _Ranges(_Part):
         self._topics: list[list[tuple[int, str]]] = []
         for space in self.spaces:
             names = [*(beacon(number) for number in range(beacons)), *others]
-            self._topics.append([
-                (-1 if name == space else self.add(Topic(f"/{space}/ranging/{name}", RANGE, "sensor")), name)
-                for name in names
-            ])  # fmt: skip
+            self._topics.append(
+                [
+                    (-1 if name == space else self.add(Topic(f"/{space}/ranging/{name}", RANGE, "sensor")), name)
+                    for name in names
+                ]
+            )
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
         """Yield the ranges that there are."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2 import variances
@@ -19,7 +20,6 @@ from qrsim.links.ros2.vehicle import Publication, Sensors, kinds_of
 from qrsim.links.shared import sight as s
 from qrsim.world.state import World
 
-Array = np.ndarray[Any, Any]
 # Of each vehicle whether a sensor has delivered, and when that was true [s].
 News = tuple[Sequence[bool], Sequence[float]]
 
@@ -43,9 +43,15 @@ class Publications:
     """
 
     def __init__(
-        self, types: Types, world: World, names: Sequence[str], sensor: Callable[[int, int], Any],
-        windy: Sequence[bool], truth: bool, rate: float = math.inf,
-    ):  # fmt: skip
+        self,
+        types: Types,
+        world: World,
+        names: Sequence[str],
+        sensor: Callable[[int, int], Any],
+        windy: Sequence[bool],
+        truth: bool,
+        rate: float = math.inf,
+    ):
         self._types, self._truth, self._dt = types, truth, world.time_step
         self._each = max(1, math.ceil(1.0 / (rate * world.time_step) - 1e-6))
         self.namespaces = namespaces(names)
@@ -81,7 +87,12 @@ class Publications:
         return [(self.add(own.topic), own) for own in made]
 
     def of_tick(
-        self, tick: int, believed: Sequence[float], values: Array, news: Mapping[int, News], true: Array | None
+        self,
+        tick: int,
+        believed: Sequence[float],
+        values: NumpyArray,
+        news: Mapping[int, News],
+        true: NumpyArray | None,
     ) -> Iterator[tuple[int, bytes]]:
         """Yield numbers of topics and messages.
 
@@ -114,7 +125,7 @@ class Publications:
         if due and true is not None:
             yield from self._truths(true, stamp_of(tick * self._dt))
 
-    def _numbers(self, values: Array) -> Array:
+    def _numbers(self, values: NumpyArray) -> NumpyArray:
         found = n.seen(values)
         still, growth, turn = self._noise
         measured = np.where(np.isfinite(found[:, n.RANGE]), found[:, n.RANGE], 0.0)
@@ -128,7 +139,7 @@ class Publications:
         # Of ticks at which something is published.
         return not every or tick // self._each % max(1, round(every / (self._dt * self._each))) == 0
 
-    def _truths(self, true: Array, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
+    def _truths(self, true: NumpyArray, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
         for own, row in zip(self._true, true.tolist(), strict=True):
             for topic, publication in own:
                 message = publication.message(row, *stamp)

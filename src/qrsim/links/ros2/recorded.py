@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.publications import News
@@ -15,7 +16,6 @@ from qrsim.runs import Run
 from qrsim.runs.export.output import is_readable
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 # Ticks that are read at once.
 MOST_AT_ONCE = 1000
 _ANGLES = ("roll", "pitch", "yaw")
@@ -82,10 +82,13 @@ class Recorded:
         found: dict[int, int] = {}
         commands = self._columns("commands")
         for prefix, column, axes in (
-            ("estimate.position_ned", s.POSITION, "xyz"), ("estimate.velocity_ned", s.VELOCITY, "xyz"),
-            ("estimate.attitude", s.ATTITUDE, _ANGLES), ("estimate_std.position_ned", s.STD_POSITION, "xyz"),
-            ("estimate_std.velocity_ned", s.STD_VELOCITY, "xyz"), ("estimate_std.attitude", s.STD_ATTITUDE, _ANGLES),
-        ):  # fmt: skip
+            ("estimate.position_ned", s.POSITION, "xyz"),
+            ("estimate.velocity_ned", s.VELOCITY, "xyz"),
+            ("estimate.attitude", s.ATTITUDE, _ANGLES),
+            ("estimate_std.position_ned", s.STD_POSITION, "xyz"),
+            ("estimate_std.velocity_ned", s.STD_VELOCITY, "xyz"),
+            ("estimate_std.attitude", s.STD_ATTITUDE, _ANGLES),
+        ):
             for i, axis in enumerate(axes):
                 if f"{prefix}.{axis}" in commands:
                     self._sources.append((rows, column + i, "commands", f"{prefix}.{axis}"))
@@ -111,7 +114,9 @@ class Recorded:
     def _columns(self, stream: str) -> Sequence[str]:
         return self._streams[stream].columns() if stream in self._streams else ()
 
-    def ticks(self, columns: Sequence[int]) -> Iterator[tuple[int, float, Array, dict[int, News], Array | None, Array]]:
+    def ticks(
+        self, columns: Sequence[int]
+    ) -> Iterator[tuple[int, float, NumpyArray, dict[int, News], NumpyArray | None, NumpyArray]]:
         """Yield number and time [s] of each tick, what vehicles knew, the news of sensors, the truth, and commands.
 
         Commands are numbers (n, WIDTH) of ``numbers.asked``, of the step that ends with the tick.
@@ -128,16 +133,16 @@ class Recorded:
                 news = {column: self._news(column, tick, values[i], before) for column in columns}
                 yield tick, tick * self._dt, values[i], news, None if true is None else true[i], asked[i]
 
-    def _part(self, stream: str, column: str, ticks: Array) -> Array:
+    def _part(self, stream: str, column: str, ticks: NumpyArray) -> NumpyArray:
         """Return a column (T, n) at ticks."""
         found = self._streams[stream]
         return np.asarray(found[column][np.searchsorted(found.tick, ticks)], np.float64)
 
-    def _vector(self, stream: str, name: str, axes: Sequence[str], ticks: Array) -> Array:
+    def _vector(self, stream: str, name: str, axes: Sequence[str], ticks: NumpyArray) -> NumpyArray:
         """Return a vector (T, n, 3) at ticks."""
         return np.stack([self._part(stream, f"{name}.{axis}", ticks) for axis in axes], axis=-1)
 
-    def _know(self, values: Array, ticks: Array) -> None:
+    def _know(self, values: NumpyArray, ticks: NumpyArray) -> None:
         """Give vehicles that are fed with the truth what is true."""
         position, body = (self._vector("truth", name, "xyz", ticks) for name in ("position_ned", "velocity_body"))
         attitude = self._vector("truth", "attitude", _ANGLES, ticks)
@@ -146,7 +151,7 @@ class Recorded:
             for column, vector in ((s.POSITION, position), (s.VELOCITY, velocity), (s.ATTITUDE, attitude)):
                 values[:, rows, column : column + 3] = vector[:, rows]
 
-    def _values(self, ticks: Array) -> Array:
+    def _values(self, ticks: NumpyArray) -> NumpyArray:
         values = np.full((len(ticks), len(self.names), s.WIDTH), np.nan)
         for rows, column, stream, name in self._sources:
             values[:, rows, column] = self._part(stream, name, ticks)[:, rows]
@@ -157,7 +162,7 @@ class Recorded:
         s.complete(flat, self.site, plain)
         return values
 
-    def _asked(self, ticks: Array, yaw: Array) -> Array:
+    def _asked(self, ticks: NumpyArray, yaw: NumpyArray) -> NumpyArray:
         """Return the numbers (T, n, WIDTH) of the commands of quadrotors; NaN of others."""
         names, shape = ("pitch", "roll", "throttle", "yaw_rate"), (len(ticks), len(self.names))
         found = np.full((*shape, len(names)), np.nan)
@@ -165,23 +170,26 @@ class Recorded:
             found = np.stack([self._part("commands", name, ticks) for name in names], axis=-1)
         return n.asked(found.reshape(-1, len(names)), yaw.reshape(-1)).reshape(*shape, n.WIDTH)
 
-    def _true(self, ticks: Array) -> Array | None:
+    def _true(self, ticks: NumpyArray) -> NumpyArray | None:
         if not self.has_truth:
             return None
 
-        def vector(stream: str, name: str, axes: Sequence[str] = "xyz") -> Array:
+        def vector(stream: str, name: str, axes: Sequence[str] = "xyz") -> NumpyArray:
             return self._vector(stream, name, axes, ticks).reshape(-1, 3)
 
         winds = "wind" in self._streams
         wind = vector("wind", "mean_ned") + vector("wind", "gust_ned") if winds else np.full((1, 3), np.nan)
         position, attitude = vector("truth", "position_ned"), vector("truth", "attitude", _ANGLES)
         found = n.of_motion(
-            position, attitude, n.velocity_ned(attitude, vector("truth", "velocity_body")),
-            vector("truth", "rates_body"), np.broadcast_to(wind, position.shape),
-        )  # fmt: skip
+            position,
+            attitude,
+            n.velocity_ned(attitude, vector("truth", "velocity_body")),
+            vector("truth", "rates_body"),
+            np.broadcast_to(wind, position.shape),
+        )
         return found.reshape(len(ticks), len(self.names), n.WIDTH)
 
-    def _news(self, column: int, tick: int, values: Array, before: dict[tuple[int, int], Any]) -> News:
+    def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], Any]) -> News:
         """Return of each vehicle whether a column's sensor has delivered since the last tick, and when it was true."""
         fresh: list[bool] = []
         times: list[float] = []

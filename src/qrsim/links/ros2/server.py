@@ -64,9 +64,14 @@ class Server:
     """
 
     def __init__(
-        self, simulation: Simulation, types: Types, options: Options, say: Callable[[str], None], node: Node,
+        self,
+        simulation: Simulation,
+        types: Types,
+        options: Options,
+        say: Callable[[str], None],
+        node: Node,
         flown: Flown | None = None,
-    ):  # fmt: skip
+    ):
         self._types, self._options, self._say, self._participant = types, options, say, node
         self.simulation, self._flown = simulation, flown
         if flown is None:
@@ -228,10 +233,15 @@ class Server:
         self._told_status = now
         report, simulation = self._pacer.report(), self.simulation
         status: dict[str, Any] = {
-            "time": simulation.time, "tick": simulation.tick, "paused": self.paused, "steps": self._steps,
-            "seed": simulation.seed, "factor": self._options.factor, "late": report.overruns,
+            "time": simulation.time,
+            "tick": simulation.tick,
+            "paused": self.paused,
+            "steps": self._steps,
+            "seed": simulation.seed,
+            "factor": self._options.factor,
+            "late": report.overruns,
             "lost": sum(writer.lost for writer in (*self._writers, *self._api_writers)),
-        }  # fmt: skip
+        }
         self._status.write(text_message(self._types, json.dumps(status)))
 
     def report(self) -> PaceReport:

@@ -69,7 +69,7 @@ class Template:
             raise KeyError(path)
         return offset + number * struct.calcsize(f"<{code}"), code, 1
 
-    def _walk(self, prefix: str, name: str, message: Any, at: int) -> int:
+    def _walk(self, prefix: str, name: str, message: object, at: int) -> int:
         """Find the places of a message that begins at an offset of the body, and return where it ends."""
         for field, description in self._types.fields(name):
             at = self._place(f"{prefix}{field}", description, getattr(message, field), at)

@@ -72,62 +72,117 @@ _ODOM = (
 )
 _KNOWN_POSE = (n.POSITION, n.ORIENTATION)
 FIX = Kind(
-    "fix", "sensor_msgs/msg/NavSatFix", "sensor", "gnss",
+    "fix",
+    "sensor_msgs/msg/NavSatFix",
+    "sensor",
+    "gnss",
     (
-        ("latitude", (n.PLACE,)), ("longitude", (n.PLACE + 1,)), ("altitude", (n.PLACE + 2,)),
+        ("latitude", (n.PLACE,)),
+        ("longitude", (n.PLACE + 1,)),
+        ("altitude", (n.PLACE + 2,)),
         *_diagonal("position_covariance", 3, _three(n.PLACE_VARIANCE)),
     ),
-    (n.PLACE,), s.FIX_POSITION,
-)  # fmt: skip
+    (n.PLACE,),
+    s.FIX_POSITION,
+)
 IMU = Kind(
-    "imu/data", "sensor_msgs/msg/Imu", "sensor", "base_link",
+    "imu/data",
+    "sensor_msgs/msg/Imu",
+    "sensor",
+    "base_link",
     (
-        *_quaternion("orientation", n.IMU_ORIENTATION), *_diagonal("orientation_covariance", 3, _three(n.IMU_VARIANCE)),
-        *_vector("angular_velocity", n.RATES), *_vector("linear_acceleration", n.FORCE),
+        *_quaternion("orientation", n.IMU_ORIENTATION),
+        *_diagonal("orientation_covariance", 3, _three(n.IMU_VARIANCE)),
+        *_vector("angular_velocity", n.RATES),
+        *_vector("linear_acceleration", n.FORCE),
     ),
-    (), s.RATES,
-)  # fmt: skip
+    (),
+    s.RATES,
+)
 MAG = Kind(
-    "mag", "sensor_msgs/msg/MagneticField", "sensor", "base_link", _vector("magnetic_field", n.FIELD), (n.FIELD,),
+    "mag",
+    "sensor_msgs/msg/MagneticField",
+    "sensor",
+    "base_link",
+    _vector("magnetic_field", n.FIELD),
+    (n.FIELD,),
     s.FIELD,
-)  # fmt: skip
+)
 BARO = Kind(
-    "baro", "sensor_msgs/msg/FluidPressure", "sensor", "base_link", (("fluid_pressure", (n.PRESSURE,)),),
-    (n.PRESSURE,), s.PRESSURE,
-)  # fmt: skip
+    "baro",
+    "sensor_msgs/msg/FluidPressure",
+    "sensor",
+    "base_link",
+    (("fluid_pressure", (n.PRESSURE,)),),
+    (n.PRESSURE,),
+    s.PRESSURE,
+)
 HEIGHT = Kind("baro/height", "std_msgs/msg/Float64", "sensor", "map", (("data", (n.HEIGHT,)),), (n.HEIGHT,), s.HEIGHT)
 RANGE = Kind(
-    "range", "sensor_msgs/msg/Range", "sensor", "range",
-    (("range", (n.RANGE,)), ("variance", (n.RANGE_VARIANCE,))), (n.RANGE,), s.RANGE,
-)  # fmt: skip
+    "range",
+    "sensor_msgs/msg/Range",
+    "sensor",
+    "range",
+    (("range", (n.RANGE,)), ("variance", (n.RANGE_VARIANCE,))),
+    (n.RANGE,),
+    s.RANGE,
+)
 AIRSPEED = Kind(
     "airspeed", "std_msgs/msg/Float64", "sensor", "base_link", (("data", (n.AIRSPEED,)),), (n.AIRSPEED,), s.AIRSPEED
 )
 DIFFERENTIAL = Kind(
-    "airspeed/pressure", "sensor_msgs/msg/FluidPressure", "sensor", "base_link",
-    (("fluid_pressure", (n.DIFFERENTIAL,)),), (n.DIFFERENTIAL,), s.DIFFERENTIAL,
-)  # fmt: skip
+    "airspeed/pressure",
+    "sensor_msgs/msg/FluidPressure",
+    "sensor",
+    "base_link",
+    (("fluid_pressure", (n.DIFFERENTIAL,)),),
+    (n.DIFFERENTIAL,),
+    s.DIFFERENTIAL,
+)
 FLOW = Kind(
-    "optical_flow/flow", "geometry_msgs/msg/Vector3Stamped", "sensor", "base_link", _vector("vector", n.FLOW),
-    (n.FLOW,), s.FLOW,
-)  # fmt: skip
+    "optical_flow/flow",
+    "geometry_msgs/msg/Vector3Stamped",
+    "sensor",
+    "base_link",
+    _vector("vector", n.FLOW),
+    (n.FLOW,),
+    s.FLOW,
+)
 FLOW_TURN = Kind(
-    "optical_flow/rotation", "geometry_msgs/msg/Vector3Stamped", "sensor", "base_link", _vector("vector", n.FLOW_TURN),
-    (n.FLOW_TURN,), s.FLOW_TURN,
-)  # fmt: skip
+    "optical_flow/rotation",
+    "geometry_msgs/msg/Vector3Stamped",
+    "sensor",
+    "base_link",
+    _vector("vector", n.FLOW_TURN),
+    (n.FLOW_TURN,),
+    s.FLOW_TURN,
+)
 BATTERY = Kind(
-    "battery", "sensor_msgs/msg/BatteryState", "reliable", "base_link",
-    (("voltage", (n.VOLTAGE,)), ("percentage", (n.CHARGE,))), (n.CHARGE,), every=0.5,
-)  # fmt: skip
+    "battery",
+    "sensor_msgs/msg/BatteryState",
+    "reliable",
+    "base_link",
+    (("voltage", (n.VOLTAGE,)), ("percentage", (n.CHARGE,))),
+    (n.CHARGE,),
+    every=0.5,
+)
 ODOM = Kind("odom", "nav_msgs/msg/Odometry", "reliable", "map", _ODOM, _KNOWN_POSE, child=True)
 POSE = Kind(
-    "pose", "geometry_msgs/msg/PoseStamped", "reliable", "map",
-    (*_vector("pose.position", n.POSITION), *_quaternion("pose.orientation", n.ORIENTATION)), _KNOWN_POSE,
-)  # fmt: skip
+    "pose",
+    "geometry_msgs/msg/PoseStamped",
+    "reliable",
+    "map",
+    (*_vector("pose.position", n.POSITION), *_quaternion("pose.orientation", n.ORIENTATION)),
+    _KNOWN_POSE,
+)
 VELOCITY = Kind(
-    "velocity", "geometry_msgs/msg/TwistStamped", "reliable", "map",
-    (*_vector("twist.linear", n.VELOCITY), *_vector("twist.angular", n.MAP_RATES)), (n.VELOCITY, n.MAP_RATES),
-)  # fmt: skip
+    "velocity",
+    "geometry_msgs/msg/TwistStamped",
+    "reliable",
+    "map",
+    (*_vector("twist.linear", n.VELOCITY), *_vector("twist.angular", n.MAP_RATES)),
+    (n.VELOCITY, n.MAP_RATES),
+)
 WIND = Kind("wind", "geometry_msgs/msg/Vector3Stamped", "reliable", "map", _vector("vector", n.WIND), (n.WIND,))
 # From the estimates and the readings, in the order in which they go out.
 KINDS = (

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.blank import empty
@@ -20,21 +21,30 @@ from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
 from qrsim.models.site import Site
 from qrsim.world.state import Fleet, World
 
-Array = np.ndarray[Any, Any]
 TYPE, ONE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
 _H = 0.5**0.5
 _LEVEL = (0.0, 0.0, 0.0, 1.0)
 # Turns of FLU axes (x, y, z, w) that bring x to where a rangefinder looks.
 _LOOKS = {
-    "forward": _LEVEL, "backward": (0.0, 0.0, 1.0, 0.0), "left": (0.0, 0.0, _H, _H), "right": (0.0, 0.0, -_H, _H),
-    "down": (0.0, _H, 0.0, _H), "up": (0.0, -_H, 0.0, _H),
-}  # fmt: skip
+    "forward": _LEVEL,
+    "backward": (0.0, 0.0, 1.0, 0.0),
+    "left": (0.0, 0.0, _H, _H),
+    "right": (0.0, 0.0, -_H, _H),
+    "down": (0.0, _H, 0.0, _H),
+    "up": (0.0, -_H, 0.0, _H),
+}
 _COLUMNS = [*range(n.POSITION, n.POSITION + 3), *range(n.ORIENTATION, n.ORIENTATION + 4)]
 _PATHS = (
-    "header.stamp.sec", "header.stamp.nanosec", "transform.translation.x", "transform.translation.y",
-    "transform.translation.z", "transform.rotation.x", "transform.rotation.y", "transform.rotation.z",
+    "header.stamp.sec",
+    "header.stamp.nanosec",
+    "transform.translation.x",
+    "transform.translation.y",
+    "transform.translation.z",
+    "transform.rotation.x",
+    "transform.rotation.y",
+    "transform.rotation.z",
     "transform.rotation.w",
-)  # fmt: skip
+)
 
 
 class Transforms:
@@ -50,7 +60,7 @@ class Transforms:
         # By which vehicles know.
         self._templates: dict[bytes, tuple[Template, list[Put]]] = {}
 
-    def message(self, numbers: Array, stamps: Sequence[tuple[int, int]]) -> bytes:
+    def message(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> bytes:
         """Return the message for numbers (n, WIDTH), with the stamps of the n vehicles."""
         poses = numbers[:, _COLUMNS]
         known = np.isfinite(poses).all(axis=1)
@@ -95,9 +105,11 @@ def on_earth(types: Types, site: Site) -> Any:
     # About z by the longitude and a quarter turn, which brings x to the east, then about x by the colatitude.
     about, tilt = 0.5 * (longitude + 0.5 * math.pi), 0.5 * (0.5 * math.pi - latitude)
     turn = (
-        math.cos(about) * math.sin(tilt), math.sin(about) * math.sin(tilt), math.sin(about) * math.cos(tilt),
+        math.cos(about) * math.sin(tilt),
+        math.sin(about) * math.sin(tilt),
+        math.sin(about) * math.cos(tilt),
         math.cos(about) * math.cos(tilt),
-    )  # fmt: skip
+    )
     return transform(types, EARTH, MAP, site.origin_ecef().tolist(), turn)
 
 

@@ -5,8 +5,6 @@ A variance is 0, which means unknown in ROS, where a sensor has none of its own.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from qrsim.models.sensors.attitude import AttitudeEstimator
@@ -55,12 +53,12 @@ def of_range(sensor: object, vehicle: int) -> tuple[float, float]:
     return own(sensor.noise_std, vehicle), own(sensor.noise_per_range, vehicle)
 
 
-def _white(density: Any, period: float, vehicle: int) -> float:
+def _white(density: object, period: float, vehicle: int) -> float:
     """Return the variance of the mean over a period [s] of white noise with a density, such as rad/s^0.5."""
     return own(density, vehicle) ** 2 / period
 
 
-def own(value: Any, vehicle: int) -> float:
+def own(value: object, vehicle: int) -> float:
     """Return the parameter of one vehicle of a fleet."""
     numbers = np.asarray(value, np.float64)
     return float(numbers if numbers.ndim == 0 else numbers[vehicle])

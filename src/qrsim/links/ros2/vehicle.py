@@ -61,9 +61,10 @@ class Publication:
         _CONSTANTS.get(kind.topic, _nothing)(message, sensors, number)
         template = Template(types, message)
         puts = [
-            (path, columns) for path, columns in kind.puts
+            (path, columns)
+            for path, columns in kind.puts
             if path.partition("[")[0] in template.places and not path.startswith(without)
-        ]  # fmt: skip
+        ]
         order = [column for _, columns in puts for column in columns]
         self._pick = itemgetter(*order) if len(order) > 1 else lambda row: (row[order[0]],)
         self._put = template.putter(*(STAMP if stamped else ()), *(path for path, _ in puts))
@@ -93,9 +94,7 @@ def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
         windy: whether its estimator knows a wind.
     """
     there = {t.BATTERY: drains, t.WIND: windy, t.IMU: any(sensors(column) is not None for column in (s.RATES, s.FORCE))}
-    return [
-        kind for kind in t.KINDS if there.get(kind, kind.sensor is None or sensors(kind.sensor) is not None)
-    ]  # fmt: skip
+    return [kind for kind in t.KINDS if there.get(kind, kind.sensor is None or sensors(kind.sensor) is not None)]
 
 
 def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
@@ -108,7 +107,7 @@ def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
     return (n.FORCE,), s.FORCE, ("angular_velocity",)
 
 
-def _nothing(message: Any, sensors: Sensors, number: int) -> None:
+def _nothing(message: object, sensors: Sensors, number: int) -> None:
     """Leave the message as it is."""
 
 
@@ -157,6 +156,10 @@ def _of_battery(message: Any, sensors: Sensors, number: int) -> None:
 
 
 _CONSTANTS: dict[str, Callable[[Any, Sensors, int], None]] = {
-    t.FIX.topic: _of_fix, t.IMU.topic: _of_inertial, t.MAG.topic: _of_field, t.BARO.topic: _of_pressure,
-    t.RANGE.topic: _of_range, t.BATTERY.topic: _of_battery,
-}  # fmt: skip
+    t.FIX.topic: _of_fix,
+    t.IMU.topic: _of_inertial,
+    t.MAG.topic: _of_field,
+    t.BARO.topic: _of_pressure,
+    t.RANGE.topic: _of_range,
+    t.BATTERY.topic: _of_battery,
+}

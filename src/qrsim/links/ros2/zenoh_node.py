@@ -47,9 +47,14 @@ class ZenohNode:
     """
 
     def __init__(
-        self, types: Types, domain: int, node: str = "qrsim", resend: bool = False, router: str = ROUTER,
+        self,
+        types: Types,
+        domain: int,
+        node: str = "qrsim",
+        resend: bool = False,
+        router: str = ROUTER,
         listen: str = "tcp/localhost:0",
-    ):  # fmt: skip
+    ):
         self._types, self._node, self._resend, self._domain = types, node, resend, checked_domain(domain)
         try:
             self._session = zenoh.open(_config(router, listen))
@@ -163,10 +168,14 @@ def _config(router: str, listen: str) -> Any:
     """Return the settings of a session, as rmw_zenoh's for nodes, except that it goes on without a router."""
     config = zenoh.Config()
     for path, value in (
-        ("mode", "peer"), ("connect/endpoints", [router]), ("connect/exit_on_failure", False),
-        ("connect/timeout_ms", 0), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False),
+        ("mode", "peer"),
+        ("connect/endpoints", [router]),
+        ("connect/exit_on_failure", False),
+        ("connect/timeout_ms", 0),
+        ("listen/endpoints", [listen]),
+        ("scouting/multicast/enabled", False),
         ("timestamping/enabled", True),
-    ):  # fmt: skip
+    ):
         config.insert_json5(path, json.dumps(value))
     return config
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.shared.sight import FLOW, Sight
 from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
 from qrsim.models.sensors.ranging import IdealRanging, Ranging
@@ -14,7 +15,6 @@ from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 SCANS, RANGINGS, NEIGHBOURS = (Scan, IdealScan), (Ranging, IdealRanging), (NeighbourSensor, IdealNeighbours)
 
 
@@ -33,9 +33,9 @@ class Neighbours:
         vehicle: (K,) number in the world, -1 if it is not known.
     """
 
-    position: Array
-    velocity: Array
-    vehicle: Array
+    position: NumpyArray
+    velocity: NumpyArray
+    vehicle: NumpyArray
 
 
 class Around:
@@ -59,7 +59,7 @@ class Around:
     def _reading(self, fleet: Fleet, sensor: int) -> Any:
         return getattr(self._simulation.reading[fleet.name], fleet.sensor_names[sensor])
 
-    def scan(self, row: int) -> tuple[Any, int, Array] | None:
+    def scan(self, row: int) -> tuple[Any, int, NumpyArray] | None:
         """Return the lidar of a vehicle, its number in the fleet, and its ranges (R,), from left to right; or None."""
         fleet, own, sensor, _, _ = self._rows[row]
         if sensor is None:

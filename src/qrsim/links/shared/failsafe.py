@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.contracts import OnSilence, Order
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.sensing import estimate_of
 
-Array = np.ndarray[Any, Any]
 
-
-def failsafe(does: OnSilence, vehicle: str, believed: Array, home_ned: Array, kinds: Collection[str]) -> Order | None:
+def failsafe(
+    does: OnSilence, vehicle: str, believed: NumpyArray, home_ned: NumpyArray, kinds: Collection[str]
+) -> Order | None:
     """Return the order of a vehicle without its controller, by what it believes of itself; None: by its guidance.
 
     Args:
@@ -33,7 +33,7 @@ def failsafe(does: OnSilence, vehicle: str, believed: Array, home_ned: Array, ki
     return Order(vehicle, "velocity", (0.0, 0.0, 0.0, yaw)) if "velocity" in kinds else None
 
 
-def believed_of(simulation: Simulation) -> Array:
+def believed_of(simulation: Simulation) -> NumpyArray:
     """Return the positions NED [m] and headings [rad] (n, 4) that the controllers of all vehicles believe in.
 
     Where the sensors say nothing now, it is what was believed last, and before that the truth.
@@ -42,7 +42,7 @@ def believed_of(simulation: Simulation) -> Array:
     for fleet, state in zip(simulation.world.fleets, simulation.state.fleets, strict=True):
         with simulation.precision_context():
             now = estimate_of(fleet, state)
-        rows: Array = np.full((fleet.size, 4), np.nan)
+        rows: NumpyArray = np.full((fleet.size, 4), np.nan)
         for at in (now, state.estimate, fleet.vehicle.pose(state.vehicle)):
             parts = (at.position_ned.x, at.position_ned.y, at.position_ned.z, at.attitude.yaw)
             numbers = np.stack([np.asarray(part, np.float64) for part in parts], axis=1)

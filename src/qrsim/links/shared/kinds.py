@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.setpoints import SETPOINTS
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import field_info
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
@@ -18,7 +19,6 @@ from qrsim.links.contracts import Order
 from qrsim.models.vehicles.commands import limits_of
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 CONTROL = "control"
 # Names and units of the numbers of each kind of set-point, in the order of its record.
 FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -75,7 +75,7 @@ def _units(command: type[Any]) -> dict[str, str]:
     return {field.name: field_info(field).unit or "1" for field in dataclasses.fields(command)}
 
 
-def record_of(kind: str, columns: Array, command: type[Any]) -> Any:
+def record_of(kind: str, columns: NumpyArray, command: type[Any]) -> Any:
     """Return the set-point or command of n vehicles.
 
     Args:

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.contracts import Order
 from qrsim.links.shared.kinds import NAMES, Field, checked, kinds_of, record_of
 from qrsim.world.state import Fleet, Some
-
-Array = np.ndarray[Any, Any]
 
 
 class Latches:
@@ -94,7 +93,7 @@ class _FleetParts:
         ]
         self._some = Some(tuple(parts))
 
-    def filled(self, codes: Array, numbers: Array) -> Some:
+    def filled(self, codes: NumpyArray, numbers: NumpyArray) -> Some:
         """Return the action of the fleet for orders of all vehicles (n,), (n, W)."""
         codes, numbers = codes[self._own], numbers[self._own]
         for code, which, columns in self._parts:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.messages import checked_message
 from qrsim.links.contracts import ON_SILENCE, Order, Silence, Words
@@ -19,7 +19,6 @@ from qrsim.links.shared.spoken import Spoken
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Some
 
-Array = np.ndarray[Any, Any]
 # By what a vehicle flies, by number in a recording.
 FLIES = ("guidance", "command", "hold", "return", "stop")
 _DOES = {
@@ -111,7 +110,7 @@ class Plant:
         self._home = self.simulation.truth.position_ned.copy()
         self.now = self.simulation.tick
         # Of all vehicles at a tick, where somebody has to know it.
-        self._believed: Array | None = None
+        self._believed: NumpyArray | None = None
         self._remember()
 
     # ---- what controllers ask ----

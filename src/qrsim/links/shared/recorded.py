@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.shared.kinds import NAMES
 from qrsim.links.shared.plant import FLIES, Plant
 from qrsim.runs import Column
 
-Array = np.ndarray[Any, Any]
 STREAM = "orders"
 _KINDS = ", ".join(f"{number} {name}" for number, name in enumerate(NAMES, 1))
 _FLIES = ", ".join(f"{number} {name}" for number, name in enumerate(FLIES))
@@ -31,7 +30,7 @@ def order_columns(plant: Plant) -> list[Column]:
     ]
 
 
-def order_values(plant: Plant, flown: Sequence[dict[str, Array]]) -> dict[str, Array]:
+def order_values(plant: Plant, flown: Sequence[dict[str, NumpyArray]]) -> dict[str, NumpyArray]:
     """Return the values (T, n) of the stream for T ticks, of what each was flown by."""
     found = {name: np.stack([tick[name] for tick in flown]) for name in flown[0]}
     numbers = found.pop("numbers")

@@ -50,9 +50,13 @@ def replay(run: Run, out: Path) -> Path:
     known = columns(simulation.world, beginning)
     orders = [run[STREAM].column(name) for name in run[STREAM].columns()]
     info = RunInfo.collect(
-        scenario=scenario.name, seed=simulation.seed, precision=simulation.precision,
-        time_step=simulation.world.time_step, vehicles=simulation.vehicle_names, components=scenario.outside,
-    )  # fmt: skip
+        scenario=scenario.name,
+        seed=simulation.seed,
+        precision=simulation.precision,
+        time_step=simulation.world.time_step,
+        vehicles=simulation.vehicle_names,
+        components=scenario.outside,
+    )
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
         for history, flown in _flights(run, simulation, beginning):
             with writer.together():

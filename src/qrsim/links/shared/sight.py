@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.kalman_state import KalmanState
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.site import Site
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-Array = np.ndarray[Any, Any]
 # Columns of ``Sight.rows``. Vectors are NED or body axes, x y z, in SI units.
 POSITION, VELOCITY, ATTITUDE, RATES, FORCE, FIELD = 0, 3, 6, 9, 12, 15
 FIX_POSITION, FIX_VELOCITY = 18, 21
@@ -32,13 +32,25 @@ WIDTH = 67
 VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
 FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
 SCALARS = {
-    "height": HEIGHT, "pressure": PRESSURE, "temperature": TEMPERATURE, "differential_pressure": DIFFERENTIAL,
-    "true_airspeed": AIRSPEED, "range": RANGE, "flow_x": FLOW, "flow_y": FLOW + 1, "quality": FLOW_QUALITY,
-}  # fmt: skip
+    "height": HEIGHT,
+    "pressure": PRESSURE,
+    "temperature": TEMPERATURE,
+    "differential_pressure": DIFFERENTIAL,
+    "true_airspeed": AIRSPEED,
+    "range": RANGE,
+    "flow_x": FLOW,
+    "flow_y": FLOW + 1,
+    "quality": FLOW_QUALITY,
+}
 FIX_SCALARS = {
-    "satellites": SATELLITES, "fix_type": FIX_TYPE, "horizontal_accuracy": HORIZONTAL, "vertical_accuracy": VERTICAL,
-    "speed_accuracy": SPEED, "hdop": HDOP, "vdop": VDOP,
-}  # fmt: skip
+    "satellites": SATELLITES,
+    "fix_type": FIX_TYPE,
+    "horizontal_accuracy": HORIZONTAL,
+    "vertical_accuracy": VERTICAL,
+    "speed_accuracy": SPEED,
+    "hdop": HDOP,
+    "vdop": VDOP,
+}
 # A voltage changes slowly, and takes longer to compute than all else [s].
 _VOLTAGE_EVERY_S = 0.5
 
@@ -59,7 +71,7 @@ class Sight:
 
     def __init__(self, simulation: Simulation):
         self._simulation = simulation
-        self.values: Array = np.full((simulation.size, WIDTH), math.nan)
+        self.values: NumpyArray = np.full((simulation.size, WIDTH), math.nan)
         layout, _ = simulation.packed
         numbers = layout.numbers
         sources, targets, codes, self._receivers = [], [], [], []
@@ -93,7 +105,7 @@ class Sight:
         """Return whether a vehicle has a number in a column."""
         return bool(self._has(column)[row])
 
-    def _has(self, column: int) -> Array:
+    def _has(self, column: int) -> NumpyArray:
         """Return which vehicles (n,) have a number of the packed state in a column."""
         found = np.zeros(len(self.values), bool)
         found[self._targets[self._targets % WIDTH == column] // WIDTH] = True
@@ -158,7 +170,7 @@ class Sight:
             first += fleet.size
 
 
-def complete(values: Array, site: Site, plain: Array) -> None:
+def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
     """Compute the columns that follow from others: places on the Earth, quaternions, types of fixes.
 
     Args:
@@ -217,7 +229,7 @@ def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
         yield CHARGE, state.battery.charge
 
 
-def _of_reading(reading: Any) -> Iterator[tuple[int, Any]]:
+def _of_reading(reading: object) -> Iterator[tuple[int, Any]]:
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():

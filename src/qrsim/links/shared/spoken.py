@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.runs import Column
 from qrsim.simulation.simulation import Simulation
 
-Array = np.ndarray[Any, Any]
 TICK, TO = "said_tick", "said_to"
 
 
@@ -42,7 +42,7 @@ class Spoken:
         if now:
             simulation.send_all(list(zip(now, self.numbers[now], self.to[now].tolist(), strict=True)))
 
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> dict[str, NumpyArray]:
         """Return what is recorded, (n,) each."""
         numbers = {name: column.copy() for name, column in zip(self.names(), self.numbers.T, strict=True)}
         return {TICK: self.tick.copy(), TO: self.to.copy()} | numbers

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from qrsim.core.arrays import NumpyArray
 
 
-def turned(quaternion: Array, vector: Array) -> Array:
+def turned(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
     """Return vectors of a body in the axes that its attitude (x, y, z, w) is of."""
     axis, w = np.asarray(quaternion)[..., :3], np.asarray(quaternion)[..., 3:]
     across = 2.0 * np.cross(axis, vector)
     return np.asarray(vector + w * across + np.cross(axis, across))
 
 
-def turned_back(quaternion: Array, vector: Array) -> Array:
+def turned_back(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
     """Return in axes of a body vectors of the axes that its attitude (x, y, z, w) is of."""
     return turned(np.asarray(quaternion) * (-1.0, -1.0, -1.0, 1.0), vector)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.fastmath import power
 from qrsim.core.tree import derived, record, replace, setting
 from qrsim.core.vectors import Vec3, root
@@ -17,7 +18,6 @@ from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import Bounds, Footprint, Updraft, Wind
 from qrsim.models.atmosphere.wind import mean_wind_at
 
-Floats = np.ndarray[Any, Any]
 # Every vehicle looks at every building: of more, the cost of a tick is theirs.
 MOST_BUILDINGS = 200
 # Between these L/H, and up to this W/H, the length of the cavity was measured.

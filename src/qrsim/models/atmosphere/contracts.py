@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw, Noise
 from qrsim.core.vectors import Vec3
 
@@ -162,7 +162,7 @@ class Footprint(NamedTuple):
         top, bottom: down coordinates [m].
     """
 
-    corners: np.ndarray[Any, Any]
+    corners: NumpyArray
     radius: float
     top: float
     bottom: float

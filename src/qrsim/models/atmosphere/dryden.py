@@ -256,10 +256,12 @@ class FilterState:
             self.second + (two.l21 * n1 + two.l22 * n2 - two.loss * self.second - two.cross * self.first),
             self.third
             + (
-                row.l31 * n1 + row.l32 * n2 + row.l33 * n3
+                row.l31 * n1
+                + row.l32 * n2
+                + row.l33 * n3
                 + (row.f1 * self.first + row.f2 * self.second - row.loss * self.third)
             ),
-        )  # fmt: skip
+        )
 
     def gust(self) -> Array:
         """Return the gust (n,) in units of its standard deviation."""

@@ -23,7 +23,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp, power, reciprocal_root, rounded, sincos_turns
 from qrsim.core.noise import Draw, Noise, ou_decay
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import computed, parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT, Turbulence, Wind, horizontal_mean
 from qrsim.models.atmosphere.dryden import HIGH_LENGTH_FT, dryden_scales
@@ -113,21 +113,24 @@ class DrydenField(Turbulence):
         default=16, unit="1", doc="chains of waves in each of two segments, a multiple of 4", minimum=8, maximum=64
     )
     octaves: int = setting(
-        default=12, unit="1", doc="octaves of wavelength down from 6560 m; fewer leave out small gusts", minimum=8,
+        default=12,
+        unit="1",
+        doc="octaves of wavelength down from 6560 m; fewer leave out small gusts",
+        minimum=8,
         maximum=14,
-    )  # fmt: skip
+    )
 
     rates: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "seconds", "fraction", "field")
     sees_wind: ClassVar[bool] = True
 
-    @property
-    def normals(self) -> int:  # type: ignore[override]
+    @computed
+    def normals(self) -> int:
         """Of the residual alone."""
         return 3 if self.residual == "filter" else 0
 
-    @property
-    def field_ids(self) -> int:  # type: ignore[override]
+    @computed
+    def field_ids(self) -> int:
         """One for each chain."""
         return SEGMENTS * self.chains
 

@@ -86,10 +86,14 @@ def modes(chains: int, octaves: int) -> Modes:
     directions, firsts, *tables = zip(*parts, strict=True)
     joined = [np.concatenate(table, axis=1) for table in tables]
     return Modes(
-        np.concatenate(directions), np.concatenate(firsts), joined[0][:, :, None],
-        joined[1][:, :, :, None], joined[2][:, :, :, None],
-        np.tile(eps, SEGMENTS)[:, None], LOWEST * 2.0**octaves,
-    )  # fmt: skip
+        np.concatenate(directions),
+        np.concatenate(firsts),
+        joined[0][:, :, None],
+        joined[1][:, :, :, None],
+        joined[2][:, :, :, None],
+        np.tile(eps, SEGMENTS)[:, None],
+        LOWEST * 2.0**octaves,
+    )
 
 
 class _Numbers:

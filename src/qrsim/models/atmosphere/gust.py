@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import sincos
-from qrsim.core.tree import parameter, record, setting
+from qrsim.core.tree import computed, parameter, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import Gust
 from qrsim.models.atmosphere.wind import turned_to_ned
@@ -68,8 +68,8 @@ class DiscreteGust(Gust):
         default="uniform", doc="'uniform' is everywhere at once; 'travelling' moves over the ground with the wind"
     )
 
-    @property
-    def reads(self) -> tuple[str, ...]:  # type: ignore[override]
+    @computed
+    def reads(self) -> tuple[str, ...]:
         """What carries the turbulence, where speed or bearing are those of it."""
         return ("convection_ned",) if self.speed is None or self.wind_from_rad is None else ()
 

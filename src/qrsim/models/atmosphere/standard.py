@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp, log
-from qrsim.core.tree import quantity, record
+from qrsim.core.tree import quantity, record, record_of
 from qrsim.core.vectors import Vec3
 
 # At sea level: temperature [K], pressure [Pa], density [kg/m^3]; lapse rate [K/m].
@@ -71,7 +71,7 @@ class SiteAir:
     @staticmethod
     def of(height: float, temperature_offset: float = 0.0) -> SiteAir:
         """Return the air of a site at a height [m], warmer than the standard by an offset [K]."""
-        return SiteAir(temperature(height) + temperature_offset, pressure(height))  # type: ignore[arg-type]
+        return record_of(SiteAir, temperature(height) + temperature_offset, pressure(height))
 
     @property
     def site_density(self) -> Array:

@@ -12,7 +12,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp, log, power, sincos
 from qrsim.core.noise import Draw
-from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
+from qrsim.core.tree import computed, derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import Bounds, Footprint, Updraft, Wind, horizontal_mean
@@ -43,9 +43,12 @@ class Thermals(Updraft):
     places_ned: Array = quantity(unit="m", doc="(K, 2) north and east of each at the start; empty: drawn")
     w_star: Array = parameter(default=2.0, unit="m/s", doc="convective velocity scale w*", above=0.0, maximum=20.0)
     z_i: Array = parameter(
-        default=1200.0, unit="m", doc="depth of the mixed layer, above which there are none", minimum=100.0,
+        default=1200.0,
+        unit="m",
+        doc="depth of the mixed layer, above which there are none",
+        minimum=100.0,
         maximum=8000.0,
-    )  # fmt: skip
+    )
     count: int = setting(
         default=0, unit="1", doc="thermals without places; 0: by their mean spacing", minimum=0, maximum=MOST_THERMALS
     )
@@ -60,8 +63,8 @@ class Thermals(Updraft):
 
     reads: ClassVar[tuple[str, ...]] = ("wind", "drawn")
 
-    @property
-    def drawn_ids(self) -> int:  # type: ignore[override]
+    @computed
+    def drawn_ids(self) -> int:
         """One for each thermal without a place."""
         return 0 if np.size(self.places_ned) else self.number
 

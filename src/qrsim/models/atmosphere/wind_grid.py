@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.series import interval_at, split_seconds
-from qrsim.core.tree import quantity, record, replace, setting
+from qrsim.core.tree import quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.files.time_series import check_covers
@@ -116,7 +117,7 @@ class WindGrid(Wind):
                 )
         return found
 
-    def largest_speed(self, height: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    def largest_speed(self, height: NumpyArray) -> NumpyArray:
         """Return the largest horizontal speed [m/s] anywhere and at any time at heights of any shape [m]."""
         speed = np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y))
         return np.interp(height, np.asarray(self.levels), speed.max(axis=(0, 2, 3)))
@@ -223,7 +224,7 @@ class WindGridFile:
         u, v, w = grid.air
         seconds, fraction = split_seconds(times)
         measures: Any = {
-            "air_ned": Vec3(v, u, -w),  # type: ignore[arg-type]
+            "air_ned": record_of(Vec3, v, u, -w),
             "corner": (grid.y[0] - self.origin_north, grid.x[0] - self.origin_east),
             "spacing": (_step(grid.y), _step(grid.x)),
             "levels": grid.z,
@@ -231,5 +232,5 @@ class WindGridFile:
         return WindGrid(**measures, seconds=seconds, fraction=fraction, heights=self.heights, file=self.file).averaged()
 
 
-def _step(values: np.ndarray[Any, Any]) -> float:
+def _step(values: NumpyArray) -> float:
     return float(values[-1] - values[0]) / (len(values) - 1)

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qrsim import extras
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.files.user_files import LARGEST_DATA, open_file
 
-Floats = np.ndarray[Any, Any]
 SPEED_UNITS = ("m s-1", "m/s", "m s^-1", "m s**-1", "m.s-1", "meter second-1", "metre second-1", "meters/second")
 LENGTH_UNITS = ("m", "meter", "meters", "metre", "metres")
 # Seconds of each unit of time that UDUNITS knows and whose length is always the same.

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.fastmath import exp, log
 from qrsim.core.series import interval_at, split_seconds
 from qrsim.core.tree import parameter, quantity, record, setting
@@ -36,7 +37,7 @@ class WindSeries(Wind):
         """Return the mean over the whole series [m/s], the same at all heights (n,)."""
         return self.mean_ned.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis), height_agl.shape))
 
-    def largest_speed(self, height: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    def largest_speed(self, height: NumpyArray) -> NumpyArray:
         """Return the largest horizontal speed [m/s] at any time, the same at heights of any shape [m]."""
         return np.full(np.shape(height), np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y)).max())
 
@@ -87,7 +88,7 @@ class WindFile:
         return WindSeries(*split_seconds(times), Vec3(*columns), Vec3(*means))
 
 
-def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def read_wind(path: Path, max_gap: float) -> tuple[NumpyArray, NumpyArray]:
     """Return times (K,) [s] and the air's velocities (K, 3) [m/s, NED] of a CSV file, K at least 2.
 
     Its columns are ``north``, ``east`` and, if the air rises or sinks, ``down`` [m/s]; or those of an anemometer,

@@ -57,7 +57,7 @@ def apart_step(budget: Any, state: Apart, draw: Draw, slots: Slots, same: Array,
     return Apart(*found, *rest)
 
 
-def apart_at(budget: Any, state: Apart, slots: Slots, column: int) -> tuple[Array, Array]:
+def apart_at(budget: object, state: Apart, slots: Slots, column: int) -> tuple[Array, Array]:
     """Return the errors (K, n) of code and carrier [m]; ``column``: 0 for one frequency, 1 for two."""
     sight, scales = slots.sight, slots.scales
     zenith = (scales.troposphere * state.troposphere.error)[None, :]

@@ -47,9 +47,10 @@ class GnssFix(GnssReading):
     # With per_satellite, for each of K slots (n,).
     cn0: Any = quantity(default=None, unit="dB-Hz", doc="C/N0 of the satellite in a slot, 0 where none is tracked")
     satellite_state: Any = quantity(
-        default=None, unit="1",
+        default=None,
+        unit="1",
         doc="of it: 0 not tracked, 1 in line of sight, 2 by a reflection alone, 3 hidden, 4 lost to jammers",
-    )  # fmt: skip
+    )
     satellite: Any = quantity(default=None, unit="1", doc="number of it, see satellite_name; -1 of a free slot")
     azimuth: Any = quantity(default=None, unit="rad", doc="of it, from north to east")
     elevation: Any = quantity(default=None, unit="rad", doc="of it")

@@ -85,9 +85,16 @@ def _picked(value: Array, base: Array) -> Array:
 
 
 def received(
-    receiver: Any, slots: Slots, link: Link | None, position_ned: Vec3, now: Geometry, own: Vec3, error: Vec3,
-    moved_on: Vec3, effect: Effect | None = None,
-) -> Received:  # fmt: skip
+    receiver: Any,
+    slots: Slots,
+    link: Link | None,
+    position_ned: Vec3,
+    now: Geometry,
+    own: Vec3,
+    error: Vec3,
+    moved_on: Vec3,
+    effect: Effect | None = None,
+) -> Received:
     """Return the corrections of an epoch.
 
     Args:
@@ -148,8 +155,10 @@ def stepped(
         rows = draw.normal_rows(10, first=_NORMAL_PAIR)
         carrier = carrier_step(carrier, (rows[0], rows[1], rows[2]), receiver.period)
         white = Vec3(rows[3], rows[4], rows[5]) * _WHITE
-        chance, other = (0.5 + row[0] * (0.5 / math.sqrt(3.0)) for row in draw.uniform_pairs(
-            jnp.full((1,), _UNIFORM_PAIR, jnp.uint32)))  # fmt: skip
+        chance, other = (
+            0.5 + row[0] * (0.5 / math.sqrt(3.0))
+            for row in draw.uniform_pairs(jnp.full((1,), _UNIFORM_PAIR, jnp.uint32))
+        )
         part = now.differential
         able = got.on & (part.strong >= _FEWEST) & (got.age <= _FIXED_AGE)
         # Reflections that are taken for direct signals keep it from being fixed, and make it wrong.

@@ -132,7 +132,7 @@ def times(receiver: Any) -> tuple[Array, Array]:
     return receiver.multipath_time, receiver.multipath_slow_time
 
 
-def across(parameter: Any) -> Array:
+def across(parameter: object) -> Array:
     """Return a parameter as it meets arrays of slots by receivers: () or (1, n)."""
     value = jnp.asarray(parameter)
     return value[None, :] if value.ndim else value
@@ -188,7 +188,7 @@ def weakness(receiver: Any, slots: Slots, jam: Array | None = None, loss: Any = 
     return weaker if jam is None else weaker + jam[None, :]
 
 
-def strengths(receiver: Any, slots: Slots, jam: Array | None = None) -> Array:
+def strengths(receiver: object, slots: Slots, jam: Array | None = None) -> Array:
     """Return the C/N0 (K, m) [dB-Hz] of the satellites."""
     return _CN0_STRONG - 10.0 / math.log(10.0) * log(weakness(receiver, slots, jam))
 
@@ -198,7 +198,7 @@ def clear_weakness(receiver: Any) -> Array:
     return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
 
 
-def tracked(receiver: Any, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
+def tracked(receiver: object, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
     """Return which satellites (K, n) are tracked of those seen, with ages (K, n) [s], by jammed receivers (n,)."""
     weaker = weakness(receiver, slots, jam)
     strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
@@ -252,8 +252,13 @@ def geometry_of(
     )
     carried = (after[0] - after[1]) - (before[0] - before[1])
     slope = left * scales.slope[which] * 1e-3
-    columns = [before[0] + before[1], after[0] + after[1], carried,
-               slope * slots.before.slope_north, slope * slots.before.slope_east]  # fmt: skip
+    columns = [
+        before[0] + before[1],
+        after[0] + after[1],
+        carried,
+        slope * slots.before.slope_north,
+        slope * slots.before.slope_east,
+    ]
     if view is not None:
         errors = view.extra + math.sqrt(0.5) * multipath * view.multipath
         if not slots.rough:
@@ -268,19 +273,32 @@ def geometry_of(
     # Carrier phase is not fixed with reflections, which are all that is weaker for obstacles.
     direct = used if view is None else used & ~(view.loss > 0.0)
     return Geometry(
-        knot=slots.knot, age=age if view is None else None,
+        knot=slots.knot,
+        age=age if view is None else None,
         rows=rows if view is None and (slots.rough or slots.own is not None) else None,
-        multipath=None if view is not None else rows.map(lambda row: row * half), own=own,
-        before=found[0], after=found[1], carried=found[2], slope_north=found[3], slope_east=found[4],
-        systems=tuple(found[5:]), noise=factor(rows, weaker),
-        horizontal=horizontal, vertical=vertical, speed=speed, hdop=solution.hdop, vdop=solution.vdop,
-        count=solution.count, seen=jnp.sum((seen if view is None else view.counted).astype(up.dtype), axis=0),
-        enough=solution.enough, reflected=None if view is None else solution.of([view.extra])[0],
+        multipath=None if view is not None else rows.map(lambda row: row * half),
+        own=own,
+        before=found[0],
+        after=found[1],
+        carried=found[2],
+        slope_north=found[3],
+        slope_east=found[4],
+        systems=tuple(found[5:]),
+        noise=factor(rows, weaker),
+        horizontal=horizontal,
+        vertical=vertical,
+        speed=speed,
+        hdop=solution.hdop,
+        vdop=solution.vdop,
+        count=solution.count,
+        seen=jnp.sum((seen if view is None else view.counted).astype(up.dtype), axis=0),
+        enough=solution.enough,
+        reflected=None if view is None else solution.of([view.extra])[0],
         differential=_differential(receiver, slots, solution, rows, age, direct, multipath, weaker, found[5:]),
-    )  # fmt: skip
+    )
 
 
-def left_signal(receiver: Any) -> float:
+def left_signal(receiver: object) -> float:
     """Return what corrections of satellites leave of errors that know no ionosphere."""
     return _left(receiver)[0]
 
@@ -298,9 +316,16 @@ def _own_variance(receiver: Any, multipath: Array, weaker: Array, smoothing_time
 
 
 def _differential(
-    receiver: Any, slots: Slots, solution: Solution, rows: Vec3, age: Array, used: Array, multipath: Array,
-    weaker: Array, systems: list[Vec3],
-) -> Differential | None:  # fmt: skip
+    receiver: Any,
+    slots: Slots,
+    solution: Solution,
+    rows: Vec3,
+    age: Array,
+    used: Array,
+    multipath: Array,
+    weaker: Array,
+    systems: list[Vec3],
+) -> Differential | None:
     """Return what the solution makes of corrections of a base station, if the receiver takes any."""
     if not receiver.takes_base:
         return None
@@ -312,8 +337,10 @@ def _differential(
     else:
         low = exp(slots.sight.elevation * (-1.0 / math.radians(_MULTIPATH_DEG)))
         std = slots.base.multipath * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
-        before, after = (-part for part in solution.of([
-            (std * code)[:, None] for code in (slots.base.code_before, slots.base.code_after)]))  # fmt: skip
+        before, after = (
+            -part
+            for part in solution.of([(std * code)[:, None] for code in (slots.base.code_before, slots.base.code_after)])
+        )
         other = [passed(receiver, _BASE_RATE, time) * (std * std)[:, None] for time in (None, receiver.float_time)]
         spread = 1.0
     squares = [axis * axis for axis in (rows.x, rows.y, rows.z)]
@@ -326,9 +353,14 @@ def _differential(
     count = jnp.sum(strong.astype(weaker.dtype), axis=0)
     north, east, down, float_north, float_east, float_down = found
     return Differential(
-        before, after, count, jnp.sqrt(north + east), jnp.sqrt(down),
-        jnp.sqrt(float_north + float_east), jnp.sqrt(float_down),
-    )  # fmt: skip
+        before,
+        after,
+        count,
+        jnp.sqrt(north + east),
+        jnp.sqrt(down),
+        jnp.sqrt(float_north + float_east),
+        jnp.sqrt(float_down),
+    )
 
 
 def _accuracies(
@@ -344,9 +376,11 @@ def _accuracies(
     north, east, down, *rates = sums([s * part for part in (each, weaker) for s in squares])
     gradient = left * scales.gradient[which]
     together = [
-        (left * scales.vertical[which], sight.ionosphere), (scales.troposphere, sight.troposphere),
-        (gradient, sight.ionosphere * sight.pierce_north), (gradient, sight.ionosphere * sight.pierce_east),
-    ]  # fmt: skip
+        (left * scales.vertical[which], sight.ionosphere),
+        (scales.troposphere, sight.troposphere),
+        (gradient, sight.ionosphere * sight.pierce_north),
+        (gradient, sight.ionosphere * sight.pierce_east),
+    ]
     parts = [*solution.of([entry[:, None] for _, entry in together]), *systems]
     stds = [*(std for std, _ in together), *(receiver.system_bias for _ in systems)]
     for std, part in zip(stds, parts, strict=True):

@@ -73,9 +73,17 @@ class Tracking:
 
 
 def solved(
-    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
-    position_ned: Vec3, fast: Array, slow: Array, effect: Effect | None = None,
-) -> tuple[Geometry, Tracking]:  # fmt: skip
+    receiver: Any,
+    skyline: Skyline,
+    slots: Slots,
+    whole: Geometry,
+    before: Tracking | None,
+    same: Any,
+    position_ned: Vec3,
+    fast: Array,
+    slow: Array,
+    effect: Effect | None = None,
+) -> tuple[Geometry, Tracking]:
     """Return the solutions of receivers (n,) among obstacles, new ones every ``obstacle_period``.
 
     Args:
@@ -106,7 +114,7 @@ def solved(
     return _as_seen(receiver, slots, whole, tracking), tracking
 
 
-def _as_seen(receiver: Any, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
+def _as_seen(receiver: object, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
     """Return the solutions that are remembered with all that need not be, and those of the open sky for the others."""
     own = replace(
         tracking.solution.own,

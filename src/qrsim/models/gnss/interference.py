@@ -196,7 +196,7 @@ class Interference:
         return common
 
 
-def strength(power_w: Any, band: str) -> Array:
+def strength(power_w: object, band: str) -> Array:
     """Return what a jammer adds at 1 m to the inverse of C/N0, which is 1 at 45 dB-Hz (Kaplan and Hegarty).
 
     1/(c/n0) = 1/(c/n0 without it) + (j/s)/(Q R_c), j by the power, free space and an antenna of no gain.
@@ -251,6 +251,6 @@ def _inside(circle: Circle, position_ned: Vec3) -> Array:
     return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
 
 
-def _vector(values: Any) -> Vec3:
+def _vector(values: object) -> Vec3:
     array = jnp.asarray(values)
     return Vec3(array[0], array[1], array[2])

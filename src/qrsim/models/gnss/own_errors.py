@@ -20,7 +20,7 @@ from qrsim.models.gnss.slots import Slots
 MULTIPATH_PAIRS = 1 << 24
 
 
-def first_common(receiver: Any, now: Geometry, draw: Draw, sky: SkyState) -> tuple[Vec3, Any, Apart | None]:
+def first_common(receiver: object, now: Geometry, draw: Draw, sky: SkyState) -> tuple[Vec3, Any, Apart | None]:
     """Return the solution's error by common errors at a start, and what is to be remembered."""
     slots: Slots = sky.slots
     if slots.own is not None:

@@ -23,9 +23,16 @@ _SPOOFED_CN0, _SPOOFED_SPREAD = 45.0, 1.0
 
 
 def with_satellites(
-    receiver: Any, reading: GnssFix, now: Geometry, slots: Slots, effect: Effect | None, position_ned: Vec3,
-    ground: Any, skyline: Any, slow: Array,
-) -> GnssFix:  # fmt: skip
+    receiver: Any,
+    reading: GnssFix,
+    now: Geometry,
+    slots: Slots,
+    effect: Effect | None,
+    position_ned: Vec3,
+    ground: Any,
+    skyline: Any,
+    slow: Array,
+) -> GnssFix:
     """Return a reading with what each satellite in a slot is to receivers (n,).
 
     Args:

@@ -218,9 +218,14 @@ class GnssReceiver(Sensor):
     draws_alone: ClassVar[bool] = True
 
     def init(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None,
+        self,
+        draw: Draw,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None = None,
         ground: Any = None,
-    ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
+    ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix, as if reported for some time already; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
         fix, _ = self._solve(draw, position_ned, sky, listed, ground)
@@ -229,9 +234,16 @@ class GnssReceiver(Sensor):
         return ReceiverState(position, true, (reading,) * self.delay, listed, low), reading
 
     def restart(
-        self, state: ReceiverState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None, ground: Any = None,
-    ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
+        self,
+        state: ReceiverState,
+        draw: Draw,
+        since: Array,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+        ground: Any = None,
+    ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
@@ -242,9 +254,15 @@ class GnssReceiver(Sensor):
         return replace(fresh, position_ned=position, position_low_ned=low), reading
 
     def step(
-        self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None, ground: Any = None,
-    ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
+        self,
+        state: ReceiverState,
+        draw: Draw,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+        ground: Any = None,
+    ) -> tuple[ReceiverState, GnssReading]:
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)

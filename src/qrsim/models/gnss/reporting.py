@@ -44,9 +44,15 @@ def plain(receiver: Any, now: Geometry) -> Quality:
 
 
 def fix_of(
-    receiver: Any, now: Geometry, quality: Quality, place: Vec3, velocity: Vec3, held: GnssFix, coasting: Array,
+    receiver: Any,
+    now: Geometry,
+    quality: Quality,
+    place: Vec3,
+    velocity: Vec3,
+    held: GnssFix,
+    coasting: Array,
     effect: Effect | None,
-) -> GnssFix:  # fmt: skip
+) -> GnssFix:
     """Return the fix: computed, coasting on what is ``held``, or none."""
     shape, enough = place.x.shape, now.enough
     grown = held.speed_accuracy + _COASTING * receiver.period

@@ -12,7 +12,7 @@ from jax import Array
 _HALF_STEP = 5e-5
 
 
-def since(start: Any, seconds: Array, fraction: Array) -> Array:
+def since(start: object, seconds: Array, fraction: Array) -> Array:
     """Return the time [s] since a start [s], at a time of whole seconds (int32) and a fraction."""
     begin = jnp.asarray(start, fraction.dtype)
     whole = jnp.floor(begin)

@@ -48,8 +48,8 @@ _BIAS_PAIR = 8
 
 
 def _number(name: str, unit: str, doc: str, *, positive: bool = False, most: float | None = None) -> Any:
-    bound = {"above": 0.0} if positive else {"minimum": 0.0}
-    return parameter(default=default(name), unit=unit, doc=doc, maximum=most, **bound)  # type: ignore[arg-type]
+    least, above = (None, 0.0) if positive else (0.0, None)
+    return parameter(default=default(name), unit=unit, doc=doc, minimum=least, maximum=most, above=above)
 
 
 @record
@@ -81,9 +81,12 @@ class Gnss(Sensor):
         default=default("nlos"), doc="what it does with reflections of satellites that obstacles hide"
     )
     elevation_mask_rad: float = setting(
-        default=default("elevation_mask_rad"), unit="rad", doc="satellites below this elevation are not used",
-        minimum=MASK_LOWEST, maximum=math.pi / 2,
-    )  # fmt: skip
+        default=default("elevation_mask_rad"),
+        unit="rad",
+        doc="satellites below this elevation are not used",
+        minimum=MASK_LOWEST,
+        maximum=math.pi / 2,
+    )
     delay: int = setting(
         default=default("delay"), unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50
     )
@@ -135,16 +138,30 @@ class Gnss(Sensor):
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
 
     def init(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None,
-        ground: Any = None, skyline: Any = None,
-    ) -> tuple[GnssState, GnssFix]:  # fmt: skip
+        self,
+        draw: Draw,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+        ground: Any = None,
+        skyline: Any = None,
+    ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers that have long been running."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
 
     def restart(
-        self, state: GnssState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None, ground: Any = None, skyline: Any = None,
-    ) -> tuple[GnssState, GnssFix]:  # fmt: skip
+        self,
+        state: GnssState,
+        draw: Draw,
+        since: Array,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+        ground: Any = None,
+        skyline: Any = None,
+    ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         shared = state.geometry
         fresh, reading = self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, shared)
@@ -161,9 +178,16 @@ class Gnss(Sensor):
         return replace(select(chosen, replace(fresh, **nothing), replace(before, **nothing)), **shared)
 
     def step(
-        self, state: GnssState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None, ground: Any = None, skyline: Any = None,
-    ) -> tuple[GnssState, GnssFix]:  # fmt: skip
+        self,
+        state: GnssState,
+        draw: Draw,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+        ground: Any = None,
+        skyline: Any = None,
+    ) -> tuple[GnssState, GnssFix]:
         """Compute a fix of receivers at position_ned (n,), and report the one of ``delay`` periods ago."""
         slots: Slots = sky.slots
         same = slots.ids == state.ids
@@ -225,17 +249,37 @@ class Gnss(Sensor):
             fresh = with_satellites(self, fresh, now, slots, effect, position_ned, ground, skyline, slow)
         history = (*state.history, fresh)
         state = GnssState(
-            geometry=None if state.geometry is None else whole, age=age,
-            ids=slots.ids, fast=fast, slow=slow, inner=inner, outer=outer, fixes=fixes, coasted=coasted,
-            bias=state.bias, true_ned=position_ned, true_low_ned=position_low_ned, ranges=ranges, apart=apart,
-            history=history[1:], link=link, tracking=tracking,
-        )  # fmt: skip
+            geometry=None if state.geometry is None else whole,
+            age=age,
+            ids=slots.ids,
+            fast=fast,
+            slow=slow,
+            inner=inner,
+            outer=outer,
+            fixes=fixes,
+            coasted=coasted,
+            bias=state.bias,
+            true_ned=position_ned,
+            true_low_ned=position_low_ned,
+            ranges=ranges,
+            apart=apart,
+            history=history[1:],
+            link=link,
+            tracking=tracking,
+        )
         return state, history[-1 - self.delay]
 
     def _started(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None,
-        ground: Any, skyline: Any, shared: Geometry | None,
-    ) -> tuple[GnssState, GnssFix]:  # fmt: skip
+        self,
+        draw: Draw,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        sky: SkyState,
+        position_low_ned: Vec3 | None,
+        ground: Any,
+        skyline: Any,
+        shared: Geometry | None,
+    ) -> tuple[GnssState, GnssFix]:
         """Return state and reading of receivers whose filters have settled; ``shared`` is what they share already."""
         slots: Slots = sky.slots
         alike = (ground is None or not ground.hides) and slots.interference is None
@@ -278,16 +322,28 @@ class Gnss(Sensor):
         enough = jnp.broadcast_to(now.enough, nothing.shape)
         error = error.map(lambda axis: jnp.where(enough, axis, 0.0))
         state = GnssState(
-            geometry=whole if alike else None, age=age,
-            ids=slots.ids, fast=fast, slow=slow, inner=error, outer=error,
-            fixes=jnp.where(enough, fixes, nothing), coasted=nothing, bias=bias,
-            true_ned=position_ned, true_low_ned=position_low_ned, ranges=ranges, apart=apart,
-            history=(reading,) * max(self.delay, 1), link=link, tracking=tracking,
-        )  # fmt: skip
+            geometry=whole if alike else None,
+            age=age,
+            ids=slots.ids,
+            fast=fast,
+            slow=slow,
+            inner=error,
+            outer=error,
+            fixes=jnp.where(enough, fixes, nothing),
+            coasted=nothing,
+            bias=bias,
+            true_ned=position_ned,
+            true_low_ned=position_low_ned,
+            ranges=ranges,
+            apart=apart,
+            history=(reading,) * max(self.delay, 1),
+            link=link,
+            tracking=tracking,
+        )
         return state, reading
 
     def _seen(
-        self, slots: Slots, position_ned: Vec3, ground: Any, skyline: Any, age: Array
+        self, slots: Slots, position_ned: Vec3, ground: object, skyline: object, age: Array
     ) -> tuple[Array, Effect | None]:
         """Return which satellites (K, m) receivers track, tracked for ages (K, m) [s] so far, and what interferes."""
         seen, present = sights(self, slots, position_ned, ground), slots.interference

@@ -90,7 +90,7 @@ def without_ionosphere(signal: Array) -> CommonErrors:
     return CommonErrors(signal, zero, zero, zero, zero, zero)
 
 
-def plain_scales(signal: Any, like: Array) -> Scales:
+def plain_scales(signal: object, like: Array) -> Scales:
     """Return the scales of errors without terms: a std [m] of each satellite (S,)."""
     zero = jnp.zeros_like(jnp.asarray(signal))
     each = jnp.broadcast_to(jnp.asarray(signal), jnp.shape(like))

@@ -194,12 +194,12 @@ class SlottedSky(Sky):
             slots = replace(slots, interference=self.interference.at(slots.places, seconds, fraction))
         return slots
 
-    def _advanced(self, errors: Any, draw: Draw) -> Any:
+    def _advanced(self, errors: object, draw: Draw) -> Any:
         """Return errors at the next knot; those that are stepped at every epoch wait for theirs."""
         return self.errors.step(errors, draw, self.knot_s) if self.errors.needs_sight else errors
 
     def _from(
-        self, errors: Any, advanced: Any, here: Vec3, later: Vec3, places: Array, knot: Array
+        self, errors: object, advanced: object, here: Vec3, later: Vec3, places: Array, knot: Array
     ) -> tuple[SlottedMemory, Slots, Array]:
         """Return memory, slots and range errors (S,) from a knot on; satellites in view keep their slots."""
         sights = [sight_of(where) for where in (here, later)]

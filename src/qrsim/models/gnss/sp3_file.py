@@ -25,8 +25,15 @@ from qrsim.models.site import GPS_EPOCH, Float64, gps_minus_utc
 VERSIONS = ("a", "c", "d")
 # Letters of the satellite systems, the same in RINEX.
 SYSTEMS = {
-    "G": "GPS", "R": "GLONASS", "E": "Galileo", "C": "BeiDou", "J": "QZSS", "I": "NavIC", "S": "SBAS", "L": "LEO",
-}  # fmt: skip
+    "G": "GPS",
+    "R": "GLONASS",
+    "E": "Galileo",
+    "C": "BeiDou",
+    "J": "QZSS",
+    "I": "NavIC",
+    "S": "SBAS",
+    "L": "LEO",
+}
 
 # GPS time minus a file's time system [s]; UTC and GLO have leap seconds, and SP3-a says CCC, which is GPS time.
 _GPS_MINUS = {"GPS": 0.0, "GAL": 0.0, "QZS": 0.0, "IRN": 0.0, "TAI": -19.0, "BDT": 14.0, "CCC": 0.0}
@@ -162,9 +169,19 @@ def read_sp3(path: str | Path) -> Sp3File:
     first = epochs[0].gps_seconds
     unlocated = tuple(sorted(_header_satellites(lines) - set(names)))
     return Sp3File(
-        str(path), version, tuple(names), first, interval, positions, clocks, moved, tuple(notes), gaps,
-        unlocated, cut_off,
-    )  # fmt: skip
+        str(path),
+        version,
+        tuple(names),
+        first,
+        interval,
+        positions,
+        clocks,
+        moved,
+        tuple(notes),
+        gaps,
+        unlocated,
+        cut_off,
+    )
 
 
 def _version(lines: _Lines) -> str:

@@ -12,7 +12,7 @@ from jax import Array, lax
 from qrsim.core.fastmath import exp
 from qrsim.core.neighbours import Neighbours, neighbours
 from qrsim.core.noise import Draw, Stream, StreamKeys
-from qrsim.core.tree import quantity, record, replace
+from qrsim.core.tree import quantity, record, record_of, replace
 from qrsim.models.radio.access import starts
 from qrsim.models.radio.channel import JITTER_SIGMA, Channel
 from qrsim.models.radio.contracts import STREAMS, Exchange, Inbox, Outbox, Radio
@@ -135,7 +135,7 @@ class Network(Channel, Radio):
             words[:-1, :, vehicle], receivers[:-1, vehicle] = words[1:, :, vehicle], receivers[1:, vehicle]
             since[:-1, vehicle] = since[1:, vehicle]
         words[length, :, vehicle], receivers[length, vehicle], since[length, vehicle] = payload, to, tick
-        waiting: Any = Waiting(words, receivers, since)  # type: ignore[arg-type]
+        waiting: Any = record_of(Waiting, words, receivers, since)
         return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:
@@ -179,9 +179,13 @@ class Network(Channel, Radio):
         coming = heard.joined(jax.tree.map(lambda leaf: leaf[:kept], state.coming))
         waiting = _without_first(state.waiting, queued & sends)
         return replace(
-            state, waiting=waiting, coming=coming, table=table, links=links,
+            state,
+            waiting=waiting,
+            coming=coming,
+            table=table,
+            links=links,
             counts=_counted(state.counts, links, near, sends, wants),
-        )  # fmt: skip
+        )
 
     def _first(self, state: NetworkState, now: Exchange) -> tuple[Array, Array, Array, Array, Array]:
         """Return payload (D, n), receiver and tick of each vehicle's next message, if it has waited, and if it is."""
@@ -205,25 +209,30 @@ class Network(Channel, Radio):
         return jnp.maximum(near.index, 0), (near.index >= 0) & hears
 
     @staticmethod
-    def _stream(keys: StreamKeys, which: int, ids: Any, frame: Any) -> Stream:
+    def _stream(keys: StreamKeys, which: int, ids: object, frame: object) -> Stream:
         low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
-    def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: Any, frame: Array) -> tuple[Stream, Array]:
+    def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: object, frame: Array) -> tuple[Stream, Array]:
         """Return the stream of ordered pairs (K, n) in a period, and the ids of their senders, which are its ticks."""
         ids = jnp.asarray(ids, jnp.uint32)
         sender = ids.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
         receiver = jnp.broadcast_to(ids[None], sender.shape)
         return self._stream(keys, which, receiver, frame), sender
 
-    def _chance(self, keys: StreamKeys, near: Neighbours, ids: Any, frame: Array) -> Array:
+    def _chance(self, keys: StreamKeys, near: Neighbours, ids: object, frame: Array) -> Array:
         stream, sender = self._pair(keys, PACKET, near, ids, frame)
         return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
 
     def _arriving(
-        self, state: NetworkState, near: Neighbours, links: Links, packets: tuple[Array, Array, Array], now: Exchange,
+        self,
+        state: NetworkState,
+        near: Neighbours,
+        links: Links,
+        packets: tuple[Array, Array, Array],
+        now: Exchange,
         frame: Array,
-    ) -> Heard:  # fmt: skip
+    ) -> Heard:
         """Return the nearest heard packets with the ticks at which they arrive."""
         payload, since, begin = packets
         heard = links.outcome == Outcome.HEARD

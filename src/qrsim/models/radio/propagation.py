@@ -161,8 +161,16 @@ def complementary_error(x: Array) -> Array:
     t = 1.0 / (1.0 + 0.5 * x)
     power = jnp.full_like(t, 0.17087277)
     for factor in (
-        -0.82215223, 1.48851587, -1.13520398, 0.27886807, -0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223,
-    ):  # fmt: skip
+        -0.82215223,
+        1.48851587,
+        -1.13520398,
+        0.27886807,
+        -0.18628806,
+        0.09678418,
+        0.37409196,
+        1.00002368,
+        -1.26551223,
+    ):
         power = power * t + factor
     return t * exp(power - x * x)
 
@@ -191,9 +199,13 @@ def threshold_error(snr_db: Array, snr50_db: Array, width_db: Array) -> Array:
 
 
 def lora_air_time(
-    size: int, spreading_factor: int, bandwidth_hz: float, coding_rate: int = 1, preamble: int = 8,
+    size: int,
+    spreading_factor: int,
+    bandwidth_hz: float,
+    coding_rate: int = 1,
+    preamble: int = 8,
     implicit_header: bool = False,
-) -> float:  # fmt: skip
+) -> float:
     """Return the time [s] that a LoRa packet of so many bytes is on the air.
 
     Semtech, "LoRa modem designer's guide", AN1200.13, section 4: with a check sum, with the low data rate optimisation

@@ -96,11 +96,14 @@ def taken(heard: Heard, chosen: Any) -> Heard:
         return library.where(has, found, library.asarray(nothing, leaf.dtype))
 
     return Heard(
-        of(heard.payload, 0), of(heard.sender, NOBODY), of(heard.sent, NOBODY), of(heard.arrives, NOBODY),
+        of(heard.payload, 0),
+        of(heard.sender, NOBODY),
+        of(heard.sent, NOBODY),
+        of(heard.arrives, NOBODY),
         of(heard.rssi, 0),
-    )  # fmt: skip
+    )
 
 
-def library_of(values: Any) -> Any:
+def library_of(values: object) -> Any:
     """Return NumPy for its arrays, else jax.numpy."""
     return np if isinstance(values, np.ndarray) else jnp

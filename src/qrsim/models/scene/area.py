@@ -46,9 +46,17 @@ REASONS: tuple[tuple[str, str], ...] = (
 
 # Of the value of a reason, by its field; others have none.
 UNITS = {
-    "position_ned": "m", "attitude": "rad", "velocity_body": "m/s", "rates_body": "rad/s", "distance": "m",
-    "fence": "m", "speed": "m/s", "tilt": "rad", "impact_speed": "m/s", "power": "W",
-}  # fmt: skip
+    "position_ned": "m",
+    "attitude": "rad",
+    "velocity_body": "m/s",
+    "rates_body": "rad/s",
+    "distance": "m",
+    "fence": "m",
+    "speed": "m/s",
+    "tilt": "rad",
+    "impact_speed": "m/s",
+    "power": "W",
+}
 
 
 def reason_code(kind: str, field: str) -> int:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from qrsim.core.tree import quantity, record, setting
+from qrsim.core.arrays import Floats
+from qrsim.core.tree import computed, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.contracts import Ground, upward
 from qrsim.models.scene.elevation import EARTH_RADIUS, Bounds, Landscape, landscape
 from qrsim.models.site import Site
 
-Floats = np.ndarray[Any, Any]
 # What a grid may have after it was cut to the area: 16 MB in single precision.
 MOST_POINTS = 4_000_000
 # The table of the horizon: heights of the eye and bearings, and how far it looks [m], in steps of a part of the way.
@@ -36,8 +36,8 @@ class FlatGround(Ground):
     height: float = setting(default=0.0, unit="m", doc="height over the origin of the local frame, positive up")
     flat: ClassVar[bool] = True
 
-    @property
-    def at_zero(self) -> bool:  # type: ignore[override]
+    @computed
+    def at_zero(self) -> bool:
         """Whether the ground is the plane z = 0."""
         return self.height == 0.0
 
@@ -160,9 +160,12 @@ class ElevationFile:
     origin_north: float = setting(default=0.0, unit="m", doc="of a local one: its northing at the site's origin")
     origin_east: float = setting(default=0.0, unit="m", doc="of a local one: its easting at the site's origin")
     height_of_zero: float | None = setting(
-        default=None, unit="m", doc="its height that is z = 0; default: that of the ground at the site's origin",
-        minimum=-1000.0, maximum=10_000.0,
-    )  # fmt: skip
+        default=None,
+        unit="m",
+        doc="its height that is z = 0; default: that of the ground at the site's origin",
+        minimum=-1000.0,
+        maximum=10_000.0,
+    )
 
     def at(self, site: Site, box: Bounds | None) -> GridGround:
         """Read the file for a site and an area, in float64.
@@ -189,7 +192,7 @@ class ElevationFile:
         highest = min(lowest, float(grid.min())) - 200.0
         corner, spacing = (rows[0], columns[0]), (rows[1] - rows[0], columns[1] - columns[0])
         horizon = _horizon(land, middle, np.linspace(lowest, highest, EYES), min(spacing))
-        return GridGround(grid, corner, spacing, horizon, (lowest, highest))  # type: ignore[arg-type]
+        return record_of(GridGround, grid, corner, spacing, horizon, (lowest, highest))
 
 
 def _points(file: str, land: Landscape, box: Bounds | None) -> tuple[Floats, Floats]:

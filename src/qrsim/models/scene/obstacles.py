@@ -97,7 +97,7 @@ def _as_columns(item: T) -> T:
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
-def _library(values: Any) -> Any:
+def _library(values: object) -> Any:
     # Scenarios are checked in NumPy, which need not compile for every number of points.
     return np if isinstance(values, np.ndarray) else jnp
 

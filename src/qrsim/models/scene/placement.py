@@ -23,7 +23,7 @@ class GivenPlaces(Placement):
 
     random: ClassVar[bool] = False
 
-    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: object, area: object) -> tuple[Any, Array]:
         """Return the start that is given."""
         return start, jnp.ones((), bool)
 

@@ -47,7 +47,7 @@ def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
     return Vec3(x[0], y[0], z[0]), Vec3(x[1], y[1], z[1])
 
 
-def _placed(draw: Draw, area: Any, least: int, most: int) -> tuple[Vec3, Array]:
+def _placed(draw: Draw, area: object, least: int, most: int) -> tuple[Vec3, Array]:
     """Return positions (S,) in the inner part of the area, and which of the sources (S,) are there."""
     low, high = inner_box(area, INNER)
     position = Vec3(*(uniform(draw, i, getattr(low, axis), getattr(high, axis)) for i, axis in enumerate("xyz")))

@@ -165,9 +165,10 @@ class Prisms:
         row, column = (
             jnp.clip(_finite((value - low) / self.cell) + 0.5, 0.0, float(count - 1)).astype(jnp.int32)
             for value, low, count in (
-                (position_ned.x, self.corner[0], self.rows), (position_ned.y, self.corner[1], self.columns)
+                (position_ned.x, self.corner[0], self.rows),
+                (position_ned.y, self.corner[1], self.columns),
             )
-        )  # fmt: skip
+        )
         first = (row * self.columns + column) * self.most
         number = jnp.asarray(self.near)[first[None, :] + jnp.arange(self.most, dtype=jnp.int32)[:, None]]
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[number], self.pieces)
@@ -261,10 +262,12 @@ def _near_cells(
     for number, (south, north, w0, w1, e0, e1) in enumerate(flat):
         box = ((south, north, corner[0], rows), (min(w0, w1), max(e0, e1), corner[1], columns))
         spans = [
-            np.arange(max(0, math.floor((low - within - first) / cell)),
-                      min(count - 1, math.ceil((high + within - first) / cell)) + 1)
+            np.arange(
+                max(0, math.floor((low - within - first) / cell)),
+                min(count - 1, math.ceil((high + within - first) / cell)) + 1,
+            )
             for low, high, first, count in box
-        ]  # fmt: skip
+        ]
         x, y = (first + cell * span for (_, _, first, _), span in zip(box, spans, strict=True))
         close = _flat_distance((south, north, w0, w1, e0, e1), x[:, None], y[None, :]) <= within
         i, j = np.nonzero(close)

@@ -17,10 +17,14 @@ ALTIMETERS: dict[str, dict[str, Any]] = {
 # Noise of a reading, offset that zeroing leaves, range and step: [Pa]; std of the scale.
 AIRSPEEDS: dict[str, dict[str, Any]] = {
     "ms4525do": {
-        "noise_std": 2.0, "offset_std": 3.0, "scale": 0.0025, "range": _PSI, "resolution": 2.0 * _PSI / (0.8 * 16384),
+        "noise_std": 2.0,
+        "offset_std": 3.0,
+        "scale": 0.0025,
+        "range": _PSI,
+        "resolution": 2.0 * _PSI / (0.8 * 16384),
     },
     "sdp33": {"noise_std": 0.2, "offset_std": 0.2, "scale": 0.03, "range": 1500.0, "resolution": 1.0 / 20.0},
-}  # fmt: skip
+}
 
 
 def default_altimeter(name: str) -> Any:

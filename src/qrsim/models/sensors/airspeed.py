@@ -58,9 +58,12 @@ class Airspeed(Sensor):
     offset_std: Array = _number("offset_std", "Pa", "std of the offset per episode")
     scale: Array = _number("scale", "1", "std of the scale error per episode, tube and hoses included")
     reverse: Array = parameter(
-        default=0.3, unit="1", doc="suction by air from behind, over the pressure by the same air from ahead",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
+        default=0.3,
+        unit="1",
+        doc="suction by air from behind, over the pressure by the same air from ahead",
+        minimum=0.0,
+        maximum=1.0,
+    )
     speed_min: Array = parameter(
         default=5.0, unit="m/s", doc="indicated airspeed below which none is said; 0: always one", minimum=0.0
     )
@@ -87,25 +90,41 @@ class Airspeed(Sensor):
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
     def restart(
-        self, state: AirspeedState, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler,
-        velocity_body: Vec3, wind_ned: Vec3,
-    ) -> tuple[AirspeedState, AirspeedReading]:  # fmt: skip
+        self,
+        state: AirspeedState,
+        draw: Noise,
+        since: Array,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+    ) -> tuple[AirspeedState, AirspeedReading]:
         """Return a reading of the same sensors on vehicles placed anew."""
         white, _, _ = draw.normals(3)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
     def step(
-        self, state: AirspeedState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        self,
+        state: AirspeedState,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
         wind_ned: Vec3,
-    ) -> tuple[AirspeedState, AirspeedReading]:  # fmt: skip
+    ) -> tuple[AirspeedState, AirspeedReading]:
         """Return a reading."""
         (white,) = draw.normals(1)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
     def _measured(
-        self, state: AirspeedState, white: Array, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        self,
+        state: AirspeedState,
+        white: Array,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
         wind_ned: Vec3,
-    ) -> AirspeedReading:  # fmt: skip
+    ) -> AirspeedReading:
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         true = 0.5 * density * (speed * speed) * jnp.where(speed > 0.0, 1.0, -jnp.asarray(self.reverse))

@@ -53,9 +53,11 @@ def earth_field_ned(site: Site, when: datetime) -> npt.NDArray[np.float64]:
     begin, end = (datetime(year, 1, 1, tzinfo=UTC) for year in (utc.year, utc.year + 1))
     model = GeoMag(coefficients_file=f"wmm/{_FILES[utc.year - utc.year % SPAN]}.COF")
     found = model.calculate(
-        glat=float(np.degrees(site.latitude_rad)), glon=_within_half_turn(float(np.degrees(site.longitude_rad))),
-        alt=site.height / 1000.0, time=utc.year + (utc - begin) / (end - begin),
-    )  # fmt: skip
+        glat=float(np.degrees(site.latitude_rad)),
+        glon=_within_half_turn(float(np.degrees(site.longitude_rad))),
+        alt=site.height / 1000.0,
+        time=utc.year + (utc - begin) / (end - begin),
+    )
     return np.array([found.x, found.y, found.z]) / 1000.0
 
 

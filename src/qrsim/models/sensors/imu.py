@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
-from qrsim.core.tree import parameter, quantity, record, replace, setting
+from qrsim.core.tree import computed, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.imu_presets import PRESETS, default
@@ -111,13 +111,17 @@ class Imu(Sensor):
     accelerometer_range: float = _structure("accelerometer_range", "m/s^2", "largest specific force; 0: any")
     accelerometer_resolution: float = _structure("accelerometer_resolution", "m/s^2", "step of a sample; 0: none")
     sample_rate: float = setting(
-        default=default("sample_rate"), unit="Hz", doc="of the chip; a reading is the mean of its samples, in steps as "
-        "much smaller than those of a sample", above=0.0,
-    )  # fmt: skip
+        default=default("sample_rate"),
+        unit="Hz",
+        doc="of the chip; a reading is the mean of its samples, in steps as much smaller than those of a sample",
+        above=0.0,
+    )
     bandwidth_hz: float = setting(
-        default=0.0, unit="Hz", doc="-3 dB of the chip's low-pass, a Butterworth filter of 2nd order; 0: none",
+        default=0.0,
+        unit="Hz",
+        doc="-3 dB of the chip's low-pass, a Butterworth filter of 2nd order; 0: none",
         minimum=0.0,
-    )  # fmt: skip
+    )
     subsamples: int = setting(
         default=1, unit="1", doc="parts of a period that are measured one by one", minimum=1, maximum=32
     )
@@ -127,13 +131,13 @@ class Imu(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
 
-    @property
-    def normals(self) -> int:  # type: ignore[override]
+    @computed
+    def normals(self) -> int:
         """Standard normals of a step, for each vehicle: white noise, and the slow errors of one axis."""
         return AXES * self.subsamples + _SLOW
 
-    @property
-    def first_normals(self) -> int:  # type: ignore[override]
+    @computed
+    def first_normals(self) -> int:
         """Standard normals of a start."""
         return _START + AXES * self.subsamples
 
@@ -174,9 +178,17 @@ class Imu(Sensor):
         # Many turns wide, so that the rest of a turn is as good as uniform.
         turns = 10.0 * next(given)
         state = ImuState(
-            gyroscope, accelerometer, sensitivity, wandering, walk, zero, rates_body, still, None,
+            gyroscope,
+            accelerometer,
+            sensitivity,
+            wandering,
+            walk,
+            zero,
+            rates_body,
+            still,
+            None,
             turns - jnp.round(turns) if self._shakes else None,
-        )  # fmt: skip
+        )
         return self._measure(state, normals[_START:], rates_body, specific_force, load, settled=True)
 
     def restart(
@@ -221,9 +233,14 @@ class Imu(Sensor):
         return self.vibration != "none"
 
     def _measure(
-        self, state: ImuState, normals: tuple[Array, ...], rates_body: Vec3, specific_force: Vec3, load: Load,
+        self,
+        state: ImuState,
+        normals: tuple[Array, ...],
+        rates_body: Vec3,
+        specific_force: Vec3,
+        load: Load,
         settled: bool = False,
-    ) -> tuple[ImuState, ImuReading]:  # fmt: skip
+    ) -> tuple[ImuState, ImuReading]:
         """Return the reading over a period; ``settled``: the filter starts in rest."""
         parts = self.subsamples
         dt = self.period / parts

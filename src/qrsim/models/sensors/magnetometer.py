@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
-from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
+from qrsim.core.tree import derived, parameter, quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.magnetometer_presets import PRESETS, default
@@ -25,7 +25,7 @@ from qrsim.models.sensors.quantization import quantized
 from qrsim.models.vehicles.contracts import Load
 
 # Where no site is known: that of the default site in summer 2026, rounded.
-USUAL_FIELD = Vec3(19.4, 0.4, 45.2)  # type: ignore[arg-type]
+USUAL_FIELD = record_of(Vec3, 19.4, 0.4, 45.2)
 # Normals of a start: hard iron, soft iron, E of the chip, current, drift.
 _ONCE = 3 + 6 + 9 + 3 + 3
 _AXES = 3
@@ -105,18 +105,23 @@ class Magnetometer(Sensor):
         default=0.01, unit="1", doc="std of each element of what the vehicle's steel does to the field", minimum=0.0
     )
     interference: Array = parameter(
-        default=1.0, unit="uT", doc="field of the motors' currents in hover, in a direction drawn for each vehicle; it "
-        "is proportional to the thrust", minimum=0.0,
-    )  # fmt: skip
+        default=1.0,
+        unit="uT",
+        doc="field of the motors' currents in hover, in a direction drawn for each vehicle; it "
+        "is proportional to the thrust",
+        minimum=0.0,
+    )
     interference_x: Array = parameter(default=0.0, unit="uT", doc="more of it in a known direction, along body x")
     interference_y: Array = parameter(default=0.0, unit="uT", doc="the same along body y")
     interference_z: Array = parameter(default=0.0, unit="uT", doc="the same along body z")
     range: float = _structure("range", "uT", "largest field of an axis; 0: any")
     resolution: float = _structure("resolution", "uT", "step of a sample; 0: none")
     sample_rate: float = setting(
-        default=default("sample_rate"), unit="Hz", doc="of the chip; a reading is the mean of its samples, in steps as "
-        "much smaller than those of a sample", above=0.0,
-    )  # fmt: skip
+        default=default("sample_rate"),
+        unit="Hz",
+        doc="of the chip; a reading is the mean of its samples, in steps as much smaller than those of a sample",
+        above=0.0,
+    )
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
@@ -181,9 +186,14 @@ class Magnetometer(Sensor):
         step = self.resolution / max(1.0, self.sample_rate * self.period)
         axes = []
         for row, axis, normal, offset, current, drift in zip(
-            state.error, field.axes, normals[:_AXES], state.offset.axes, state.current.axes, state.drift.axes,
+            state.error,
+            field.axes,
+            normals[:_AXES],
+            state.offset.axes,
+            state.current.axes,
+            state.drift.axes,
             strict=True,
-        ):  # fmt: skip
+        ):
             value = axis + row.dot(field) + offset + current * thrust + drift + spread * normal
             axes.append(quantized(value, self.range, step))
         return MagnetometerReading(Vec3(*axes))

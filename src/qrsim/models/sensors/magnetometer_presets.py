@@ -26,9 +26,15 @@ def _chip(
         drift: slow error of each axis [uT].
     """
     return {
-        "noise": rms / math.sqrt(rate), "sample_rate": rate, "resolution": step, "range": largest, "scale": scale,
-        "misalignment": cross_axis, "drift_std": drift, "drift_time_constant": 600.0,
-    }  # fmt: skip
+        "noise": rms / math.sqrt(rate),
+        "sample_rate": rate,
+        "resolution": step,
+        "range": largest,
+        "scale": scale,
+        "misalignment": cross_axis,
+        "drift_std": drift,
+        "drift_time_constant": 600.0,
+    }
 
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -75,9 +75,15 @@ class Looking(Sensor):
         return self.step(start, draw, position_ned, attitude, obstacles, ground, traffic)
 
     def step(
-        self, state: Array | None, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        self,
+        state: Array | None,
+        draw: Any,
+        position_ned: Vec3,
+        attitude: Euler,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic,
-    ) -> tuple[Array | None, NeighboursReading]:  # fmt: skip
+    ) -> tuple[Array | None, NeighboursReading]:
         """Return whom vehicles (n,) see."""
         reading, crowded = self.look(draw, position_ned, attitude, obstacles, ground, traffic)
         return None if state is None else state + crowded.astype(jnp.int32), reading
@@ -249,9 +255,16 @@ def _for_rows(direction: Rotation) -> Rotation:
 
 
 def _seen(
-    field_of_view_rad: float, reach: Array, who: Array, there: Array, direction: Rotation, position_ned: Vec3,
-    obstacles: Obstacles, ground: Ground, traffic: Traffic,
-) -> tuple[Array, Vec3, Array]:  # fmt: skip
+    field_of_view_rad: float,
+    reach: Array,
+    who: Array,
+    there: Array,
+    direction: Rotation,
+    position_ned: Vec3,
+    obstacles: Obstacles,
+    ground: Ground,
+    traffic: Traffic,
+) -> tuple[Array, Vec3, Array]:
     """Return which of others (K, n) are in view, the unit vectors to them in the sensor's axes, and distances [m]."""
     apart = _apart(who, direction, position_ned, traffic)
     distance = root(apart.dot(apart))

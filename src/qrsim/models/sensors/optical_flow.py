@@ -5,13 +5,13 @@ Signs are those of MAVLink's OPTICAL_FLOW_RAD: a right-handed turn about an axis
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -33,8 +33,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)
 
 
 @record
@@ -86,24 +86,42 @@ class OpticalFlow(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = (
-        "position_ned", "attitude", "velocity_body", "rates_body", "obstacles", "ground",
-    )  # fmt: skip
+        "position_ned",
+        "attitude",
+        "velocity_body",
+        "rates_body",
+        "obstacles",
+        "ground",
+    )
     normals: ClassVar[int] = 5
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
 
     def init(
-        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3,
-        obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return the first reading, as if the motion of now had lasted a period."""
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
         state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
         return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
 
     def step(
-        self, state: OpticalFlowState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        rates_body: Vec3, obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        state: OpticalFlowState,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return what has moved since the last reading."""
         normals = draw.normals(5)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
@@ -139,14 +157,25 @@ class IdealOpticalFlow(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = (
-        "position_ned", "attitude", "velocity_body", "rates_body", "obstacles", "ground",
-    )  # fmt: skip
+        "position_ned",
+        "attitude",
+        "velocity_body",
+        "rates_body",
+        "obstacles",
+        "ground",
+    )
     normals: ClassVar[int] = 0
 
     def init(
-        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3,
-        obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return the first reading, as if the motion of now had lasted a period."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
@@ -154,9 +183,16 @@ class IdealOpticalFlow(Sensor):
         return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
 
     def step(
-        self, state: OpticalFlowState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        rates_body: Vec3, obstacles: Obstacles, ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        self,
+        state: OpticalFlowState,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
         """Return what has moved since the last reading."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)

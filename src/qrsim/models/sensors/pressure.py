@@ -67,9 +67,8 @@ class PressureAltimeter(Sensor):
     drift_std: Array = parameter(default=0.26, unit="m", doc="stationary std of the weather's drift", minimum=0.0)
     drift_time_constant: Array = parameter(default=300.0, unit="s", doc="time constant of the drift", above=0.0)
     warmer: Array = parameter(
-        default=0.0, unit="K", doc="temperature there over that of the site's day", minimum=-60.0,
-        maximum=60.0,
-    )  # fmt: skip
+        default=0.0, unit="K", doc="temperature there over that of the site's day", minimum=-60.0, maximum=60.0
+    )
     port_forward: Array = _port("from ahead")
     port_backward: Array = _port("from behind")
     port_right: Array = _port("from the right")
@@ -98,16 +97,29 @@ class PressureAltimeter(Sensor):
     site_warmer: Array = derived(default=0.0, doc="temperature of the day over that of the standard atmosphere [K]")
     vehicle_rotor: Array = derived(default=0.25, doc="diameter of one of the vehicle's rotors [m]")
     reads: ClassVar[tuple[str, ...]] = (
-        "position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load", "ground",
-    )  # fmt: skip
+        "position_ned",
+        "velocity_ned",
+        "attitude",
+        "velocity_body",
+        "wind_ned",
+        "load",
+        "ground",
+    )
     normals: ClassVar[int] = 2
     first_normals: ClassVar[int] = 3
     presets: ClassVar[dict[str, dict[str, Any]]] = ALTIMETERS
 
     def init(
-        self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        wind_ned: Vec3, load: Load, ground: Ground,
-    ) -> tuple[PressureState, PressureReading]:  # fmt: skip
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+        load: Load,
+        ground: Ground,
+    ) -> tuple[PressureState, PressureReading]:
         """Return a stationary first drift, the chip's offset, and a reading whose rate is the true one."""
         white, drift, offset = draw.normals(3)
         state = PressureState(self.drift_std * drift, self.offset_std * offset, drift, drift)
@@ -117,9 +129,18 @@ class PressureAltimeter(Sensor):
         return replace(state, height=height, rate=rate), PressureReading(height, rate, pressure, warmth)
 
     def restart(
-        self, state: PressureState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3,
-        attitude: Euler, velocity_body: Vec3, wind_ned: Vec3, load: Load, ground: Ground,
-    ) -> tuple[PressureState, PressureReading]:  # fmt: skip
+        self,
+        state: PressureState,
+        draw: Noise,
+        since: Array,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+        load: Load,
+        ground: Ground,
+    ) -> tuple[PressureState, PressureReading]:
         """Return state and reading of the same altimeters, in the same weather, on vehicles placed anew."""
         white, _, _ = draw.normals(3)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
@@ -130,9 +151,17 @@ class PressureAltimeter(Sensor):
         return then, PressureReading(height, rate, pressure, warmth)
 
     def step(
-        self, state: PressureState, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler,
-        velocity_body: Vec3, wind_ned: Vec3, load: Load, ground: Ground,
-    ) -> tuple[PressureState, PressureReading]:  # fmt: skip
+        self,
+        state: PressureState,
+        draw: Noise,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+        load: Load,
+        ground: Ground,
+    ) -> tuple[PressureState, PressureReading]:
         """Advance one period."""
         white, normal = draw.normals(2)
         drift = ou_step(state.drift, normal, self.period, self.drift_std, self.drift_time_constant)
@@ -143,9 +172,16 @@ class PressureAltimeter(Sensor):
         return PressureState(drift, state.offset, height, rate), PressureReading(height, rate, pressure, warmth)
 
     def _measured(
-        self, state: PressureState, white: Array, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        wind_ned: Vec3, load: Load, ground: Ground,
-    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        self,
+        state: PressureState,
+        white: Array,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+        load: Load,
+        ground: Ground,
+    ) -> tuple[Array, Array, Array]:
         """Return height [m], pressure [Pa] and temperature of the air [K] (n,)."""
         base, above = jnp.asarray(self.site_temperature), -position_ned.z
         warmer = self.warmer + self.site_warmer
@@ -184,22 +220,33 @@ class IdealPressureAltimeter(Sensor):
     )
     site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
     site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
-    reads: ClassVar[tuple[str, ...]] = (
-        "position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load",
-    )  # fmt: skip
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load")
     normals: ClassVar[int] = 0
 
     def init(
-        self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        wind_ned: Vec3, load: Load,
-    ) -> tuple[None, PressureReading]:  # fmt: skip
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+        load: Load,
+    ) -> tuple[None, PressureReading]:
         """Return the true height and its rate, and the air there."""
         air = air_above(-position_ned.z, self.site_temperature, self.site_pressure)
         return None, PressureReading(-position_ned.z, -velocity_ned.z, air.pressure, air.temperature)
 
     def step(
-        self, state: None, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler, velocity_body: Vec3,
-        wind_ned: Vec3, load: Load,
-    ) -> tuple[None, PressureReading]:  # fmt: skip
+        self,
+        state: None,
+        draw: Noise,
+        position_ned: Vec3,
+        velocity_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        wind_ned: Vec3,
+        load: Load,
+    ) -> tuple[None, PressureReading]:
         """Return the true height and its rate, and the air there."""
         return self.init(draw, position_ned, velocity_ned, attitude, velocity_body, wind_ned, load)

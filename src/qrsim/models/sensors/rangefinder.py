@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Noise
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -33,8 +33,8 @@ FARTHEST = 1000.0
 Axis = Literal["down", "up", "forward", "backward", "right", "left"]
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=default_rangefinder(name), unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=default_rangefinder(name), unit=unit, doc=doc, **bounds)
 
 
 @record
@@ -76,9 +76,11 @@ class Rangefinder(Sensor):
         default=default_rangefinder("resolution"), unit="m", doc="step of the range; 0: none", minimum=0.0
     )
     period: float = setting(
-        default=default_rangefinder("period"), unit="s", doc="interval between readings, a multiple of the time step",
+        default=default_rangefinder("period"),
+        unit="s",
+        doc="interval between readings, a multiple of the time step",
         above=0.0,
-    )  # fmt: skip
+    )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground")
     normals: ClassVar[int] = 3
     presets: ClassVar[dict[str, dict[str, Any]]] = RANGEFINDERS

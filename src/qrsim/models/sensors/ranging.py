@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Draw, ou_step
-from qrsim.core.tree import derived, parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, derived, parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -29,8 +29,8 @@ EVERY = "all"
 _STEEPEST = 30.0
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=default(name), unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
 @record
@@ -73,16 +73,22 @@ class Ranging(Sensor):
     )
     nlos_time: Array = _number("nlos_time", "s", "time constant of that", above=0.0)
     nlos_dropouts: Array = _number(
-        "nlos_dropouts", "1", "share of ranges that are lost besides, where something is in the way", minimum=0.0,
+        "nlos_dropouts",
+        "1",
+        "share of ranges that are lost besides, where something is in the way",
+        minimum=0.0,
         maximum=1.0,
-    )  # fmt: skip
+    )
     dropouts: Array = _number("dropouts", "1", "share of ranges that are lost near by", minimum=0.0, maximum=1.0)
     range_max: Array = _number("range_max", "m", "distance at which half of the others are lost", above=0.0)
     fading: Array = _number("fading", "m", "distance by which losses grow about there", above=0.0)
     exchanges: int = setting(
-        default=default("exchanges"), unit="1", doc="ranges that the fleet has time for in a period, in turn; 0: all",
-        minimum=0, maximum=100_000,
-    )  # fmt: skip
+        default=default("exchanges"),
+        unit="1",
+        doc="ranges that the fleet has time for in a period, in turn; 0: all",
+        minimum=0,
+        maximum=100_000,
+    )
     period: float = setting(
         default=default("period"), unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
@@ -109,9 +115,14 @@ class Ranging(Sensor):
         return self._measure(RangingState(turn, paths), draw, position_ned, obstacles, ground, traffic)
 
     def step(
-        self, state: RangingState, draw: Draw, position_ned: Vec3, obstacles: Obstacles, ground: Ground,
+        self,
+        state: RangingState,
+        draw: Draw,
+        position_ned: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic | None,
-    ) -> tuple[RangingState, RangingReading]:  # fmt: skip
+    ) -> tuple[RangingState, RangingReading]:
         """Return the ranges of vehicles (n,), a period later."""
         paths = state.paths
         if paths is not None:
@@ -126,9 +137,14 @@ class Ranging(Sensor):
         return self._measure(RangingState(state.turn, paths), draw, position_ned, obstacles, ground, traffic)
 
     def _measure(
-        self, state: RangingState, draw: Draw, position_ned: Vec3, obstacles: Obstacles, ground: Ground,
+        self,
+        state: RangingState,
+        draw: Draw,
+        position_ned: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic | None,
-    ) -> tuple[RangingState, RangingReading]:  # fmt: skip
+    ) -> tuple[RangingState, RangingReading]:
         partners = _partners(self, position_ned, traffic)
         distance, there, itself = partners.distance, partners.there, partners.itself
         rows = len(partners)
@@ -240,8 +256,12 @@ def _partners(sensor: Any, position_ned: Vec3, traffic: Traffic | None) -> Partn
             own = own + traffic.first
         places.append(seen.position_ned)
         flies.append(seen.flies)
-    place = Vec3(*(jnp.concatenate([jnp.asarray(part, like.dtype) for part in parts])
-                   for parts in zip(*(place.axes for place in places), strict=True)))  # fmt: skip
+    place = Vec3(
+        *(
+            jnp.concatenate([jnp.asarray(part, like.dtype) for part in parts])
+            for parts in zip(*(place.axes for place in places), strict=True)
+        )
+    )
     row = jnp.arange(place.x.shape[0], dtype=jnp.int32)[:, None]
     itself = row == beacons + own[None, :]
     apart = Vec3(*(there[:, None] - here[None, :] for there, here in zip(place.axes, position_ned.axes, strict=True)))
@@ -251,7 +271,7 @@ def _partners(sensor: Any, position_ned: Vec3, traffic: Traffic | None) -> Partn
 
 def behind(obstacles: Obstacles, ground: Ground, position_ned: Vec3, partners: Partners) -> Array:
     """Return (P, n) bool: an obstacle or the ground stands between the antennas."""
-    up = Vec3(0.0, 0.0, -ANTENNA)  # type: ignore[arg-type]
+    up = record_of(Vec3, 0.0, 0.0, -ANTENNA)
     origin = (position_ned + up).map(lambda axis: axis[None, :])
     way = partners.place_ned.map(lambda axis: axis[:, None]) + up - origin
     inverse = 1.0 / jnp.where(partners.distance > 0.0, partners.distance, 1.0)

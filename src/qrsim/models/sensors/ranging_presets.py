@@ -5,9 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 _RADIO = {
-    "nlos_bias": 0.5, "nlos_time": 2.0, "nlos_dropouts": 0.2, "dropouts": 0.02, "range_max": 60.0, "fading": 8.0,
-    "exchanges": 0, "period": 0.1,
-}  # fmt: skip
+    "nlos_bias": 0.5,
+    "nlos_time": 2.0,
+    "nlos_dropouts": 0.2,
+    "dropouts": 0.02,
+    "range_max": 60.0,
+    "fading": 8.0,
+    "exchanges": 0,
+    "period": 0.1,
+}
 PRESETS: dict[str, dict[str, Any]] = {
     "generic": {"noise_std": 0.1, **_RADIO},
     # 10 cm are three standard deviations.

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
@@ -25,8 +26,8 @@ FARTHEST = 100.0
 MOST_RAYS = 720
 
 
-def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
-    return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+    return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
 def _rays(default: int) -> Any:
@@ -35,9 +36,12 @@ def _rays(default: int) -> Any:
 
 def _field_of_view(default: float) -> Any:
     return setting(
-        default=default, unit="rad", doc="angle about forward that the rays divide evenly", above=0.0,
+        default=default,
+        unit="rad",
+        doc="angle about forward that the rays divide evenly",
+        above=0.0,
         maximum=2.0 * math.pi,
-    )  # fmt: skip
+    )
 
 
 def _sees_vehicles(default: bool) -> Any:
@@ -84,9 +88,14 @@ class Scan(Sensor):
         return self.sees_vehicles
 
     def init(
-        self, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        self,
+        draw: Draw,
+        position_ned: Vec3,
+        attitude: Euler,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic | None,
-    ) -> tuple[None, ScanReading]:  # fmt: skip
+    ) -> tuple[None, ScanReading]:
         """Return a scan of vehicles (n,)."""
         seen = traffic if self.sees_vehicles else None
         beam = beams(attitude, self.rays, self.field_of_view_rad)
@@ -100,9 +109,15 @@ class Scan(Sensor):
         return None, _reading(jnp.where(shown, jnp.maximum(measured, 0.0), jnp.nan))
 
     def step(
-        self, state: None, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        self,
+        state: None,
+        draw: Draw,
+        position_ned: Vec3,
+        attitude: Euler,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic | None,
-    ) -> tuple[None, ScanReading]:  # fmt: skip
+    ) -> tuple[None, ScanReading]:
         """Return a scan of vehicles (n,)."""
         return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
 
@@ -126,9 +141,14 @@ class IdealScan(Sensor):
         return self.sees_vehicles
 
     def init(
-        self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        self,
+        draw: Any,
+        position_ned: Vec3,
+        attitude: Euler,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic | None,
-    ) -> tuple[None, ScanReading]:  # fmt: skip
+    ) -> tuple[None, ScanReading]:
         """Return the true scan."""
         seen = traffic if self.sees_vehicles else None
         beam = beams(attitude, self.rays, self.field_of_view_rad)
@@ -136,14 +156,20 @@ class IdealScan(Sensor):
         return None, _reading(jnp.where(jnp.isfinite(distance), distance, jnp.nan))
 
     def step(
-        self, state: None, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        self,
+        state: None,
+        draw: Any,
+        position_ned: Vec3,
+        attitude: Euler,
+        obstacles: Obstacles,
+        ground: Ground,
         traffic: Traffic | None,
-    ) -> tuple[None, ScanReading]:  # fmt: skip
+    ) -> tuple[None, ScanReading]:
         """Return the true scan."""
         return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
 
 
-def ray_angles(rays: int, field_of_view_rad: float) -> np.ndarray[Any, Any]:
+def ray_angles(rays: int, field_of_view_rad: float) -> NumpyArray:
     """Return the angles (R,) [rad] of rays against forward, to the right positive: the middles of even sectors."""
     return (np.arange(rays) + 0.5 - 0.5 * rays) * (field_of_view_rad / rays)
 
@@ -172,10 +198,12 @@ def met_by(
 
 def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
     """Return how far [m] rays (R, n) of the vehicles that look go until they meet the sphere of another."""
-    to_centre = Vec3(*(
-        (other[:, None] - own[None, :])[:, None, :]
-        for other, own in zip(traffic.position_ned.axes, position_ned.axes, strict=True)
-    ))  # fmt: skip
+    to_centre = Vec3(
+        *(
+            (other[:, None] - own[None, :])[:, None, :]
+            for other, own in zip(traffic.position_ned.axes, position_ned.axes, strict=True)
+        )
+    )
     along = to_centre.dot(beam.map(lambda axis: axis[None]))
     radius = traffic.radius[:, None, None]
     # Half the chord squared: what the radius leaves of the distance from the ray.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import sincos_turns
-from qrsim.core.tree import parameter, record
+from qrsim.core.tree import parameter, record, record_of
 from qrsim.core.vectors import Vec3
 
 # Harmonics, the h-th with 1/h of the first one's amplitude; together they have the variance of a sine of amplitude 1.
@@ -74,7 +74,7 @@ MEASURED = {"gyroscope_x": 0.110, "gyroscope_y": 0.098, "gyroscope_z": 0.043}
 def measured() -> Any:
     """Return the vibration fitted to the recording of the real vehicle."""
     still = dict.fromkeys(("accelerometer_x", "accelerometer_y", "accelerometer_z"), 0.0)
-    return Vibration(broadband=1.0, **MEASURED, **still)  # type: ignore[arg-type]
+    return record_of(Vibration, broadband=1.0, **MEASURED, **still)
 
 
 def _each(level: Vec3, wave: Vec3) -> Vec3:

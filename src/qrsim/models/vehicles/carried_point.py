@@ -92,9 +92,13 @@ class CarriedPoint(Vehicle):
         gained = (velocity - state.velocity_ned) * (1.0 / dt)
         force = _turned(Vec3(gained.x, gained.y, gained.z - self.gravity), -(state.heading + 0.5 * turn))
         moved = CarriedPointState(
-            state.position_ned + way, wrap_angle(state.heading + turn), velocity,
-            new.turn_rate + jnp.zeros_like(state.heading), state.lever_ned, jnp.full_like(state.ticks, 1) + tick,
-        )  # fmt: skip
+            state.position_ned + way,
+            wrap_angle(state.heading + turn),
+            velocity,
+            new.turn_rate + jnp.zeros_like(state.heading),
+            state.lever_ned,
+            jnp.full_like(state.ticks, 1) + tick,
+        )
         return moved, force
 
     def stopped(self, state: CarriedPointState) -> CarriedPointState:

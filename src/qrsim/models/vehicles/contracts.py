@@ -376,5 +376,5 @@ handling_of = on_host(lambda vehicle: vehicle.handling())
 
 def has_contact(vehicle: Any) -> bool:
     """Return whether a vehicle, or a class of vehicles, stands on the ground by a contact of its own."""
-    kind = vehicle if isinstance(vehicle, type) else type(vehicle)
-    return kind.on_ground is not Vehicle.on_ground  # type: ignore[attr-defined]
+    kind: type[Any] = vehicle if isinstance(vehicle, type) else type(vehicle)
+    return kind.on_ground is not Vehicle.on_ground

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import map_tree
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.vehicles.contracts import Around, Vehicle, handling_of
 
-Floats = np.ndarray[Any, Any]
 # Nothing of this kind is that fast [m/s].
 FASTEST = 100.0
 HALVINGS, SECANTS = 25, 4

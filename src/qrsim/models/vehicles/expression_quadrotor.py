@@ -41,8 +41,10 @@ class ExpressionQuadrotor(Quadrotor):
     def __post_init__(self) -> None:
         """Refuse a law that cannot be read."""
         for name, leaves in (
-            ("thrust_law", ("throttle",)), ("tilt_law", ("command", "angle", "rate")), ("yaw_law", ("command", "rate")),
-        ):  # fmt: skip
+            ("thrust_law", ("throttle",)),
+            ("tilt_law", ("command", "angle", "rate")),
+            ("yaw_law", ("command", "rate")),
+        ):
             if law := getattr(self, name):
                 checked(name, law, leaves)
 

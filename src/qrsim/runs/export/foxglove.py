@@ -16,7 +16,7 @@ def _object(doc: str = "", **properties: Schema) -> Schema:
     return {"type": "object", **({"description": doc} if doc else {}), "properties": properties}
 
 
-def _vector(doc: str = "", **extra: Any) -> Schema:
+def _vector(doc: str = "", **extra: object) -> Schema:
     return {**_object(doc, x=NUMBER, y=NUMBER, z=NUMBER), **extra}
 
 

@@ -37,16 +37,25 @@ def layout(run: Run) -> dict[str, Any]:
     drawn = {"/scene": {"visible": True}} | {f"{topic}/pose": {"visible": True, "type": "arrow"} for topic in topics}
     grid = {"grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True, "size": 200, "divisions": 20}}
     space: dict[str, Any] = {
-        "cameraState": {"distance": 150.0, "perspective": True, "phi": 60.0, "thetaOffset": 0.0, "target": [0, 0, 0],
-                        "targetOffset": [0, 0, 0], "targetOrientation": [0, 0, 0, 1], "fovy": 45.0, "near": 0.5,
-                        "far": 5000.0},
+        "cameraState": {
+            "distance": 150.0,
+            "perspective": True,
+            "phi": 60.0,
+            "thetaOffset": 0.0,
+            "target": [0, 0, 0],
+            "targetOffset": [0, 0, 0],
+            "targetOrientation": [0, 0, 0, 1],
+            "fovy": 45.0,
+            "near": 0.5,
+            "far": 5000.0,
+        },
         "followMode": "follow-none",
         "followTf": "map",
         "scene": {},
         "transforms": {},
         "topics": drawn,
         "layers": grid,
-    }  # fmt: skip
+    }
     panels = {
         "3D!space": space,
         "map!place": {"center": {"lat": 0, "lon": 0}, "zoomLevel": 16, "disabledTopics": [], "followTopic": ""},

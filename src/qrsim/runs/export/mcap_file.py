@@ -68,7 +68,7 @@ def write(run: Run, place: Place, path: Path, every: int) -> Written:
         if not count:
             raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
         writer.add_metadata("qrsim", _origin(run, place))
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return Written(path, {"messages": count})
 
 
@@ -153,8 +153,11 @@ def _range_spread(run: Run, sensor: str) -> float:
     content = run.scenario if isinstance(run.scenario, dict) else {}
     try:
         shared = float(content["world"]["sky"]["errors"].get("std", math.nan))
-        own = [float(fleet["sensors"][sensor].get("range_noise_std", 0.0))
-               for fleet in content["fleets"].values() if sensor in fleet["sensors"]]  # fmt: skip
+        own = [
+            float(fleet["sensors"][sensor].get("range_noise_std", 0.0))
+            for fleet in content["fleets"].values()
+            if sensor in fleet["sensors"]
+        ]
         return math.hypot(shared, max(own))
     except (KeyError, TypeError, ValueError, AttributeError):
         return math.nan

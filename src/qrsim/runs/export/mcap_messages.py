@@ -103,7 +103,7 @@ def messages_of(run: Run, place: Place, every: int, group: Group) -> Iterator[Me
                 yield Message(times[i], topics[samples.vehicles[row]], group.schema, content)
 
 
-def _put(content: Content, path: tuple[str, ...], value: Any) -> None:
+def _put(content: Content, path: tuple[str, ...], value: object) -> None:
     for word in path[:-1]:
         content = content.setdefault(word, {})
     content[path[-1]] = value

@@ -58,7 +58,7 @@ def _update(entities: Sequence[Content], frame: str, now: int) -> Content:
     return {"deletions": [], "entities": [{**about, **entity} for entity in entities]}
 
 
-def _entity(name: str, **parts: Any) -> Content:
+def _entity(name: str, **parts: object) -> Content:
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {"id": name, "frame_locked": False, "metadata": [], **{kind: parts.get(kind, []) for kind in kinds}}
 
@@ -85,7 +85,7 @@ def _line(points: Any, kind: int, colour: Colour) -> Content:
     }
 
 
-def _solid(middle: Any, size: tuple[float, float, float], colour: Colour, **more: Any) -> Content:
+def _solid(middle: object, size: tuple[float, float, float], colour: Colour, **more: object) -> Content:
     """Return a body by its middle, NED [m], and its sizes along east, north and up [m]."""
     extent = dict(zip("xyz", size, strict=True))
     return {
@@ -96,7 +96,7 @@ def _solid(middle: Any, size: tuple[float, float, float], colour: Colour, **more
     }
 
 
-def _sphere(middle: Any, size: float, colour: Colour) -> Content:
+def _sphere(middle: object, size: float, colour: Colour) -> Content:
     return _solid(middle, (size, size, size), colour)
 
 

@@ -229,11 +229,11 @@ def published() -> dict[str, tuple[Rule, Floats]]:
     """Return the published laws in the same form."""
     v = Quadrotor()
     tilt, yaw = v.kpq0 * v.kpq1 / PITCH_ROLL_RAD_PER_RAW, v.kr0 / YAW_RATE_RAD_S_PER_RAW
-    values: dict[str, tuple[float, ...]] = {
-        "thrust": (v.cth0, v.cth1 * THROTTLE_RAW_PER_UNIT, v.cth2 * THROTTLE_RAW_PER_UNIT**2),  # type: ignore[dict-item]
-        "tilt": (tilt, -v.kpq1, v.kpq2),  # type: ignore[dict-item]
-        "yaw": (yaw, v.kr1),  # type: ignore[dict-item]
-        "drag": (v.kuv,),  # type: ignore[dict-item]
+    values: dict[str, tuple[Any, ...]] = {
+        "thrust": (v.cth0, v.cth1 * THROTTLE_RAW_PER_UNIT, v.cth2 * THROTTLE_RAW_PER_UNIT**2),
+        "tilt": (tilt, -v.kpq1, v.kpq2),
+        "yaw": (yaw, v.kr1),
+        "drag": (v.kuv,),
     }
     rules: dict[str, Rule] = {
         "thrust": lambda a, b, c, u: a + u * (b + c * u),

@@ -170,7 +170,7 @@ class Evolution:
                 population.members += simpler
             population.partner = population.chosen(self.windows)
 
-    def _rough(self, tree: Any, law: str) -> Proposal:
+    def _rough(self, tree: object, law: str) -> Proposal:
         """Return a proposal whose constants fit the slopes seen in the record: a start for the fit in flight."""
         text = text_of(tree)
         known = self.populations[law].known

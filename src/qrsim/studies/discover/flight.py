@@ -179,9 +179,15 @@ def fly(
 
 
 def _slope(
-    now: Floats, asked: list[Floats], rules: Mapping[str, Rule], fixed: Any, dt: float, mass: float, moving: bool,
+    now: Floats,
+    asked: list[Floats],
+    rules: Mapping[str, Rule],
+    fixed: Any,
+    dt: float,
+    mass: float,
+    moving: bool,
     vehicle: Quadrotor,
-) -> Floats:  # fmt: skip
+) -> Floats:
     change = np.zeros_like(now)
     roll, pitch, _, p, q, r, u, v, w, thrust = now
     if "tilt" in rules:

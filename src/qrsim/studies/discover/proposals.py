@@ -70,7 +70,7 @@ def _compiled(text: str, constants: int, law: str) -> Rule:
     return rule
 
 
-def rule_of(tree: Any, law: str) -> Rule:
+def rule_of(tree: object, law: str) -> Rule:
     """Compile a tree to a function of its constants and leaves."""
     return _compiled(text_of(tree), count_constants(tree), law)
 
@@ -81,7 +81,7 @@ def made(law: str) -> Any:
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 
 
-def varied(first: Any, second: Any, law: str) -> Any:
+def varied(first: object, second: object, law: str) -> Any:
     """Make a child of two trees by crossover and mutation, within the size limit."""
     library = gp()
     known = primitives(law)
@@ -108,13 +108,13 @@ def varied(first: Any, second: Any, law: str) -> Any:
     return library.PrimitiveTree(first)
 
 
-def symbolic(tree: Any, constants: Floats) -> Any:
+def symbolic(tree: object, constants: Floats) -> Any:
     """Convert a tree with its constants to a SymPy expression, expanded if it is a polynomial."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return sympy.expand(sympy.sympify(text_of(tree, constants)))
 
 
-def monomials(expression: Any, law: str) -> dict[tuple[int, ...], float] | None:
+def monomials(expression: object, law: str) -> dict[tuple[int, ...], float] | None:
     """Return the coefficients of a polynomial in a law's leaves by their powers, None for other expressions."""
     sympy = extras.load("identify", "printing laws", "sympy")
     try:

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 import scipy
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import LogError
 from qrsim.studies.flight_logs.inertial import Readings
 from qrsim.studies.flight_logs.signals import Floats
 
 TERMS = ("noise", "bias_instability", "random_walk")
-UNITS = {
-    "gyroscope": ("rad/s^0.5", "rad/s", "rad/s^1.5"), "accelerometer": ("m/s^1.5", "m/s^2", "m/s^2.5"),
-}  # fmt: skip
+UNITS = {"gyroscope": ("rad/s^0.5", "rad/s", "rad/s^1.5"), "accelerometer": ("m/s^1.5", "m/s^2", "m/s^2.5")}
 # Correlation times [s] of the processes that make flicker noise, and the variance of each per B^2.
 TIMES, SHARE = (5.0, 50.0, 500.0), math.log(10.0) / math.pi
 # A log at rest has to be so long [s]; who stands still has in no second more than so many times its usual noise, and
@@ -66,7 +65,7 @@ class Noise:
     mean: Floats
 
 
-def allan_variance(values: Floats, lengths: np.ndarray[Any, Any]) -> Floats:
+def allan_variance(values: Floats, lengths: NumpyArray) -> Floats:
     """Return the overlapping Allan variance (K, C) of readings (T, C), over windows of so many readings (K,)."""
     summed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values - values.mean(axis=0), axis=0)])
     found = []
@@ -112,7 +111,7 @@ def noise_of(values: Floats, period: float) -> Noise:
     return Noise(windows, variance, basis @ squares, found, values.mean(axis=0))
 
 
-def _freedom(count: int, lengths: np.ndarray[Any, Any]) -> Floats:
+def _freedom(count: int, lengths: NumpyArray) -> Floats:
     """Return the degrees of freedom (K,) of an overlapping variance of a random walk, which has the fewest.
 
     D. A. Howe, D. W. Allan and J. A. Barnes, Properties of signal sources and measurement methods (1981), table 4.

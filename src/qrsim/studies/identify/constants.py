@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from qrsim.core.tree import field_info
+from qrsim.core.tree import field_info, record_of
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
@@ -160,4 +160,4 @@ def unit_of(name: str) -> str:
 def vehicle_of(values: dict[str, float], separate: bool) -> Quadrotor:
     """Return the published vehicle with some constants changed."""
     cls = SeparateQuadrotor if separate else Quadrotor
-    return cls(**values)  # type: ignore[arg-type]
+    return record_of(cls, **values)

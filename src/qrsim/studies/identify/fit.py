@@ -311,9 +311,14 @@ def _covariance(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) ->
     misfits = total.evaluate(unknowns, noise)
     lengths = [len(shooting.piece.windows) * shooting.piece.log.dt for shooting in total.shootings]
     found = covariance(
-        total.names, unknowns * total.scale, total.scale, misfits, lengths, total.prior(unknowns)[1],
+        total.names,
+        unknowns * total.scale,
+        total.scale,
+        misfits,
+        lengths,
+        total.prior(unknowns)[1],
         total.question.robust,
-    )  # fmt: skip
+    )
     return found, [each.residual for each in misfits]
 
 

@@ -84,9 +84,16 @@ def identify(
             refuse_useless(logs, held)
     white = [whiteness(piece, answer.residuals[i]) for i, piece in enumerate(pieces)]
     return Result(
-        question, answer, pieces, scores, white, time.perf_counter() - begun, train,
-        verdicts_of(answer, question, held, doubtful), excitations,
-    )  # fmt: skip
+        question,
+        answer,
+        pieces,
+        scores,
+        white,
+        time.perf_counter() - begun,
+        train,
+        verdicts_of(answer, question, held, doubtful),
+        excitations,
+    )
 
 
 def _constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:

@@ -46,11 +46,14 @@ def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool,
     picture = out.with_suffix(".png")
     save_picture(lambda: draw(found), picture)
     content = {
-        "sensor": sensor, "file": str(out), "picture": str(picture), "at_rest_s": list(span),
+        "sensor": sensor,
+        "file": str(out),
+        "picture": str(picture),
+        "at_rest_s": list(span),
         "rate_hz": 1.0 / still.period,
         "noise": {kind: _terms(kind, noise) for kind, noise in found.items()},
         "mean": {kind: noise.mean.tolist() for kind, noise in found.items()},
-    }  # fmt: skip
+    }
     if as_json:
         import json
 

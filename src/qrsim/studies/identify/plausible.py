@@ -54,9 +54,12 @@ def _tilt(axis: str, names: tuple[str, ...]) -> Iterator[Meaning]:
         (stiffness,), f"natural frequency of {axis} [rad/s]", 1.0, 60.0, lambda v: math.sqrt(max(v[stiffness], 0.0))
     )
     yield Meaning(
-        (stiffness, damping), f"damping ratio of {axis} [1]", 0.1, 3.0,
+        (stiffness, damping),
+        f"damping ratio of {axis} [1]",
+        0.1,
+        3.0,
         lambda v: -v[damping] / (2.0 * math.sqrt(max(v[stiffness], 1e-12))),
-    )  # fmt: skip
+    )
 
 
 MEANINGS: tuple[Meaning, ...] = (
@@ -64,27 +67,34 @@ MEANINGS: tuple[Meaning, ...] = (
     *_tilt("pitch", PITCH),
     Meaning(("kr1",), "time constant of the yaw rate [s]", 0.02, 5.0, lambda v: 1.0 / max(-v["kr1"], 1e-12)),
     Meaning(
-        ("kr0", "kr1"), "yaw rate per rate asked for [1]", 0.1, 3.0,
+        ("kr0", "kr1"),
+        "yaw rate per rate asked for [1]",
+        0.1,
+        3.0,
         lambda v: v["kr0"] / YAW_RATE_RAD_S_PER_RAW / max(-v["kr1"], 1e-12),
     ),
     Meaning(("kuv",), "time constant of drag along x and y [s]", 0.2, 200.0, lambda v: 1.0 / max(-v["kuv"], 1e-12)),
     Meaning(("kw",), "time constant of drag along z [s]", 0.1, 200.0, lambda v: 1.0 / max(-v["kw"], 1e-12)),
-    Meaning(
-        ("cth0",), "thrust without throttle over the weight [1]", -0.5, 0.5, lambda v: _weights(v, 0.0)
-    ),
+    Meaning(("cth0",), "thrust without throttle over the weight [1]", -0.5, 0.5, lambda v: _weights(v, 0.0)),
     Meaning(
         ("cth0", "cth1", "cth2"), "thrust at full throttle over the weight [1]", 1.05, 15.0, lambda v: _weights(v, 1.0)
     ),
     Meaning(
-        ("cth1", "cth2"), "thrust that the upper half of the throttle adds, over the weight [1]", 0.1, 15.0,
+        ("cth1", "cth2"),
+        "thrust that the upper half of the throttle adds, over the weight [1]",
+        0.1,
+        15.0,
         lambda v: _weights(v, 1.0) - _weights(v, 0.5),
     ),
     Meaning(("tau0",), "response of thrust below the least throttle [1/s]", 0.05, 100.0, lambda v: v["tau0"]),
     Meaning(
-        ("tau1",), "fastest change of thrust, in weights a second [1/s]", 0.2, 100.0,
+        ("tau1",),
+        "fastest change of thrust, in weights a second [1/s]",
+        0.2,
+        100.0,
         lambda v: v["tau1"] / (GRAVITY * v["mass"]),
     ),
-)  # fmt: skip
+)
 
 
 def implausible(values: Values, fitted: tuple[str, ...]) -> dict[str, str]:

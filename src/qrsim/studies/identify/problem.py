@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import cast
 from qrsim.errors import LogError
 from qrsim.models.vehicles.quadrotor import Quadrotor
@@ -64,12 +65,12 @@ class Piece:
     nuisances: tuple[str, ...]
     commands: Floats
     measured: Floats
-    windows: np.ndarray[Any, Any]
-    used: np.ndarray[Any, Any]
+    windows: NumpyArray
+    used: NumpyArray
     silent: tuple[str, ...] = ()
 
     @property
-    def rows(self) -> np.ndarray[Any, Any]:
+    def rows(self) -> NumpyArray:
         """Whether a row of the log is in a window, (T,)."""
         found = np.zeros(len(self.log.time), bool)
         found[self.windows[self.used]] = True
@@ -137,7 +138,7 @@ def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, w
     return Piece(log, channels, nuisances_in(channels), commands, measured, np.stack(windows, 1), np.stack(used, 1))
 
 
-def _commands(log: FlightLog) -> tuple[Floats, np.ndarray[Any, Any]]:
+def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
     """Return (T, 5) commands in the order of Command, gaps held, and which rows have a gap."""
     rows = len(log.time)
     columns, missing = [], np.zeros(rows, bool)
@@ -152,7 +153,7 @@ def _commands(log: FlightLog) -> tuple[Floats, np.ndarray[Any, Any]]:
     return np.stack(columns, axis=1), missing
 
 
-def _runs(good: np.ndarray[Any, Any]) -> list[tuple[int, int]]:
+def _runs(good: NumpyArray) -> list[tuple[int, int]]:
     """Return (begin, end) of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

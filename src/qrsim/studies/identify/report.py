@@ -98,8 +98,9 @@ def residual_figure(result: Result, i: int) -> Any:
         right.stem(
             [lag * piece.log.dt for lag in lags],
             [float(np.sum(values[: len(values) - lag] * values[lag:])) / total for lag in lags],
-            basefmt=" ", markerfmt=".",
-        )  # fmt: skip
+            basefmt=" ",
+            markerfmt=".",
+        )
         right.axhline(0.0, color="gray", lw=0.6)
         right.set_ylim(-0.6, 1.05)
         for panel in (left, right):
@@ -163,9 +164,11 @@ def _log_section(result: Result, i: int) -> list[str]:
     if scores.get("velocity_5_s"):
         five = scores["velocity_5_s"]
         cases = (
-            ("start", "start"), ("start with the same wind and trims", "start_with_nuisances"),
-            ("identified", "identified"), ("no change", "no_change"),
-        )  # fmt: skip
+            ("start", "start"),
+            ("start with the same wind and trims", "start_with_nuisances"),
+            ("identified", "identified"),
+            ("no change", "no_change"),
+        )
         told = ", ".join(f"{words} {five[name]:.4g}" for words, name in cases)
         lines += ["", f"Horizontal velocity within 5 s of {five['pieces']} starts from the record, (m/s)²: {told}."]
     lines += ["", "| residual | lag 1 | correlated over [s] | Ljung-Box p | with a command |", "|---|---|---|---|---|"]

@@ -49,9 +49,12 @@ class Result:
         for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
             low, high = self.answer.covariance.interval(name)
             found[name] = {
-                "value": self.answer.values[name], "low": low, "high": high, "start": self.question.start[name],
+                "value": self.answer.values[name],
+                "low": low,
+                "high": high,
+                "start": self.question.start[name],
                 "unit": unit_of(name),
-            }  # fmt: skip
+            }
         return found
 
     def effective(self) -> dict[str, list[str]]:
@@ -133,9 +136,12 @@ class Result:
         found = {}
         for name, movement in self.excitations[i].movements.items():
             found[name] = {
-                "std": movement.std, "noise": movement.noise, "ratio": movement.ratio, "moves": movement.moves,
+                "std": movement.std,
+                "noise": movement.noise,
+                "ratio": movement.ratio,
+                "moves": movement.moves,
                 "unit": SIGNALS[name].unit,
-            }  # fmt: skip
+            }
             if not SIGNALS[name].command:
                 found[name]["identified"] = name in known
         return found
@@ -165,7 +171,7 @@ class Result:
         return head + dump_yaml({"vehicle": self.vehicle(), "identified": rounded(self.to_json())})
 
 
-def rounded(item: Any) -> Any:
+def rounded(item: object) -> Any:
     """Round the numbers of a tree to 6 digits, for reading."""
     if isinstance(item, Mapping):
         return {key: rounded(value) for key, value in item.items()}

@@ -17,8 +17,11 @@ if TYPE_CHECKING:
 __all__ = ["CooperativeSlam", "Slam", "cooperative_from_run", "from_run"]
 # Where each is.
 _MODULES = {
-    "CooperativeSlam": "cooperative", "Slam": "estimate", "cooperative_from_run": "team_run", "from_run": "estimate",
-}  # fmt: skip
+    "CooperativeSlam": "cooperative",
+    "Slam": "estimate",
+    "cooperative_from_run": "team_run",
+    "from_run": "estimate",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -192,9 +192,16 @@ def joined_ranging(rangings: Sequence[Ranging]) -> Ranging:
 
 
 def graph_of(
-    flight: Flight, ranging: Ranging, active: Floats, fix_std: float, bias_time_constant: float | None, share: float,
-    own_time_constant: float | None, states: str, prior: str,
-) -> tuple[Graph, Floats]:  # fmt: skip
+    flight: Flight,
+    ranging: Ranging,
+    active: Floats,
+    fix_std: float,
+    bias_time_constant: float | None,
+    share: float,
+    own_time_constant: float | None,
+    states: str,
+    prior: str,
+) -> tuple[Graph, Floats]:
     """Return the graph of one vehicle alone, with its own part of the error as a state, and where to begin."""
     how: dict[str, Any] = {"graph": "gnss", "states": states, "prior": prior}
     if bias_time_constant is None:
@@ -213,9 +220,15 @@ def graph_of(
 
 
 def _solved(
-    joint: JointGraph, x: Floats, flights: Sequence[Flight], rangings: Sequence[Ranging], ranging: Ranging, enough: Any,
-    iterations: int, damping: str,
-) -> CooperativeSlam:  # fmt: skip
+    joint: JointGraph,
+    x: Floats,
+    flights: Sequence[Flight],
+    rangings: Sequence[Ranging],
+    ranging: Ranging,
+    enough: Any,
+    iterations: int,
+    damping: str,
+) -> CooperativeSlam:
     def places(point: Point) -> Floats:
         return joint.positions(point.x).reshape(-1, 3)
 
@@ -227,16 +240,23 @@ def _solved(
     states, common = joint.split(point.x)
     graph = joint.graphs[0]
     return CooperativeSlam(
-        flights=tuple(flights), rangings=tuple(rangings), between=joint.between, time=flights[0].time,
+        flights=tuple(flights),
+        rangings=tuple(rangings),
+        between=joint.between,
+        time=flights[0].time,
         position_ned=joint.positions(point.x),
-        bias=np.stack([values[:, graph.base :] for values in states]) if graph.bias else None, common_bias=common,
+        bias=np.stack([values[:, graph.base :] for values in states]) if graph.bias else None,
+        common_bias=common,
         landmarks_ned=np.where(enough[:, None], point.landmarks, np.nan),
         landmarks_std=np.where(enough, spread, np.inf),
         position_covariance=believed.positions.reshape(len(point.x), vehicles, 3, vehicles, 3),
         landmarks_covariance=np.where(enough[:, None, None], believed.landmarks, np.nan),
-        determined=determined, mirrors=reflected, iterations=solution.iterations, converged=solution.converged,
+        determined=determined,
+        mirrors=reflected,
+        iterations=solution.iterations,
+        converged=solution.converged,
         costs=tuple(solution.costs),
-    )  # fmt: skip
+    )
 
 
 def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]:

@@ -193,9 +193,13 @@ def from_run(
     from qrsim.studies.slam.recorded import flight_of_run
 
     check_numbers(
-        range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
-        process_noise=process_noise, state_period=state_period,
-    )  # fmt: skip
+        range_std=range_std,
+        range_limit=range_limit,
+        fix_std=fix_std,
+        bias_time_constant=bias_time_constant,
+        process_noise=process_noise,
+        state_period=state_period,
+    )
     if seed is not None and seed < 0:
         raise UsageError(f"seed: {seed} is negative")
     opened = run if isinstance(run, Run) else open_run(run)
@@ -253,9 +257,15 @@ def estimate(
 
 
 def solve_reflected(
-    problem: Problem, x: Floats, ranging: Ranging, places: Callable[[Point], Floats], *, iterations: int,
-    damping: str, keep: tuple[int, ...] = (),
-) -> tuple[Solution, Mirrors]:  # fmt: skip
+    problem: Problem,
+    x: Floats,
+    ranging: Ranging,
+    places: Callable[[Point], Floats],
+    *,
+    iterations: int,
+    damping: str,
+    keep: tuple[int, ...] = (),
+) -> tuple[Solution, Mirrors]:
     """Solve, and again from the reflections of landmarks where they are to be preferred.
 
     Args:

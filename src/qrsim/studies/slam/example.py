@@ -96,7 +96,7 @@ def _record(state: State) -> dict[str, Array]:
     return {name: jnp.stack(parts) for name, parts in rows.items()}
 
 
-def base_world(precision: str = "float32", gnss: str | None = None, **overrides: Any) -> World:
+def base_world(precision: str = "float32", gnss: str | None = None, **overrides: object) -> World:
     """Return the world of the example.
 
     Args:
@@ -115,10 +115,11 @@ def with_receiver(preset: str) -> dict[str, Any]:
     """
     sensor = {"type": "gnss", "preset": preset, "delay": 0, "first_fix": "fixed"}
     return {
-        "name": SCENARIO, "extends": SCENARIO,
+        "name": SCENARIO,
+        "extends": SCENARIO,
         "world": {"sky": {"orbits": ORBITS, "errors": ERRORS}, "base_station": {"position_ned": [0.0, 0.0, -2.0]}},
         "fleets": {"pelicans": {"sensors": {"gnss": sensor}}},
-    }  # fmt: skip
+    }
 
 
 def world_of(base: World, seed: int, vehicles: Sequence[int] = (0,)) -> World:
@@ -203,9 +204,12 @@ def flown_together(
     first = worlds[0]
     ticks = ticks_between(state_period, first.time_step)
     flown = rollout(
-        worlds, ticks=ticks_between(duration, first.time_step, "duration"), seeds=list(seeds), record=_record,
+        worlds,
+        ticks=ticks_between(duration, first.time_step, "duration"),
+        seeds=list(seeds),
+        record=_record,
         record_every=1,
-    )  # fmt: skip
+    )
     found = list(flown.recorded.items())
     return [
         [

@@ -18,9 +18,13 @@ from qrsim.studies.slam.study import ARMS, Study, Sweep, allan, interval
 CONFIDENCE, ELLIPSES = 0.95, 30
 COLOURS = {"white": "tab:blue", "coloured": "tab:red"}
 SHORT = {
-    "guess": "initial\nguess", "ten": "10 iterations,\ndiagonal", "ten_metres": "10 iterations,\nmetres",
-    "converged": "converged", "plain": "GNSS error\ntaken for white", "bias": "GNSS error\nas a state",
-}  # fmt: skip
+    "guess": "initial\nguess",
+    "ten": "10 iterations,\ndiagonal",
+    "ten_metres": "10 iterations,\nmetres",
+    "converged": "converged",
+    "plain": "GNSS error\ntaken for white",
+    "bias": "GNSS error\nas a state",
+}
 
 
 def draw_run(solved: Slam) -> Figure:
@@ -58,10 +62,17 @@ def _ellipses(axes: Any, places: Floats, covariances: Floats, colour: str, label
         half, bearing = ellipse_of(covariance[:2, :2])
         axes.add_patch(
             Ellipse(
-                (place[1], place[0]), 2.0 * half[0], 2.0 * half[1], angle=90.0 - np.degrees(bearing), fill=False,
-                color=colour, alpha=0.6, lw=0.7, label=label,
+                (place[1], place[0]),
+                2.0 * half[0],
+                2.0 * half[1],
+                angle=90.0 - np.degrees(bearing),
+                fill=False,
+                color=colour,
+                alpha=0.6,
+                lw=0.7,
+                label=label,
             )
-        )  # fmt: skip
+        )
         label = None
 
 
@@ -76,9 +87,13 @@ def draw_trajectories(study: Study, index: int = 0) -> Figure:
     for axes, (noise, arm) in zip(panels, shown, strict=True):
         found = study.arms[noise, arm]
         _plan(
-            axes, study.flights[noise][index], found.position_ned[index], found.landmarks_ned[index],
-            study.landmarks_ned[index], found.determined[index],
-        )  # fmt: skip
+            axes,
+            study.flights[noise][index],
+            found.position_ned[index],
+            found.landmarks_ned[index],
+            study.landmarks_ned[index],
+            found.determined[index],
+        )
         error = study.trajectory_errors(noise, arm)[index]
         what = f"{noise} GNSS noise, {SHORT[arm]}".replace("\n", " ")
         axes.set_title(f"{what}:\ntrajectory RMSE {error:.2f} m", fontsize=10)

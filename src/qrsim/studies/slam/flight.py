@@ -90,9 +90,13 @@ def first_states(flight: Flight, states: int) -> Flight:
     """Return the first T + 1 states of a flight."""
     steps, kept = slice(states - 1), slice(states)
     return replace(
-        flight, commands=flight.commands[steps], air_ned=flight.air_ned[steps], truth=flight.truth[kept],
-        estimate=flight.estimate[kept], fixes=flight.fixes[kept],
-    )  # fmt: skip
+        flight,
+        commands=flight.commands[steps],
+        air_ned=flight.air_ned[steps],
+        truth=flight.truth[kept],
+        estimate=flight.estimate[kept],
+        fixes=flight.fixes[kept],
+    )
 
 
 def ticks_between(period: float, time_step: float, what: str = "state_period") -> int:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
 from qrsim.studies.slam.between import Between, distances
 from qrsim.studies.slam.flight import Floats
 from qrsim.studies.slam.graph import Graph, Normal, cost, linearise
@@ -139,7 +139,7 @@ class JointGraph:
         value += self._add_between(x, diagonal, gradient)
         if self.common is not None:
             value += self._add_common(x, self.common, diagonal, below, gradient)
-        return Normal(value, diagonal, below, border, corner, gradient, of_landmarks)  # type: ignore[arg-type]
+        return record_of(Normal, value, diagonal, below, border, corner, gradient, of_landmarks)
 
     def _add_fixes(
         self, graph: Graph, columns: npt.NDArray[np.int64], own: Floats, diagonal: Floats, gradient: Floats

@@ -71,7 +71,7 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
 
 
 def landmarks_given(
-    north_east: Floats, true_ned: Any, guess_ned: Any, ranged: bool, seed: int
+    north_east: Floats, true_ned: object, guess_ned: object, ranged: bool, seed: int
 ) -> tuple[Floats | None, Floats]:
     """Return landmarks (L, 3), None where nobody knows them, and first guesses of them: given, or drawn for a seed.
 
@@ -99,7 +99,7 @@ def landmarks_given(
     return known, guess
 
 
-def _places(name: str, values: Any) -> Floats:
+def _places(name: str, values: object) -> Floats:
     array = np.asarray(values, np.float64)
     if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
         raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")
@@ -107,9 +107,15 @@ def _places(name: str, values: Any) -> Floats:
 
 
 def measure_ranges(
-    position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float,
-    vehicle: int = 0, alone: bool = True,
-) -> Ranging:  # fmt: skip
+    position_ned: Floats,
+    landmarks_ned: Floats,
+    guess_ned: Floats,
+    seed: int,
+    std: float,
+    limit: float,
+    vehicle: int = 0,
+    alone: bool = True,
+) -> Ranging:
     """Measure ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
 
     The noise is of the seed and of the vehicle's number.

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import scipy
 
 from qrsim.core.allan import overlapping_allan_deviation
+from qrsim.core.tree import record_of
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.studies.slam import example
 from qrsim.studies.slam.estimate import (
@@ -198,7 +199,7 @@ def study(
                 arms.setdefault((noise, arm), Arm()).add(position, places, solved)
             progress()
         landmarks.append(ranging.true_ned)
-    return Study(graph, tuple(seeds), flights, landmarks, arms)  # type: ignore[arg-type]
+    return record_of(Study, graph, tuple(seeds), flights, landmarks, arms)
 
 
 def _solved(flight: Flight, ranging: Any, bias: float | None, **options: Any) -> dict[str, tuple[Floats, Floats, Slam]]:

@@ -56,9 +56,12 @@ def team_world(vehicles: int, gnss: str | None = None) -> World:
 
 
 def shared_flights(
-    seeds: Sequence[int], vehicles: int, duration: float = example.DURATION,
-    state_period: float = example.STATE_PERIOD, gnss: str | None = None,
-) -> list[list[Flight]]:  # fmt: skip
+    seeds: Sequence[int],
+    vehicles: int,
+    duration: float = example.DURATION,
+    state_period: float = example.STATE_PERIOD,
+    gnss: str | None = None,
+) -> list[list[Flight]]:
     """Fly N vehicles of each seed in one world, whose sky they share; returns (S)(N) flights."""
     base = team_world(vehicles, gnss)
     worlds = [example.world_of(base, seed, range(vehicles)) for seed in seeds]
@@ -66,9 +69,12 @@ def shared_flights(
 
 
 def own_flights(
-    seeds: Sequence[int], vehicles: int, duration: float = example.DURATION,
-    state_period: float = example.STATE_PERIOD, gnss: str | None = None,
-) -> list[list[Flight]]:  # fmt: skip
+    seeds: Sequence[int],
+    vehicles: int,
+    duration: float = example.DURATION,
+    state_period: float = example.STATE_PERIOD,
+    gnss: str | None = None,
+) -> list[list[Flight]]:
     """Fly N vehicles of each seed, each in a world and under a sky of its own; returns (S)(N) flights."""
     check_vehicles(vehicles)
     base = example.base_world(gnss=gnss)
@@ -78,9 +84,11 @@ def own_flights(
 
 
 def white_flights(
-    seeds: Sequence[int], coloured: Sequence[Sequence[Flight]], duration: float = example.DURATION,
+    seeds: Sequence[int],
+    coloured: Sequence[Sequence[Flight]],
+    duration: float = example.DURATION,
     state_period: float = example.STATE_PERIOD,
-) -> list[list[Flight]]:  # fmt: skip
+) -> list[list[Flight]]:
     """Fly the vehicles of each seed with white errors, as large as those of their coloured flights (S)(N)."""
     vehicles, base = len(coloured[0]), example.base_world()
     worlds = [

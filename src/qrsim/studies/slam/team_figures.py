@@ -12,10 +12,13 @@ from qrsim.studies.slam.cooperative import CooperativeSlam
 from qrsim.studies.slam.team_study import TeamStudy
 
 SHORT = {
-    "white": "white", "own_as_white": "own,\ntaken\nfor white", "own_as_own_states": "own,\nas states",
-    "shared_as_white": "shared,\ntaken\nfor white", "shared_as_own_states": "shared,\nas states\nof each",
+    "white": "white",
+    "own_as_white": "own,\ntaken\nfor white",
+    "own_as_own_states": "own,\nas states",
+    "shared_as_white": "shared,\ntaken\nfor white",
+    "shared_as_own_states": "shared,\nas states\nof each",
     "shared_as_one_state": "shared,\nas one state",
-}  # fmt: skip
+}
 
 
 def draw_together(solved: CooperativeSlam, title: str) -> Figure:

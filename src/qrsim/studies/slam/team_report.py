@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from qrsim.studies.slam.cooperative import CooperativeSlam
 
 MEANING = {
-    "white": "white", "own_as_white": "own, taken for white", "own_as_own_states": "own, as states of each",
-    "shared_as_white": "shared, taken for white", "shared_as_own_states": "shared, as states of each",
+    "white": "white",
+    "own_as_white": "own, taken for white",
+    "own_as_own_states": "own, as states of each",
+    "shared_as_white": "shared, taken for white",
+    "shared_as_own_states": "shared, as states of each",
     "shared_as_one_state": "shared, as one state of all",
-}  # fmt: skip
+}
 
 
 def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]) -> None:

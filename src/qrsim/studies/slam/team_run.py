@@ -74,10 +74,15 @@ def cooperative_from_run(
         RunError: the run lacks something that is needed, or the problem does not fit into memory.
     """
     check_numbers(
-        range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
-        process_noise=process_noise, state_period=state_period, between_std=between_std,
+        range_std=range_std,
+        range_limit=range_limit,
+        fix_std=fix_std,
+        bias_time_constant=bias_time_constant,
+        process_noise=process_noise,
+        state_period=state_period,
+        between_std=between_std,
         own_time_constant=own_time_constant,
-    )  # fmt: skip
+    )
     if between not in ("measured", "simulated", "none"):
         raise UsageError(f"between: '{between}' is not known; choose from measured, simulated, none")
     opened = run if isinstance(run, Run) else open_run(run)
@@ -91,10 +96,18 @@ def cooperative_from_run(
     flights = [first_states(flight, shortest) for flight in flights]
     rangings = _rangings(flights, landmarks_ned, landmarks_guess_ned, ranges, range_std, range_limit, number)
     found = estimate_together(
-        flights, rangings, _between(opened, names, flights, between, between_std, state_period, number), states=states,
-        prior=prior, fix_std=fix_std, bias_time_constant=bias_time_constant, common_share=common_share,
-        own_time_constant=own_time_constant, iterations=iterations, damping=damping,
-    )  # fmt: skip
+        flights,
+        rangings,
+        _between(opened, names, flights, between, between_std, state_period, number),
+        states=states,
+        prior=prior,
+        fix_std=fix_std,
+        bias_time_constant=bias_time_constant,
+        common_share=common_share,
+        own_time_constant=own_time_constant,
+        iterations=iterations,
+        damping=damping,
+    )
     for problem in found.problems:
         warn_user(problem)
     return found
@@ -109,9 +122,14 @@ def _check_names(names: Sequence[str]) -> None:
 
 
 def _rangings(
-    flights: Sequence[Flight], landmarks_ned: npt.ArrayLike | None, guess_ned: npt.ArrayLike | None,
-    ranges: Sequence[npt.ArrayLike] | None, std: float, limit: float, seed: int,
-) -> list[Ranging]:  # fmt: skip
+    flights: Sequence[Flight],
+    landmarks_ned: npt.ArrayLike | None,
+    guess_ned: npt.ArrayLike | None,
+    ranges: Sequence[npt.ArrayLike] | None,
+    std: float,
+    limit: float,
+    seed: int,
+) -> list[Ranging]:
     """Return the ranges of each vehicle to the landmarks: given, or simulated to given or drawn landmarks."""
     north_east = np.concatenate([flight.truth[:, :2] for flight in flights])
     known, guess = landmarks_given(north_east, landmarks_ned, guess_ned, ranges is not None, seed)
@@ -128,9 +146,14 @@ def _rangings(
 
 
 def _between(
-    run: Run, names: Sequence[str], flights: Sequence[Flight], kind: str, std: float | None, state_period: float,
+    run: Run,
+    names: Sequence[str],
+    flights: Sequence[Flight],
+    kind: str,
+    std: float | None,
+    state_period: float,
     seed: int,
-) -> Between:  # fmt: skip
+) -> Between:
     count = len(flights[0].truth)
     if kind == "none" or len(names) == 1:
         return no_ranges(len(names), count)

@@ -60,9 +60,15 @@ def _first(solved: list[CooperativeSlam]) -> Any:
 
 
 def compare(
-    seeds: Sequence[int], vehicles: int, duration: float, *, states: str = "full", gnss: str | None = None,
-    state_period: float = STATE_PERIOD, progress: Callable[[], None] = lambda: None,
-) -> TeamStudy:  # fmt: skip
+    seeds: Sequence[int],
+    vehicles: int,
+    duration: float,
+    *,
+    states: str = "full",
+    gnss: str | None = None,
+    state_period: float = STATE_PERIOD,
+    progress: Callable[[], None] = lambda: None,
+) -> TeamStudy:
     """Fly and solve N vehicles of each seed in all CASES.
 
     Args:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.sweep.results import Parameter, Results
 
-Array = np.ndarray[Any, Any]
 CONFIDENCE = 0.95
 RESAMPLES = 200
 # Of the logistic fit: of the squared coefficients, so that a boundary without any mixed point stays finite.
@@ -28,13 +27,13 @@ class Response:
     """
 
     parameter: Parameter
-    mean: Array
-    low: Array
-    high: Array
+    mean: NumpyArray
+    low: NumpyArray
+    high: NumpyArray
 
 
 def response(
-    results: Results, parameter: Parameter, values: Array, limits: tuple[float, float] = (-np.inf, np.inf)
+    results: Results, parameter: Parameter, values: NumpyArray, limits: tuple[float, float] = (-np.inf, np.inf)
 ) -> Response:
     """Compute the response of values (E,), which are within limits whatever is flown.
 
@@ -52,7 +51,7 @@ def response(
     return Response(parameter, *found)
 
 
-def _mean(values: Array, groups: Array, limits: tuple[float, float]) -> tuple[float, float, float]:
+def _mean(values: NumpyArray, groups: NumpyArray, limits: tuple[float, float]) -> tuple[float, float, float]:
     """Return mean and interval of values whose groups are independent; the interval stays within limits."""
     from scipy.stats import t
 
@@ -69,7 +68,7 @@ def _mean(values: Array, groups: Array, limits: tuple[float, float]) -> tuple[fl
     return mean, max(mean - half, limits[0]), min(mean + half, limits[1])
 
 
-def share_interval(share: float, shares: Array, count: int) -> tuple[float, float]:
+def share_interval(share: float, shares: NumpyArray, count: int) -> tuple[float, float]:
     """Return the exact interval (Clopper and Pearson 1934) of a share of ``count`` episodes.
 
     Episodes of one group are not independent: as many count as would give the variance between the groups (Korn and
@@ -102,7 +101,7 @@ def failures(results: Results, parameter: Parameter) -> Response:
     return response(results, parameter, results.failed.astype(float))
 
 
-def heat_map(one: Parameter, other: Parameter, values: Array) -> Array:
+def heat_map(one: Parameter, other: Parameter, values: NumpyArray) -> NumpyArray:
     """Compute the mean of values (E,) at each pair of levels (L1, L2), NaN for a pair without episodes."""
     fine = np.isfinite(values)
     cell = one.level[fine] * len(other.levels) + other.level[fine]
@@ -127,16 +126,16 @@ class Boundary:
 
     parameters: tuple[Parameter, ...]
     squares: bool
-    coefficients: Array
-    middle: Array
-    scale: Array
-    resampled: Array
+    coefficients: NumpyArray
+    middle: NumpyArray
+    scale: NumpyArray
+    resampled: NumpyArray
 
-    def probability(self, values: Array) -> Array:
+    def probability(self, values: NumpyArray) -> NumpyArray:
         """Return the probability of failure at values (..., d) on even scales."""
         return _logistic(self._terms(values) @ self.coefficients)
 
-    def band(self, values: Array) -> tuple[Array, Array] | None:
+    def band(self, values: NumpyArray) -> tuple[NumpyArray, NumpyArray] | None:
         """Return the interval of the probability at such values, None with too few seeds."""
         if not len(self.resampled):
             return None
@@ -144,7 +143,7 @@ class Boundary:
         low, high = np.quantile(found, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], axis=-1)
         return low, high
 
-    def _terms(self, values: Array) -> Array:
+    def _terms(self, values: NumpyArray) -> NumpyArray:
         return terms((values - self.middle) / self.scale, self.squares)
 
     def crossing(self, number: int) -> tuple[float, float, float] | None:
@@ -169,7 +168,7 @@ class Boundary:
             low, high = min(low, beside[0]), max(high, beside[1])
         return tuple(parameter.uneven(np.array([at, low, high])).tolist())
 
-    def line(self, number: int, count: int) -> Array:
+    def line(self, number: int, count: int) -> NumpyArray:
         """Return values (count, d) along one parameter, the others mid-range."""
         line = np.tile(self.middle, (count, 1))
         middle, scale = float(self.middle[number]), float(self.scale[number])
@@ -187,7 +186,7 @@ class Boundary:
         return (float(levels[i - 1]), float(levels[i])) if sure else (at, at)
 
 
-def _half(values: Array, score: Array) -> float | None:
+def _half(values: NumpyArray, score: NumpyArray) -> float | None:
     crossings = np.flatnonzero(np.diff(np.signbit(score)))
     if not len(crossings):
         return None
@@ -195,7 +194,7 @@ def _half(values: Array, score: Array) -> float | None:
     return float(values[i] + (values[i + 1] - values[i]) * score[i] / (score[i] - score[i + 1]))
 
 
-def terms(values: Array, squares: bool) -> Array:
+def terms(values: NumpyArray, squares: bool) -> NumpyArray:
     """Return the terms of a logistic model at standardised values (..., d)."""
     count = values.shape[-1]
     parts = [np.ones(values.shape[:-1]), *(values[..., i] for i in range(count))]
@@ -204,7 +203,7 @@ def terms(values: Array, squares: bool) -> Array:
     return np.stack(parts, axis=-1)
 
 
-def _logistic(score: Array) -> Array:
+def _logistic(score: NumpyArray) -> NumpyArray:
     return 1.0 / (1.0 + np.exp(-np.clip(score, -50.0, 50.0)))
 
 
@@ -230,7 +229,7 @@ def boundary(results: Results) -> Boundary | str:
 class _Counts:
     """Episodes and failures at each point, of all seeds or of resampled ones."""
 
-    def __init__(self, results: Results, values: Array):
+    def __init__(self, results: Results, values: NumpyArray):
         _, first, self._point = np.unique(results.points, return_index=True, return_inverse=True)
         self.values = values[first]
         seeds, self._seed = np.unique(results.seeds, return_inverse=True)
@@ -240,24 +239,26 @@ class _Counts:
         self.resamples = RESAMPLES if self._seeds >= 3 or self._seeds == 1 else 0
         self.flown, self.failed = self._count(np.ones(self._seeds if self._seeds > 1 else len(first)))
 
-    def _count(self, weights: Array) -> tuple[Array, Array]:
+    def _count(self, weights: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
         weight = weights[self._seed if self._seeds > 1 else self._point]
         return np.bincount(self._point, weight), np.bincount(self._point, weight * self._failed)
 
-    def drawn(self, number: int) -> tuple[Array, Array]:
+    def drawn(self, number: int) -> tuple[NumpyArray, NumpyArray]:
         """Return episodes and failures of a resample of the seeds, or of the points where there is one seed."""
         size = self._seeds if self._seeds > 1 else len(self.values)
         random = np.random.default_rng(number)
         return self._count(np.bincount(random.integers(0, size, size), minlength=size).astype(float))
 
 
-def _fit(rows: Array, flown: Array, failed: Array, start: Array | None = None) -> tuple[Array, float]:
+def _fit(
+    rows: NumpyArray, flown: NumpyArray, failed: NumpyArray, start: NumpyArray | None = None
+) -> tuple[NumpyArray, float]:
     """Return the coefficients of the most likely logistic model, and Akaike's criterion."""
     from scipy.optimize import minimize
 
     total = flown.sum()
 
-    def loss(coefficients: Array) -> tuple[float, Array]:
+    def loss(coefficients: NumpyArray) -> tuple[float, NumpyArray]:
         score = rows @ coefficients
         unlikely = flown * np.logaddexp(0.0, score) - failed * score
         slope = rows.T @ (flown * _logistic(score) - failed)
@@ -281,13 +282,13 @@ class Sensitivity:
     """
 
     names: tuple[str, ...]
-    first: Array
-    first_half: Array
-    total: Array
-    total_half: Array
+    first: NumpyArray
+    first_half: NumpyArray
+    total: NumpyArray
+    total_half: NumpyArray
 
 
-def sensitivity(results: Results, values: Array) -> Sensitivity | str:
+def sensitivity(results: Results, values: NumpyArray) -> Sensitivity | str:
     """Compute Sobol indices by SALib; return a reason if there are none."""
     sampling = results.spec.sampling
     if sampling is None or sampling.type != "saltelli":

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.scenarios.reading import apply_override
 from qrsim.studies.sweep.study import Content, StudySpec
 from qrsim.studies.sweep.varying import Condition, assignment
 
-Array = np.ndarray[Any, Any]
 COUNT = ".vehicles.count"
 
 
@@ -48,7 +48,7 @@ class Axis:
         )
 
     @property
-    def labels(self) -> Array:
+    def labels(self) -> NumpyArray:
         """Return the values as a coordinate: numbers, or texts if any value is not a number."""
         assert self.values is not None
         if all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values):
@@ -60,7 +60,7 @@ class Axis:
         """Return the smallest and the largest value of numbers."""
         return (self.low, self.high) if self.values is None else (min(self.values), max(self.values))
 
-    def scaled(self, unit: Array) -> Array:
+    def scaled(self, unit: NumpyArray) -> NumpyArray:
         """Return the values of numbers in [0, 1)."""
         if self.log:
             return np.exp(np.log(self.low) + unit * (np.log(self.high) - np.log(self.low)))
@@ -84,13 +84,13 @@ def axes_of(spec: StudySpec) -> tuple[Axis, ...]:
     return tuple(found)
 
 
-def apply(content: Content, path: str, value: Any) -> None:
+def apply(content: Content, path: str, value: object) -> None:
     """Set a value of the content of a scenario, or those of a condition, in place."""
     for text in overrides(content, path, value):
         apply_override(content, text)
 
 
-def overrides(content: Content, path: str, value: Any) -> list[str]:
+def overrides(content: Content, path: str, value: object) -> list[str]:
     """Return the arguments of ``qrsim run --set`` that set a value, or those of a condition.
 
     Raises:

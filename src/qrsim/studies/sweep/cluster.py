@@ -35,7 +35,7 @@ class Tls:
         for option, file in (("--tls-ca", self.ca), ("--tls-cert", self.cert), ("--tls-key", self.key)):
             if not file.is_file():
                 raise UsageError(f"{option} {file}: no such file{did_you_mean_file(file)}")
-        return Security(  # type: ignore[no-untyped-call]
+        return Security(
             tls_ca_file=str(self.ca),
             tls_client_cert=str(self.cert),
             tls_client_key=str(self.key),
@@ -78,20 +78,21 @@ def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> I
                 # A cluster that is interrupted while it starts leaves processes behind.
                 with calling(lambda: None):
                     cluster = open_ones.enter_context(
-                        distributed.LocalCluster(  # type: ignore[no-untyped-call]
-                            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+                        distributed.LocalCluster(
+                            n_workers=workers,
+                            threads_per_worker=1,
+                            processes=True,
+                            dashboard_address="127.0.0.1:0",
                             scheduler_kwargs={"dashboard": False},
                             silence_logs=logging.CRITICAL,
-                            security=Security.temporary(),  # type: ignore[no-untyped-call]
+                            security=Security.temporary(),
                         )
-                    )  # fmt: skip
-                    client = open_ones.enter_context(distributed.Client(cluster))  # type: ignore[no-untyped-call]
+                    )
+                    client = open_ones.enter_context(distributed.Client(cluster))
                 yield client
             return
         try:
-            client = distributed.Client(  # type: ignore[no-untyped-call]
-                scheduler, timeout=WAIT_S, set_as_default=False, security=security
-            )
+            client = distributed.Client(scheduler, timeout=WAIT_S, set_as_default=False, security=security)
         except (OSError, ValueError, TypeError) as error:
             raise RunError(
                 f"--scheduler {scheduler}: no scheduler answers there ({_reason(error)}); 'dask scheduler' starts one "

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.runs.picture import new_figure
 from qrsim.studies.sweep.analysis import CONFIDENCE, Boundary, Response, Sensitivity, heat_map, share_interval
 from qrsim.studies.sweep.results import Parameter, Results
 
-Array = np.ndarray[Any, Any]
 NOT_FLOWN = "0.85"
 BAND = f"{100 * CONFIDENCE:.0f} % interval"
 
@@ -35,12 +35,12 @@ def _metric(results: Results, name: str) -> str:
     return f"{name} [{unit}]" if unit != "1" else name
 
 
-def _places(parameter: Parameter) -> Array:
+def _places(parameter: Parameter) -> NumpyArray:
     """Return where the levels of a parameter are on an axis."""
     return np.asarray(parameter.levels, float) if parameter.numeric else np.arange(len(parameter.levels), dtype=float)
 
 
-def edges(parameter: Parameter) -> Array:
+def edges(parameter: Parameter) -> NumpyArray:
     """Return the limits (L + 1,) of the levels of a parameter on an axis.
 
     Of numbers the outermost are the lowest and the highest that were flown: a map says nothing beyond them.
@@ -76,9 +76,14 @@ def draw_responses(results: Results, metrics: Sequence[str], found: dict[str, li
             places = _places(item.parameter)
             line = "o-" if item.parameter.numeric else "o"
             axes.errorbar(
-                places, item.mean, yerr=[item.mean - item.low, item.high - item.mean], fmt="none", color="tab:blue",
-                capsize=2, lw=1.0,
-            )  # fmt: skip
+                places,
+                item.mean,
+                yerr=[item.mean - item.low, item.high - item.mean],
+                fmt="none",
+                color="tab:blue",
+                capsize=2,
+                lw=1.0,
+            )
             if item.parameter.numeric:
                 axes.fill_between(places, item.low, item.high, color="tab:blue", alpha=0.2, lw=0)
             axes.plot(places, item.mean, line, color="tab:blue", ms=4)
@@ -102,7 +107,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
     return figure
 
 
-def _mesh(axes: Any, pair: tuple[Parameter, Parameter], values: Array, colours: str, **limits: Any) -> Any:
+def _mesh(axes: Any, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, **limits: Any) -> Any:
     """Draw a map, the first parameter to the right."""
     one, other = pair
     image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, **limits)
@@ -139,15 +144,14 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
     grid[..., which[0]], grid[..., which[1]] = np.meshgrid(*lines)
     shown = [parameter.uneven(line) for parameter, line in zip(pair, lines, strict=True)]
     chances = np.where(_is_flown(pair, shown, shares), found.probability(grid), np.nan)
-    curves = axes.contour(*shown, chances, [0.1, 0.5, 0.9], colors="black",
-                          linestyles=["dotted", "solid", "dashed"])  # fmt: skip
+    curves = axes.contour(*shown, chances, [0.1, 0.5, 0.9], colors="black", linestyles=["dotted", "solid", "dashed"])
     axes.clabel(curves, fmt=lambda part: f"{100 * part:.0f} %")
     others = " (the others at their middle)" if len(found.parameters) > 2 else ""
     _name(figure, results, f"failed: {results.failure}\nlines: logistic fit{others}")
     return figure
 
 
-def _is_flown(pair: tuple[Parameter, Parameter], lines: list[Array], values: Array) -> Array:
+def _is_flown(pair: tuple[Parameter, Parameter], lines: list[NumpyArray], values: NumpyArray) -> NumpyArray:
     """Return for places (Y, X) whether they are in a cell of a map (L1, L2) that has episodes."""
     cells = [
         np.clip(np.searchsorted(edges(parameter), line, side="right") - 1, 0, len(parameter.levels) - 1)
@@ -165,9 +169,14 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
             parameter, results.failed, results.points if parameter.sampled else results.seeds
         )
         axes.errorbar(
-            _places(parameter), middle, yerr=[middle - low, high - middle], fmt="o", color="tab:red", capsize=3,
+            _places(parameter),
+            middle,
+            yerr=[middle - low, high - middle],
+            fmt="o",
+            color="tab:red",
+            capsize=3,
             label=f"part that failed, {BAND}",
-        )  # fmt: skip
+        )
         line = found.line(i, 200)
         shown = parameter.uneven(line[:, i])
         axes.plot(shown, found.probability(line), "k-", label="logistic fit")
@@ -184,7 +193,9 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
     return figure
 
 
-def failure_parts(parameter: Parameter, failed: Array, groups: Array) -> tuple[Array, Array, Array]:
+def failure_parts(
+    parameter: Parameter, failed: NumpyArray, groups: NumpyArray
+) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
     """Return low end, share and high end of the failed share at each level (L,), with its exact interval.
 
     ``groups`` (E,) are what is independent; see ``share_interval``.
@@ -205,8 +216,10 @@ def draw_sensitivity(results: Results, found: Sensitivity, metric: str) -> Figur
     figure = new_figure(7.0, 1.8 + 0.7 * len(found.names))
     axes = figure.subplots()
     places = np.arange(len(found.names))
-    pairs = ((found.total, found.total_half, "with others (total)", 0.2, "tab:orange"),
-             (found.first, found.first_half, "alone (first order)", -0.2, "tab:blue"))  # fmt: skip
+    pairs = (
+        (found.total, found.total_half, "with others (total)", 0.2, "tab:orange"),
+        (found.first, found.first_half, "alone (first order)", -0.2, "tab:blue"),
+    )
     for values, half, label, shift, colour in pairs:
         axes.barh(places + shift, values, 0.38, xerr=half, label=label, color=colour, capsize=3)
     axes.set_yticks(places, found.names)

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import QrsimError
 from qrsim.studies.sweep.job import Job, goals
 from qrsim.studies.sweep.metrics import Metric, of_episodes
 
-Array = np.ndarray[Any, Any]
 # The engine keeps its programs in one place for a process.
 _ALONE = threading.Lock()
 
 
-def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
+def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
     """Fly a batch and return its metrics (W,), or the reason it cannot be flown."""
     from qrsim.engine.settings import configure
 
@@ -86,7 +86,7 @@ def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
     return found
 
 
-def _roll_out(job: Job) -> dict[str, Array]:
+def _roll_out(job: Job) -> dict[str, NumpyArray]:
     """Fly the worlds of a batch side by side."""
     import jax
 
@@ -117,7 +117,7 @@ def _roll_out(job: Job) -> dict[str, Array]:
 
 
 @lru_cache(maxsize=8)
-def _beside_built_in(own_metrics: Any) -> Any:
+def _beside_built_in(own_metrics: object) -> Any:
     """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
     from qrsim.interface.metrics import FLIGHT_METRICS
     from qrsim.studies.sweep.own_metrics import BothMetrics

@@ -12,13 +12,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.sweep.axes import Axis, apply
 from qrsim.studies.sweep.study import Content
 from qrsim.world.state import World
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,9 @@ class Place:
 
     path: str
     in_degrees: bool
-    parts: tuple[tuple[int, Array], ...]
+    parts: tuple[tuple[int, NumpyArray], ...]
 
-    def values(self, given: Array) -> Array:
+    def values(self, given: NumpyArray) -> NumpyArray:
         """Convert scenario values to the World's units, in double precision."""
         return np.array([math.radians(value) for value in given]) if self.in_degrees else np.asarray(given, np.float64)
 
@@ -66,15 +65,17 @@ class Group:
         return sum(fleet.size for fleet in self.world.fleets)
 
     @cached_property
-    def _leaves(self) -> tuple[list[Array], Any]:
+    def _leaves(self) -> tuple[list[NumpyArray], Any]:
         leaves, structure = jax.tree.flatten(self.world)
         return [np.asarray(leaf) for leaf in leaves], structure
 
-    def varied(self, numbers: Mapping[str, Array]) -> tuple[Any, list[Array], list[Array], tuple[bool, ...]]:
+    def varied(
+        self, numbers: Mapping[str, NumpyArray]
+    ) -> tuple[Any, list[NumpyArray], list[NumpyArray], tuple[bool, ...]]:
         """Return structure, shared leaves, varied leaves (W, ...), and the flags that tell them apart."""
         assert self.places is not None
         leaves, structure = self._leaves
-        own: dict[int, Array] = {}
+        own: dict[int, NumpyArray] = {}
         for place in self.places:
             values = place.values(numbers[place.path])
             for leaf, elements in place.parts:
@@ -85,7 +86,7 @@ class Group:
         fixed = [leaf for leaf, varies in zip(leaves, which, strict=True) if not varies]
         return structure, fixed, [own[i] for i in sorted(own)], which
 
-    def loaded(self, numbers: Mapping[str, Array], precision: str) -> list[World]:
+    def loaded(self, numbers: Mapping[str, NumpyArray], precision: str) -> list[World]:
         """Return the world of each point, loaded one by one."""
         found: dict[tuple[Any, ...], World] = {}
         rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
@@ -94,12 +95,12 @@ class Group:
                 found[row] = self.scenario(dict(zip(self.paths, row, strict=True))).world(precision)
         return [found[row] for row in rows]
 
-    def scenario(self, values: Mapping[str, Any]) -> Scenario:
+    def scenario(self, values: Mapping[str, object]) -> Scenario:
         """Return the scenario of a point."""
         return scenario_at(self.content, values)
 
 
-def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
+def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
     """Return the scenario of the given content with values set.
 
     Raises:
@@ -111,7 +112,7 @@ def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
     return load_scenario(changed, quiet=True)
 
 
-def faults(content: Content, values: Mapping[str, Any]) -> list[str]:
+def faults(content: Content, values: Mapping[str, object]) -> list[str]:
     """Return the faults of a point, one sentence each."""
     try:
         scenario_at(content, values)
@@ -134,7 +135,7 @@ def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
     )
 
 
-def make_group(content: Content, choices: Mapping[str, Any], numbers: Iterable[Axis], precision: str) -> Group:
+def make_group(content: Content, choices: Mapping[str, object], numbers: Iterable[Axis], precision: str) -> Group:
     """Build the group of some structural choices; the numbers in ``numbers`` vary in it.
 
     Raises:
@@ -167,7 +168,7 @@ def _mixed(axes: tuple[Axis, ...]) -> list[dict[str, Any]]:
     return [highest, other]
 
 
-def _alike(group: Group, base: Content, values: Mapping[str, Any], precision: str) -> bool:
+def _alike(group: Group, base: Content, values: Mapping[str, object], precision: str) -> bool:
     structure, fixed, own, which = group.varied({path: np.array([value], float) for path, value in values.items()})
     shares, owns = iter(fixed), iter(own)
     mine = [next(owns)[0] if varies else next(shares) for varies in which]
@@ -176,16 +177,16 @@ def _alike(group: Group, base: Content, values: Mapping[str, Any], precision: st
     return repr(structure) == repr(other) and all(map(_same_bits, mine, theirs))
 
 
-def _same_bits(one: Any, other: Any) -> bool:
+def _same_bits(one: object, other: object) -> bool:
     return bool(np.asarray(one).tobytes() == np.asarray(other).tobytes())
 
 
 def _places(
-    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, Any], world: World, precision: str
+    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
     """Return where the World has each number, None where one of them is not simply there."""
     found = []
-    taken: dict[int, Array] = {}
+    taken: dict[int, NumpyArray] = {}
     for axis in axes:
         place = _place(base, axis, lowest, world, precision)
         if place is None:
@@ -198,7 +199,7 @@ def _places(
     return tuple(found)
 
 
-def _place(base: Content, axis: Axis, lowest: Mapping[str, Any], world: World, precision: str) -> Place | None:
+def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
     low, high = axis.ends()
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
@@ -216,7 +217,7 @@ def _middle(axis: Axis) -> Any:
     return sorted(axis.values)[len(axis.values) // 2]
 
 
-def _parts(leaves: list[list[Array]], values: list[float]) -> tuple[tuple[int, Array], ...]:
+def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[int, NumpyArray], ...]:
     """Return the elements of leaves that are these values; none where one changes in another way."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):

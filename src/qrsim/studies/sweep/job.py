@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from qrsim.core.arrays import NumpyArray
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Job:
     """
 
     group: bytes
-    numbers: dict[str, Array]
-    seeds: Array
+    numbers: dict[str, NumpyArray]
+    seeds: NumpyArray
     metrics: tuple[str, ...]
     policy: str | None
     estimator: str | None
@@ -37,7 +37,7 @@ class Job:
     own_metrics: str | None = None
 
 
-def goals(world: Any) -> Array:
+def goals(world: Any) -> NumpyArray:
     """Return the last waypoint of each vehicle (n, 3) [m]."""
     found = []
     for fleet in world.fleets:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
-Found = Mapping[str, Array]
+from qrsim.core.arrays import NumpyArray
+
+Found = Mapping[str, NumpyArray]
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,14 @@ class Metric:
 
     unit: str
     doc: str
-    of: Callable[[Found], Array]
+    of: Callable[[Found], NumpyArray]
     low_is_bad: bool = False
     task: bool = False
     limits: tuple[float, float] = (0.0, np.inf)
 
 
-def _over(reduce: Callable[..., Array], name: str) -> Callable[[Found], Array]:
-    def of(found: Found) -> Array:
+def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
+    def of(found: Found) -> NumpyArray:
         with warnings.catch_warnings():
             # A vehicle without a value does not count; an episode in which nobody has one has none.
             warnings.simplefilter("ignore", RuntimeWarning)
@@ -44,12 +44,12 @@ def _over(reduce: Callable[..., Array], name: str) -> Callable[[Found], Array]:
     return of
 
 
-def _root_mean_square(values: Array, axis: int) -> Array:
+def _root_mean_square(values: NumpyArray, axis: int) -> NumpyArray:
     return np.sqrt(np.nanmean(values * values, axis=axis))
 
 
-def _stopped(*kinds: str) -> Callable[[Found], Array]:
-    def of(found: Found) -> Array:
+def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
+    def of(found: Found) -> NumpyArray:
         from qrsim.models.scene.area import REASONS
 
         bad = [code for code, (kind, _) in enumerate(REASONS) if code and (not kinds or kind in kinds)]
@@ -58,7 +58,7 @@ def _stopped(*kinds: str) -> Callable[[Found], Array]:
     return of
 
 
-def _end_error(found: Found) -> Array:
+def _end_error(found: Found) -> NumpyArray:
     offset = np.asarray(found["position_ned"], np.float64) - found["goal_ned"]
     return _root_mean_square(np.sqrt(np.sum(offset * offset, axis=-1)), axis=1)
 
@@ -113,7 +113,7 @@ METRICS: dict[str, Metric] = {
 }  # fmt: skip
 
 
-def of_episodes(names: tuple[str, ...], found: Found, own: Mapping[str, Metric]) -> dict[str, Array]:
+def of_episodes(names: tuple[str, ...], found: Found, own: Mapping[str, Metric]) -> dict[str, NumpyArray]:
     """Compute metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...).
 
     Args:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.scenarios.registry import made
 from qrsim.studies.sweep.metrics import METRICS, Found, Metric
 
-Array = np.ndarray[Any, Any]
-OVER: dict[str, Callable[..., Array]] = {
+OVER: dict[str, Callable[..., NumpyArray]] = {
     "mean": np.nanmean,
     "max": np.nanmax,
     "min": np.nanmin,
@@ -38,7 +38,7 @@ def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
     return found, {str(name): _metric(source, str(name), about) for name, about in numbers.items()}
 
 
-def _metric(source: str, name: str, about: Any) -> Metric:
+def _metric(source: str, name: str, about: object) -> Metric:
     where = f"own_metrics: {source}: numbers: {name}"
     if name in METRICS or not name.isidentifier():
         raise UsageError(f"{where}: the name is {'a built-in metric' if name in METRICS else 'no name'}; give another")
@@ -56,10 +56,10 @@ def _metric(source: str, name: str, about: Any) -> Metric:
     return Metric(about["unit"], about["doc"], _episode(source, name, OVER[over]), bool(about.get("low_is_bad", False)))
 
 
-def _episode(source: str, name: str, reduce: Callable[..., Array]) -> Callable[[Found], Array]:
+def _episode(source: str, name: str, reduce: Callable[..., NumpyArray]) -> Callable[[Found], NumpyArray]:
     """Return what makes a number of each episode (W,) of those of its vehicles (W, n), or of itself."""
 
-    def of(found: Found) -> Array:
+    def of(found: Found) -> NumpyArray:
         if name not in found:
             raise UsageError(f"own_metrics: {source}: finish does not return '{name}'; it returns {sorted(found)}")
         values = np.asarray(found[name], np.float64)

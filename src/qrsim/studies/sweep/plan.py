@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.sweep.axes import Axis
 from qrsim.studies.sweep.groups import Group
 from qrsim.studies.sweep.sampling import Sample
 from qrsim.studies.sweep.study import BASELINE, Study
 
-Array = np.ndarray[Any, Any]
 SEED, POINT = "seed", "point"
 # A batch is about a second of work for a core, and a small study has some batches all the same.
 VEHICLE_TICKS, FEWEST_BATCHES, MOST_VEHICLES = 3_000_000, 16, 4096
@@ -40,8 +40,8 @@ class Batch:
     region: tuple[slice, ...]
     shape: tuple[int, ...]
     group: tuple[int, ...]
-    numbers: dict[str, Array]
-    seeds: Array
+    numbers: dict[str, NumpyArray]
+    seeds: NumpyArray
 
     @property
     def episodes(self) -> int:
@@ -60,9 +60,8 @@ class Plan:
     """
 
     def __init__(
-        self, study: Study, axes: tuple[Axis, ...], structural: tuple[str, ...],
-        groups: Mapping[tuple[int, ...], Group],
-    ):  # fmt: skip
+        self, study: Study, axes: tuple[Axis, ...], structural: tuple[str, ...], groups: Mapping[tuple[int, ...], Group]
+    ):
         self.study, self.axes, self.groups = study, axes, groups
         self.structural = structural
         sampling = study.spec.sampling
@@ -146,7 +145,7 @@ class Plan:
         region = self.region(index)
         shape = tuple(part.stop - part.start for part in region)
         chosen: dict[str, int] = {}
-        numbers: dict[str, Array] = {}
+        numbers: dict[str, NumpyArray] = {}
         for axis, values, dimension in self._columns(region):
             if axis.path in self.structural:
                 chosen[axis.path] = int(values[0])
@@ -158,7 +157,7 @@ class Plan:
         seeds = np.ascontiguousarray(np.broadcast_to(seeds, shape)).reshape(-1)
         return Batch(index, region, shape, tuple(chosen[path] for path in self.structural), numbers, seeds)
 
-    def _columns(self, region: tuple[slice, ...]) -> Iterator[tuple[Axis, Array, int]]:
+    def _columns(self, region: tuple[slice, ...]) -> Iterator[tuple[Axis, NumpyArray, int]]:
         """Yield each axis with its values in a region, or the number of the value where it is structural."""
         for dimension, axis in enumerate(self.crossed):
             yield axis, self._of(axis, region[dimension]), dimension
@@ -168,13 +167,13 @@ class Plan:
             for axis in self.sampled:
                 yield axis, rows[axis.path], len(self.crossed)
 
-    def _of(self, axis: Axis, part: slice) -> Array:
+    def _of(self, axis: Axis, part: slice) -> NumpyArray:
         assert axis.values is not None
         if axis.path in self.structural:
             return np.arange(part.start, part.stop)
         return np.array(axis.values)[part]
 
-    def rows(self, start: int, stop: int) -> dict[str, Array]:
+    def rows(self, start: int, stop: int) -> dict[str, NumpyArray]:
         """Return the values of the sampled parameters at some points, by path; indices of structural ones."""
         if self.sample is None:
             return {axis.path: self._of(axis, slice(start, stop)) for axis in self.sampled}

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.scenarios.scenario import Scenario
@@ -19,10 +20,8 @@ from qrsim.studies.sweep.job import Job, goals
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import BaselinePolicy, baseline
 
-Array = np.ndarray[Any, Any]
 
-
-def play(group: Group, job: Job) -> dict[str, Array]:
+def play(group: Group, job: Job) -> dict[str, NumpyArray]:
     """Fly a batch with the baseline; return metrics of all vehicles (W, n, ...) and of the task (W,).
 
     Raises:
@@ -58,7 +57,7 @@ class _Point:
         self.simulation = Simulation(self.world, name=scenario.name, site=scenario.site)
         self.policy = _Policy(self.play)
 
-    def episode(self, seed: int) -> dict[str, Array]:
+    def episode(self, seed: int) -> dict[str, NumpyArray]:
         """Fly an episode."""
         simulation, world = self.simulation, self.world
         simulation.reset(seed=seed)
@@ -94,7 +93,7 @@ def _summed() -> Any:
     return jax.jit(summed)
 
 
-def _finds(state: Any, time_step: float) -> dict[str, Array]:
+def _finds(state: Any, time_step: float) -> dict[str, NumpyArray]:
     """Return the metrics of persons found, (1,) each; NaN without persons."""
     persons = state.contents.persons
     if persons is None:

@@ -97,7 +97,7 @@ def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[dict[str, Any]]:
 def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]]) -> dict[Any, str]:
     """Return the values of an axis that are not allowed, and why; of a range its ends."""
 
-    def wrong(value: Any) -> str:
+    def wrong(value: object) -> str:
         found = ""
         for other in others:
             found = "; ".join(faults(content, {**other, axis.path: value}))
@@ -136,7 +136,7 @@ def _by_halving(ordered: list[Any], wrong: Callable[[Any], str]) -> dict[Any, st
     return bad
 
 
-def _key(value: Any) -> Any:
+def _key(value: object) -> Any:
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
@@ -187,12 +187,13 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
             groups[key] = _group(study, chosen, numbers)
     if wrong:
         more = [f"... and {len(wrong) - MOST_LISTED} more"] if len(wrong) > MOST_LISTED else []
-        raise ScenarioError(f"{study.spec.name}: values that do not go together, nothing was flown",
-                            wrong[:MOST_LISTED] + more)  # fmt: skip
+        raise ScenarioError(
+            f"{study.spec.name}: values that do not go together, nothing was flown", wrong[:MOST_LISTED] + more
+        )
     return groups
 
 
-def _group(study: Study, chosen: Mapping[str, Any], numbers: tuple[Axis, ...]) -> Group:
+def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]) -> Group:
     if study.spec.policy != BASELINE:
         return make_group(study.content, chosen, numbers, study.spec.precision)
     # Flown one by one from its scenario.
@@ -205,7 +206,7 @@ def _group(study: Study, chosen: Mapping[str, Any], numbers: tuple[Axis, ...]) -
     return Group(content, world, scenario.ticks, scenario.spec.time_step, None, paths)
 
 
-def _point(values: Mapping[str, Any]) -> str:
+def _point(values: Mapping[str, object]) -> str:
     return ", ".join(f"{path} = {value!r}" for path, value in values.items())
 
 

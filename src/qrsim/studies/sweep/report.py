@@ -74,9 +74,15 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         for name in metrics
     }
     return Report(
-        results, chosen, metrics, responses, _pair(results, pair), analysis.boundary(results),
-        analysis.sensitivity(results, values), analysis.worst(results, chosen, WORST),
-    )  # fmt: skip
+        results,
+        chosen,
+        metrics,
+        responses,
+        _pair(results, pair),
+        analysis.boundary(results),
+        analysis.sensitivity(results, values),
+        analysis.worst(results, chosen, WORST),
+    )
 
 
 def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | None:
@@ -211,7 +217,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> dict[str, Any]:
     }
 
 
-def _plain(values: Any) -> list[float | None]:
+def _plain(values: object) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
@@ -246,7 +252,7 @@ def _named(results: Results, episode: int) -> dict[str, Any]:
     return {results.spec.vary[path].name or path: value for path, value in values.items()}
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 30 else f"{text[:27]}..."
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError, did_you_mean, did_you_mean_file, shortened
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.studies.sweep.metrics import METRICS
 from qrsim.studies.sweep.store import FLOWN, KIND
 from qrsim.studies.sweep.study import Content, StudySpec
 
-Array = np.ndarray[Any, Any]
 # More values of a parameter than these are put together in so many classes of equal size.
 MOST_LEVELS, CLASSES = 30, 12
 
@@ -40,18 +40,18 @@ class Parameter:
 
     name: str
     unit: str
-    levels: Array
-    level: Array
-    values: Array
+    levels: NumpyArray
+    level: NumpyArray
+    values: NumpyArray
     numeric: bool
     sampled: bool
     log: bool
 
-    def even(self, values: Array) -> Array:
+    def even(self, values: NumpyArray) -> NumpyArray:
         """Map values to the scale on which they are evenly spaced."""
         return np.log(values) if self.log else values
 
-    def uneven(self, values: Array) -> Array:
+    def uneven(self, values: NumpyArray) -> NumpyArray:
         """Invert ``even``."""
         return np.exp(values) if self.log else values
 
@@ -106,21 +106,21 @@ class Results:
         return len(self.flown)
 
     @cached_property
-    def seeds(self) -> Array:
+    def seeds(self) -> NumpyArray:
         """Seed of each episode (E,)."""
         return self._spread("seed")[self.flown]
 
     @cached_property
-    def positions(self) -> Array:
+    def positions(self) -> NumpyArray:
         """Flat index (E,) of each episode in the Dataset."""
         return np.flatnonzero(self.flown)
 
     @cached_property
-    def points(self) -> Array:
+    def points(self) -> NumpyArray:
         """Index (E,) of each episode's point."""
         return self.positions // self.dataset.sizes["seed"]
 
-    def metric(self, name: str) -> Array:
+    def metric(self, name: str) -> NumpyArray:
         """Return a metric (E,).
 
         Raises:
@@ -129,7 +129,7 @@ class Results:
         known = [str(key) for key in self.dataset.data_vars if key != FLOWN]
         if name not in known:
             raise UsageError(f"{self.path}: no metric is called '{name}'{did_you_mean(name, known)}")
-        found: Array = self.dataset[name].values.ravel()[self.flown].astype(np.float64)
+        found: NumpyArray = self.dataset[name].values.ravel()[self.flown].astype(np.float64)
         return found
 
     def unit(self, metric: str) -> str:
@@ -147,7 +147,7 @@ class Results:
         return bool(self.dataset[metric].attrs.get("low_is_bad", known))
 
     @cached_property
-    def failed(self) -> Array:
+    def failed(self) -> NumpyArray:
         """Return whether each episode failed (E,); one without the metric did not."""
         failure = self.spec.failure
         values = self.metric(failure.metric)
@@ -163,7 +163,7 @@ class Results:
         unit = self.unit(failure.metric)
         return f"{failure.metric} {word} {limit:g}{'' if unit == '1' else f' {unit}'}"
 
-    def _spread(self, name: str) -> Array:
+    def _spread(self, name: str) -> NumpyArray:
         """Return a coordinate at every place of the Dataset."""
         return np.broadcast_to(
             self.dataset[name].broadcast_like(self.dataset[FLOWN]).transpose(*self.dataset[FLOWN].dims).values,
@@ -197,7 +197,7 @@ class Results:
         log = any((item.name or path) == name and item.scale == "log" for path, item in self.spec.vary.items())
         return Parameter(name, unit, levels, level[at], np.asarray(values, np.float64), numeric, sampled, log)
 
-    def _spread_index(self, name: str) -> Array:
+    def _spread_index(self, name: str) -> NumpyArray:
         """Return which entry of a coordinate each episode has (E,)."""
         flown = self.dataset[FLOWN]
         (dimension,) = self.dataset[name].dims

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import warnings
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.sweep.study import SamplingSpec
-
-Array = np.ndarray[Any, Any]
 
 
 class Sample:
@@ -32,7 +30,7 @@ class Sample:
         """Number of points: of saltelli, d + 2 for each of the base sample."""
         return self.base * (self.dimensions + 2) if self.spec.type == "saltelli" else self.base
 
-    def rows(self, start: int, stop: int) -> Array:
+    def rows(self, start: int, stop: int) -> NumpyArray:
         """Return points ``start`` to ``stop`` (k, d), each number in [0, 1)."""
         if self.spec.type == "latin_hypercube":
             return self._hypercube[start:stop]
@@ -50,13 +48,15 @@ class Sample:
         return found.reshape(-1, self.dimensions)[start - first * each : stop - first * each]
 
     @cached_property
-    def _hypercube(self) -> Array:
+    def _hypercube(self) -> NumpyArray:
         from scipy.stats import qmc
 
-        found: Array = qmc.LatinHypercube(self.dimensions, rng=np.random.default_rng(self.spec.seed)).random(self.base)
+        found: NumpyArray = qmc.LatinHypercube(self.dimensions, rng=np.random.default_rng(self.spec.seed)).random(
+            self.base
+        )
         return found
 
-    def _sequence(self, dimensions: int, start: int, stop: int) -> Array:
+    def _sequence(self, dimensions: int, start: int, stop: int) -> NumpyArray:
         from scipy.stats import qmc
 
         engine = qmc.Sobol(dimensions, rng=np.random.default_rng(self.spec.seed))
@@ -65,5 +65,5 @@ class Sample:
             warnings.simplefilter("ignore", UserWarning)
             if start:
                 engine.fast_forward(start)
-            found: Array = engine.random(stop - start)
+            found: NumpyArray = engine.random(stop - start)
         return found

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 import zarr
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
 
-Array = np.ndarray[Any, Any]
 FLOWN, KIND = "flown", "qrsim sweep"
 # Points of a sample whose values are computed and written at once.
 ROWS = 65_536
@@ -102,9 +102,11 @@ class Store:
         for name in self.metrics:
             metric = plan.study.metric(name)
             about = {
-                "units": metric.unit, "long_name": metric.doc, "low_is_bad": metric.low_is_bad,
+                "units": metric.unit,
+                "long_name": metric.doc,
+                "low_is_bad": metric.low_is_bad,
                 "coordinates": " ".join(coordinates),
-            }  # fmt: skip
+            }
             self._array(group, name, "float32", math.nan, about if coordinates else _without(about, "coordinates"))
         about = {"long_name": "whether the episode is in the store", "coordinates": " ".join(coordinates)}
         self._array(group, FLOWN, "bool", False, about if coordinates else _without(about, "coordinates"))
@@ -125,11 +127,16 @@ class Store:
             return
         arrays = {
             axis.path: group.create_array(
-                axis.name, shape=(count,), chunks=(min(count, ROWS),), dtype="float64", fill_value=math.nan,
-                dimension_names=(POINT,), attributes=_about(axis),
+                axis.name,
+                shape=(count,),
+                chunks=(min(count, ROWS),),
+                dtype="float64",
+                fill_value=math.nan,
+                dimension_names=(POINT,),
+                attributes=_about(axis),
             )
             for axis in plan.sampled
-        }  # fmt: skip
+        }
         for start in range(0, count, ROWS):
             stop = min(count, start + ROWS)
             for path, values in plan.rows(start, stop).items():
@@ -137,11 +144,16 @@ class Store:
 
     def _array(self, group: Any, name: str, dtype: str, fill: Any, attributes: dict[str, Any]) -> None:
         group.create_array(
-            name, shape=self.plan.shape, chunks=self.plan.chunks, dtype=dtype, fill_value=fill,
-            dimension_names=self.plan.dims, attributes=attributes,
-        )  # fmt: skip
+            name,
+            shape=self.plan.shape,
+            chunks=self.plan.chunks,
+            dtype=dtype,
+            fill_value=fill,
+            dimension_names=self.plan.dims,
+            attributes=attributes,
+        )
 
-    def _done(self) -> Array:
+    def _done(self) -> NumpyArray:
         """Return which batches are in the store."""
         flown = self._group[FLOWN]
         found = np.zeros(self.plan.batches, bool)
@@ -153,7 +165,7 @@ class Store:
                 found[index] = bool(np.all(flown[self.plan.region(index)]))
         return found
 
-    def write(self, batch: Batch, results: Mapping[str, Array]) -> None:
+    def write(self, batch: Batch, results: Mapping[str, NumpyArray]) -> None:
         """Write the results (W,) of a batch.
 
         Raises:
@@ -194,7 +206,7 @@ def _about(axis: Any) -> dict[str, Any]:
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
-def _coordinate(group: Any, name: str, dimension: str, values: Array, attributes: dict[str, Any]) -> None:
+def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: dict[str, Any]) -> None:
     if values.dtype == object:
         array = group.create_array(
             name, shape=values.shape, dtype=str, dimension_names=(dimension,), attributes=attributes
@@ -250,7 +262,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
         )
 
 
-def _differing(mine: Any, theirs: Any, path: str = "") -> Any:
+def _differing(mine: object, theirs: object, path: str = "") -> Any:
     """Yield the settings that differ, with both values."""
     if isinstance(mine, dict) and isinstance(theirs, dict):
         for key in {**mine, **theirs}:
@@ -259,7 +271,7 @@ def _differing(mine: Any, theirs: Any, path: str = "") -> Any:
         yield f"{path}: {_short(mine)} here, {_short(theirs)} in the store"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -70,7 +70,7 @@ class FailureSpec(Part):
         return self
 
 
-def _in_one_line(policy: Any) -> Any:
+def _in_one_line(policy: object) -> Any:
     """Return the policies of several teams as the command line has them."""
     if isinstance(policy, dict) and all(isinstance(part, str) for pair in policy.items() for part in pair):
         return ",".join(f"{team}={source}" for team, source in policy.items())
@@ -227,9 +227,12 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
     code = {what: _code(what, name, folder) for what in ("policy", "estimator", OWN) if (name := getattr(spec, what))}
     updates = {what: named for what, (named, _) in code.items()}
     return Study(
-        spec.model_copy(update=updates), scenario, given if isinstance(given, str) else None,
-        {what: digest for what, (_, digest) in code.items()}, _own_metrics(spec, code[OWN][0]) if OWN in code else {},
-    )  # fmt: skip
+        spec.model_copy(update=updates),
+        scenario,
+        given if isinstance(given, str) else None,
+        {what: digest for what, (_, digest) in code.items()},
+        _own_metrics(spec, code[OWN][0]) if OWN in code else {},
+    )
 
 
 def _as_mapping(overrides: Iterable[str]) -> Content:

@@ -34,7 +34,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
     missing = iter(np.flatnonzero(~store.done).tolist())
     jobs = Jobs(plan, store.metrics)
     waiting: dict[str, Batch] = {}
-    finished: Any = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
+    finished: Any = as_completed(loop=client.loop)
 
     def hand_out() -> None:
         while len(waiting) < AHEAD * max(1, _threads(client)):
@@ -74,9 +74,17 @@ class Jobs:
         """Return a batch in the form sent to a worker."""
         spec = self._spec
         return Job(
-            self._groups[batch.group], batch.numbers, batch.seeds, self._metrics, spec.policy, spec.estimator,
-            spec.policy_ticks, self._code, spec.precision, spec.own_metrics,
-        )  # fmt: skip
+            self._groups[batch.group],
+            batch.numbers,
+            batch.seeds,
+            self._metrics,
+            spec.policy,
+            spec.estimator,
+            spec.policy_ticks,
+            self._code,
+            spec.precision,
+            spec.own_metrics,
+        )
 
 
 def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:

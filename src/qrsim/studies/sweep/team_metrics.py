@@ -40,10 +40,12 @@ class TeamErrors:
     numbers: ClassVar[dict[str, dict[str, Any]]] = {
         "relative_error_rms_m": {"unit": "m", "doc": "of neighbours' places to each other, horizontal", "over": "rms"},
         "relative_estimate_rms_m": {
-            "unit": "m", "doc": "of what estimates say of these places, horizontal", "over": "rms",
+            "unit": "m",
+            "doc": "of what estimates say of these places, horizontal",
+            "over": "rms",
         },
         "missed_share": {"unit": "1", "doc": "part of the strip between the outer vehicles that none came near enough"},
-    }  # fmt: skip
+    }
 
     def init(self, world: Any, state: Any) -> TeamMemory:
         """Start with nothing."""
@@ -78,7 +80,7 @@ class TeamErrors:
             passed_east=jnp.where(here, true.y[:, None], memory.passed_east),
         )
 
-    def finish(self, memory: TeamMemory, world: Any, state: Any) -> dict[str, Array]:
+    def finish(self, memory: TeamMemory, world: object, state: object) -> dict[str, Array]:
         """Return the numbers of worlds W: (W, n) of vehicles, (W,) of the team."""
         ticks = jnp.maximum(memory.ticks, 1).astype(memory.error_square.dtype)
         return {

@@ -81,6 +81,6 @@ class VarySpec(Part):
         return [Condition(name, settings) for name, settings in self.conditions.items()]
 
 
-def assignment(path: str, value: Any) -> str:
+def assignment(path: str, value: object) -> str:
     """Return the argument of ``--set`` that sets a value."""
     return f"{path}={json.dumps(value)}"

@@ -78,7 +78,7 @@ def _read(sensor: str, model: Any, seconds: int, vehicles: int) -> tuple[jax.Arr
     return rows, squares / (per_row * seconds)
 
 
-def read(sensor: str, model: Any, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
+def read(sensor: str, model: object, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
     """Simulate the errors of a sensor of many vehicles at rest, over a few of its time constants, in float32."""
     rows, squares = _read(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
     errors = np.asarray(rows, np.float64)
@@ -111,30 +111,42 @@ def _checks(name: str, of: Process) -> list[Check]:
     std = math.sqrt(float(mean_square))
     checks = [
         Check(
-            f"{of.title}: standard deviation", std, of.std, z * float(error) / (2.0 * of.std), of.unit,
+            f"{of.title}: standard deviation",
+            std,
+            of.std,
+            z * float(error) / (2.0 * of.std),
+            of.unit,
             reason.format("the reference"),
         ),
         _time_constant(of, z, reason),
-    ]  # fmt: skip
+    ]
     for share in LAGS:
         lag = round(share * of.time_constant / KEPT_S)
         found, error = mean_and_error(autocovariance(of.errors, lag) / variance)
         checks.append(
             Check(
                 f"{of.title}: autocovariance after {lag * KEPT_S:g} s, in units of the variance",
-                float(found), math.exp(-share), z * float(error), "", reason.format("exp(-lag/time constant)"),
+                float(found),
+                math.exp(-share),
+                z * float(error),
+                "",
+                reason.format("exp(-lag/time constant)"),
             )
-        )  # fmt: skip
+        )
     if name == "barometer":
         decay = math.exp(-PERIOD / of.time_constant)
         expected = of.std * math.sqrt(2.0 * (1.0 - decay)) / PERIOD
         rate, error = mean_and_error(of.squared_steps)
         checks.append(
             Check(
-                "height rate: standard deviation", math.sqrt(float(rate)) / PERIOD, expected,
-                z * float(error) / (2.0 * PERIOD**2 * expected), "m/s", reason.format("exact from drift and period"),
+                "height rate: standard deviation",
+                math.sqrt(float(rate)) / PERIOD,
+                expected,
+                z * float(error) / (2.0 * PERIOD**2 * expected),
+                "m/s",
+                reason.format("exact from drift and period"),
             )
-        )  # fmt: skip
+        )
     return checks
 
 
@@ -149,9 +161,13 @@ def _time_constant(of: Process, z: float, reason: str) -> Check:
     found = -PERIOD / math.log1p(-0.5 * float(mean))
     relative = math.hypot(float(error) / float(mean), float(error_of_variance))
     return Check(
-        f"{of.title}: time constant", found, of.time_constant, z * relative * of.time_constant, "s",
+        f"{of.title}: time constant",
+        found,
+        of.time_constant,
+        z * relative * of.time_constant,
+        "s",
         reason.format("the reference; from variance and mean square change per period"),
-    )  # fmt: skip
+    )
 
 
 def _run(paths: Mapping[str, Path], full: bool) -> Outcome:

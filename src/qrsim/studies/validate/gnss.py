@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.tree import record_of
 from qrsim.models.gnss.errors import PRESETS, GaussMarkov2
 from qrsim.models.gnss.receivers import OrnsteinUhlenbeckErrors
 from qrsim.studies.validate.published import RANGE_ERRORS
@@ -43,7 +44,9 @@ MODELS: dict[str, tuple[Any, str]] = {
     PAPER: (GaussMarkov2(), "second-order Gauss-Markov, 0.589 m, 40.1 s and 4 s: the model behind the paper's figures"),
     "ou": (OrnsteinUhlenbeckErrors(), "Ornstein-Uhlenbeck, 12.35 m, 2000 s: the reference implementation's other one"),
     "consumer": (
-        GaussMarkov2(*(PRESETS["consumer"][name] for name in ("std", "time_constant", "drive_time_constant"))),  # type: ignore[arg-type]
+        record_of(
+            GaussMarkov2, *(PRESETS["consumer"][name] for name in ("std", "time_constant", "drive_time_constant"))
+        ),
         "second-order, 4.95 m, 1100 s and 100 s: this project's preset from error budgets",
     ),
 }

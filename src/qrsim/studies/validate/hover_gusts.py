@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.noise import Draw, Key
-from qrsim.core.tree import cast
+from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
 from qrsim.models.atmosphere.dryden import Dryden
@@ -35,7 +35,7 @@ SETTLING_S = 400.0
 def mean_wind() -> Floats:
     """Return the mean wind (3,) in NED [m/s] at the height, in float64."""
     with jax.enable_x64(True):
-        wind = LogShear(SPEED, math.radians(FROM_DEG))  # type: ignore[arg-type]
+        wind = record_of(LogShear, SPEED, math.radians(FROM_DEG))
         return np.asarray(wind.velocity_ned(jnp.asarray([CASE.height])).stack())[0]
 
 
@@ -61,7 +61,7 @@ def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
     makers = {"dryden": Dryden, "dryden_first_order": DrydenFirstOrder}
     bearing = math.radians(FROM_DEG)
     turbulence = cast(makers[kind](SPEED, bearing), np.float32)
-    wind = cast(LogShear(SPEED, bearing), np.float32)  # type: ignore[arg-type]
+    wind = cast(record_of(LogShear, SPEED, bearing), np.float32)
     height = np.full(vehicles, CASE.height, np.float32)
     gusts = _fly(turbulence, wind, height, Key.root(seed), round(seconds / DT))
     return np.asarray(gusts, np.float64)

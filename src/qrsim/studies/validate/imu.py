@@ -65,9 +65,10 @@ def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
     given = {**PRESETS[preset], "preset": preset, "period": PERIOD, "vibration": "none", **NOT_OF_BIAS, **change}
     zero = jnp.zeros(chips, jnp.float32)
     inputs = {
-        "rates_body": Vec3(zero, zero, zero), "specific_force": Vec3(zero, zero, zero - GRAVITY),
+        "rates_body": Vec3(zero, zero, zero),
+        "specific_force": Vec3(zero, zero, zero - GRAVITY),
         "load": Load(zero + 1.0, zero + 1.0),
-    }  # fmt: skip
+    }
     key, ids = Key.root(SEED), jnp.arange(chips, dtype=jnp.uint32)
     streams = key.stream("imu start", ids), key.stream("imu", ids)
     taken = _readings(cast(Imu(**given), np.float32), inputs, *streams, round(SECONDS / PERIOD))
@@ -87,8 +88,12 @@ def measured(of: Chips) -> dict[str, Values]:
 
 
 def _checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
-    rows = [(preset, kind, what, value) for preset, sheet in DATA_SHEETS.items() if preset in found
-            for (kind, what), value in sheet.numbers.items()]  # fmt: skip
+    rows = [
+        (preset, kind, what, value)
+        for preset, sheet in DATA_SHEETS.items()
+        if preset in found
+        for (kind, what), value in sheet.numbers.items()
+    ]
     z, checks = widest_z(len(rows)), []
     for preset, kind, what, stated in rows:
         squares = measured(found[preset][kind])[what]
@@ -97,12 +102,15 @@ def _checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
         unit = "rad/s" if kind == "gyroscope" else "m/s^2"
         checks.append(
             Check(
-                f"{preset}: {kind}, {what.replace('_', ' ')}", value, stated, z * float(error) / (2.0 * stated),
+                f"{preset}: {kind}, {what.replace('_', ' ')}",
+                value,
+                stated,
+                z * float(error) / (2.0 * stated),
                 unit + (" s^0.5" if what == "noise" else ""),
                 f"{DATA_SHEETS[preset].source}; {z:.1f} standard errors of the mean of {len(squares)} chips,"
                 f" {100 * CONFIDENCE:g} % for all {len(rows)} together",
             )
-        )  # fmt: skip
+        )
     return checks
 
 
@@ -119,13 +127,15 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         pictures=[_picture(found)],
         numbers={
             preset: {
-                kind: {"windows_s": (WINDOWS * PERIOD).tolist(),
-                       "deviation": np.sqrt(np.square(of.deviation).mean(axis=(1, 2))).tolist()}
+                kind: {
+                    "windows_s": (WINDOWS * PERIOD).tolist(),
+                    "deviation": np.sqrt(np.square(of.deviation).mean(axis=(1, 2))).tolist(),
+                }
                 for kind, of in kinds.items()
             }
             for preset, kinds in found.items()
         },
-    )  # fmt: skip
+    )
 
 
 def _picture(found: Mapping[str, Mapping[str, Chips]]) -> Picture:

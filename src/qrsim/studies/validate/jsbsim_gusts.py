@@ -67,7 +67,7 @@ def jsbsim_series(case: Case, kind: int, steps: int, seed: int) -> Floats:
         (Path(folder) / "held").mkdir()
         (Path(folder) / "held" / "held.xml").write_text(BODY, encoding="utf-8")
         # No banner on the terminal.
-        jsbsim.FGJSBBase().debug_lvl = 0  # type: ignore[no-untyped-call]
+        jsbsim.FGJSBBase().debug_lvl = 0
         body = jsbsim.FGFDMExec(None)
         body.set_debug_level(0)
         if not body.load_model_with_paths("held", folder, folder, folder, True):

@@ -6,7 +6,6 @@ import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import Any
 
 from qrsim.extras import load
 from qrsim.studies.validate.parts import Result
@@ -20,7 +19,7 @@ SOURCE = (
 )
 
 
-def write_page(results: Sequence[Result], about: Mapping[str, Any]) -> str:
+def write_page(results: Sequence[Result], about: Mapping[str, object]) -> str:
     """Write the page as text.
 
     Args:

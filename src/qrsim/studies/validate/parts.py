@@ -15,10 +15,17 @@ from qrsim.studies.validate.report import Outcome, Part
 PARTS: dict[str, Part] = {
     part.name: part
     for part in (
-        thrust.PART, rotation.PART, translation.PART, turbulence.PART, wind_field.PART, gnss.PART, receivers.PART,
-        drifts.PART, imu.PART,
+        thrust.PART,
+        rotation.PART,
+        translation.PART,
+        turbulence.PART,
+        wind_field.PART,
+        gnss.PART,
+        receivers.PART,
+        drifts.PART,
+        imu.PART,
     )
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class Line(NamedTuple):
     bold: bool = False
 
 
-def write_pdf(results: Sequence[Result], about: Mapping[str, Any]) -> bytes:
+def write_pdf(results: Sequence[Result], about: Mapping[str, object]) -> bytes:
     """Return the report: a page of results, and for each part its text, its pictures and its tables.
 
     Args:
@@ -73,7 +73,7 @@ def _wrapped(text: str, indent: str = "", **style: Any) -> Iterator[Line]:
         yield Line(line, **style)
 
 
-def _front(results: Sequence[Result], about: Mapping[str, Any]) -> Iterator[Line]:
+def _front(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[Line]:
     checks = [check for result in results if result.outcome for check in result.outcome.checks]
     failed = sum(not check.passed for check in checks)
     yield Line(f"Validation of qrsim {about['qrsim']}", 20.0, bold=True)

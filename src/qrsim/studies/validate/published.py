@@ -115,11 +115,10 @@ def _noise(gyroscope_deg_s: float, accelerometer_ug: float | None = None) -> dic
 DATA_SHEETS = {
     "mpu6000": DataSheet(
         "PS-MPU-6000A-00 rev. 3.4, sections 6.1 and 6.2",
-        _noise(0.005, 400.0) | {
-            ("gyroscope", "turn_on_bias"): math.radians(20.0), ("accelerometer", "turn_on_bias"): 0.08 * GRAVITY,
-        },
+        _noise(0.005, 400.0)
+        | {("gyroscope", "turn_on_bias"): math.radians(20.0), ("accelerometer", "turn_on_bias"): 0.08 * GRAVITY},
     ),
     "icm42688p": DataSheet("DS-000347 v1.7, first page", _noise(0.0028, 70.0)),
     # Its angle random walk is given too, 0.34 deg/sqrt(h): 0.00567 deg/sqrt(s).
     "adis16470": DataSheet("ADIS16470 rev. C, first page", _noise(0.008)),
-}  # fmt: skip
+}

@@ -90,20 +90,21 @@ def cep(of: Fixes) -> float:
 def honest(preset: str, of: Fixes, count: int) -> list[Check]:
     """Return the checks of what a receiver reports: of all fixes its mean square is that of the errors."""
     z, checks = widest_z(count), []
-    squares = {
-        "horizontal": np.sum(np.square(of.error[:, :2]), axis=1), "vertical": np.square(of.error[:, 2]),
-    }  # fmt: skip
+    squares = {"horizontal": np.sum(np.square(of.error[:, :2]), axis=1), "vertical": np.square(of.error[:, 2])}
     for (what, each), stated in zip(squares.items(), of.reported.T, strict=True):
         ratios = each / np.mean(np.square(stated))
         error = float(np.std(ratios, ddof=1)) / math.sqrt(len(ratios))
         checks.append(
             Check(
-                f"{preset}: {what} errors over those reported, mean squares", float(np.mean(ratios)), 1.0,
-                z * error, "",
+                f"{preset}: {what} errors over those reported, mean squares",
+                float(np.mean(ratios)),
+                1.0,
+                z * error,
+                "",
                 f"a receiver that is right about itself; {z:.1f} standard errors of the mean of {len(ratios)} fixes,"
                 f" {100 * CONFIDENCE:g} % for all {count} together",
             )
-        )  # fmt: skip
+        )
     return checks
 
 
@@ -114,12 +115,15 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     good = float(np.mean(geometry <= SPS_PDOP))
     checks = [
         Check(
-            f"share of sites and times with a PDOP of {SPS_PDOP:g} or less, GPS over {SPS_MASK_DEG:g}°", good, 1.0,
-            1.0 - SPS_PDOP_SHARE, "",
+            f"share of sites and times with a PDOP of {SPS_PDOP:g} or less, GPS over {SPS_MASK_DEG:g}°",
+            good,
+            1.0,
+            1.0 - SPS_PDOP_SHARE,
+            "",
             f"GPS SPS Performance Standard (2020), table 3.8-1: at least {100 * SPS_PDOP_SHARE:g} % on average",
         ),
         *(check for preset, of in found.items() for check in honest(preset, of, 2 * len(found))),
-    ]  # fmt: skip
+    ]
     return Outcome(
         method=f"Positions of the nominal GPS constellation over a day are seen from {len(geometry)} sites, even over"
         f" the globe. Receivers hover under their open sky at {starts} times of a day, in {worlds} worlds each.",
@@ -131,21 +135,26 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         numbers={
             "pdop": {f"{100 * q:g}_percent": float(np.quantile(geometry, q)) for q in (0.5, 0.9, 0.95, 0.98)},
             "receivers": {
-                preset: {"cep_m": cep(of), "r95_m": float(np.quantile(np.hypot(*of.error[:, :2].T), 0.95)),
-                         "height_95_m": float(np.quantile(np.abs(of.error[:, 2]), 0.95))}
+                preset: {
+                    "cep_m": cep(of),
+                    "r95_m": float(np.quantile(np.hypot(*of.error[:, :2].T), 0.95)),
+                    "height_95_m": float(np.quantile(np.abs(of.error[:, 2]), 0.95)),
+                }
                 for preset, of in found.items()
             },
         },
-    )  # fmt: skip
+    )
 
 
 def _finding(preset: str, found: float) -> Finding:
     stated, source = RECEIVER_CEP_M[preset]
     verdict: Any = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
     return Finding(
-        f"{preset}: circle that holds half of the fixes", f"{found:.2f} m, data sheet {stated:g} m", verdict,
+        f"{preset}: circle that holds half of the fixes",
+        f"{found:.2f} m, data sheet {stated:g} m",
+        verdict,
         f"{source}; a data sheet promises what every receiver under an open sky keeps. Fits: half of it to all of it.",
-    )  # fmt: skip
+    )
 
 
 def _picture(found: Mapping[str, Fixes], geometry: Values) -> Picture:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from qrsim.core.noise import Draw, Key
-from qrsim.core.tree import cast
+from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.dryden import Dryden, DrydenState
 from qrsim.studies.validate.published import dryden_scales
@@ -65,7 +65,7 @@ def _simulate(turbulence: Dryden, steps: int, key: Key, height: jax.Array, airsp
 def our_series(case: Case, steps: int, seed: int) -> Floats:
     """Simulate the same quantities (5, VEHICLES, steps / VEHICLES) by this project's component, in float32."""
     # With the wind from the south, wind axes are north, east and down.
-    turbulence = cast(Dryden(case.speed_20ft, math.pi, SPAN, SEVERITY), np.float32)  # type: ignore[arg-type]
+    turbulence = cast(record_of(Dryden, case.speed_20ft, math.pi, SPAN, SEVERITY), np.float32)
     like = np.ones(VEHICLES, np.float32)
     series = _simulate(turbulence, steps // VEHICLES, Key.root(seed), case.height * like, case.airspeed * like)
     return np.moveaxis(np.asarray(series, np.float64), 0, -1)

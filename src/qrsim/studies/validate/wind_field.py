@@ -12,14 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.noise import Draw, Key
-from qrsim.core.tree import cast
+from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
 from qrsim.models.atmosphere.field import DrydenField
@@ -60,9 +60,9 @@ def _gusts(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax.Ar
 
 def gusts(place: Values, seconds: Values, worlds: int, evolution: Evolution = "lifetime") -> Values:
     """Return gusts (W, n, 3) [m/s] of a field in wind to the north, at places (n, 3) and seconds (n,)."""
-    given = DrydenField(speed_20ft=SPEED_20FT, evolution=evolution)  # type: ignore[arg-type]
+    given = record_of(DrydenField, speed_20ft=SPEED_20FT, evolution=evolution)
     field = jax.tree.map(jnp.asarray, cast(given, np.float32))
-    wind = cast(LogShear(SPEED_20FT, np.pi), np.float32)  # type: ignore[arg-type]
+    wind = cast(record_of(LogShear, SPEED_20FT, np.pi), np.float32)
     found = _gusts(field, wind, jnp.asarray(place, jnp.float32), jnp.asarray(seconds, jnp.int32), worlds)
     return np.asarray(found, np.float64)
 
@@ -95,8 +95,12 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
         return {"along": _part(gust, ahead), "across": _part(gust, aside), "vertical": gust[:, :, 2]}
 
     first = parts_of(every[:, 0])
-    found = {"0": {name: _ratio(value**2, np.full_like(value, size**2)) for (name, value), size in
-                   zip(first.items(), sigma, strict=True)}}  # fmt: skip
+    found = {
+        "0": {
+            name: _ratio(value**2, np.full_like(value, size**2))
+            for (name, value), size in zip(first.items(), sigma, strict=True)
+        }
+    }
     for i, r in enumerate(SEPARATIONS, start=1):
         other = parts_of(every[:, i])
         found[f"{r:g}"] = {
@@ -117,7 +121,7 @@ def _part(gust: Values, axis: Values) -> Values:
     return np.asarray(np.einsum("wni,ni->wn", gust, axis))
 
 
-def kept(lifetimes: Any) -> Values:
+def kept(lifetimes: object) -> Values:
     """Return the correlation of gusts after times in lifetimes, of any shape, in the frame that moves with the field.
 
     The autocorrelation of sin^2 over half a turn.
@@ -154,25 +158,40 @@ def _checks(
             what = "variance" if r == "0" else f"correlation at {r} m"
             checks.append(
                 Check(
-                    f"{what}, {name}", value, expected[name], z * error + left_out, "",
+                    f"{what}, {name}",
+                    value,
+                    expected[name],
+                    z * error + left_out,
+                    "",
                     f"closed form; {z:.1f} standard errors of the mean of {worlds} worlds, {100 * CONFIDENCE:g} % for"
                     f" all together, and {100 * left_out:g} % of the variance in waves that the field leaves out",
                 )
-            )  # fmt: skip
-    return checks + [
-        Check(
-            f"travel: correlation of gusts with those {lag} s before and as far upwind as the wind at 20 m, frozen",
-            value, 1.0, 1e-3, "", "Taylor's hypothesis; single precision",
-        )
-        for lag, (value, _) in frozen.items()
-    ] + [
-        Check(
-            f"travel: the same of waves with a lifetime, {lag} s",
-            value, float(kept(float(lag) / LIFETIME)), z * error, "",
-            f"closed form; {z:.1f} standard errors of the mean of {worlds} worlds",
-        )
-        for lag, (value, error) in carried.items()
-    ]  # fmt: skip
+            )
+    return (
+        checks
+        + [
+            Check(
+                f"travel: correlation of gusts with those {lag} s before and as far upwind as the wind at 20 m, frozen",
+                value,
+                1.0,
+                1e-3,
+                "",
+                "Taylor's hypothesis; single precision",
+            )
+            for lag, (value, _) in frozen.items()
+        ]
+        + [
+            Check(
+                f"travel: the same of waves with a lifetime, {lag} s",
+                value,
+                float(kept(float(lag) / LIFETIME)),
+                z * error,
+                "",
+                f"closed form; {z:.1f} standard errors of the mean of {worlds} worlds",
+            )
+            for lag, (value, error) in carried.items()
+        ]
+    )
 
 
 def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
@@ -190,8 +209,10 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         pictures=[_picture(points)],
         numbers={
             "two_points": {
-                r: {name: {"value": value, "standard_error": error, "closed_form": closed(float(r))[name]}
-                    for name, (value, error) in each.items()}
+                r: {
+                    name: {"value": value, "standard_error": error, "closed_form": closed(float(r))[name]}
+                    for name, (value, error) in each.items()
+                }
                 for r, each in points.items()
             },
             "travel": {
@@ -199,7 +220,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
                 for name, each in (("frozen", frozen), ("lifetime", carried))
             },
         },
-    )  # fmt: skip
+    )
 
 
 def _picture(points: dict[str, dict[str, tuple[float, float]]]) -> Picture:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
 from qrsim.interface.messages import Say
@@ -50,7 +51,7 @@ KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Map
 class Baseline(Protocol):
     """Policy of the agents of an episode."""
 
-    def act(self, seen: Any) -> Any:
+    def act(self, seen: object) -> Any:
         """Return the actions (n, A) in [-1, 1]; of several fleets by fleet."""
         ...
 
@@ -116,8 +117,9 @@ class BaselinePolicy:
         if len(sides) > 1:
             by_fleet(done, [side.fleet for side in sides], "policy baseline: actions")
         each = {side.fleet: done if len(sides) == 1 else done[side.fleet] for side in sides}
-        parts = {name: (part[ACT], part.get(SAY)) if isinstance(part, dict) else (part, None)
-                 for name, part in each.items()}  # fmt: skip
+        parts = {
+            name: (part[ACT], part.get(SAY)) if isinstance(part, dict) else (part, None) for name, part in each.items()
+        }
         acts = {name: np.asarray(act, self._like.dtype) for name, (act, _) in parts.items()}
         wanted = apart(sides, jnp.asarray(self.play.scaled(together(sides, acts, "policy baseline: actions"))))
         actions = self.play.task.commands(self._memory, self.play.world, wanted)
@@ -128,13 +130,13 @@ class BaselinePolicy:
                 given[name] = Say(words, given[name])
         return given
 
-    def answer(self) -> np.ndarray[Any, Any] | None:
+    def answer(self) -> NumpyArray | None:
         """Return what the baseline hands in at the end, (n, ...); None if it hands in nothing."""
         policy: Any = self._baseline
         return np.asarray(policy.answer(), self._like.dtype) if isinstance(policy, Answering) else None
 
     @property
-    def _like(self) -> np.ndarray[Any, Any]:
+    def _like(self) -> NumpyArray:
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
     def _init(self, state: Any) -> Any:

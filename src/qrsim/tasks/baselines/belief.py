@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 from qrsim.models.scene.persons import INNER, Persons
 from qrsim.models.sensors.camera import Camera
 from qrsim.tasks.play import Play
 from qrsim.tasks.search import Search
 
-Array = np.ndarray[Any, Any]
 # Side of a cell [m]. Evidence for a person [nat] counts up to its bounds, so that it can be overturned.
 CELL = 0.5
 LEAST, MOST = -25.0, 16.0
@@ -30,11 +30,11 @@ class View(NamedTuple):
         place: (3,) position NED of the camera [m].
     """
 
-    windows: Array
-    place: Array
+    windows: NumpyArray
+    place: NumpyArray
 
 
-def view(corners: Array, grid: Array, camera: Camera) -> View:
+def view(corners: NumpyArray, grid: NumpyArray, camera: Camera) -> View:
     """Return how a picture was taken, from the corners of its grid on the ground.
 
     Four points of a plane and the numbers of the camera give its pose (Zhang, IEEE Trans. PAMI 22, 2000, section 3.1).
@@ -58,8 +58,9 @@ def view(corners: Array, grid: Array, camera: Camera) -> View:
     focal = float(camera.focal_length)
     scales = []
     for length, count, principal in (
-        (camera.width, columns, float(camera.principal_x)), (camera.height, rows, float(camera.principal_y)),
-    ):  # fmt: skip
+        (camera.width, columns, float(camera.principal_x)),
+        (camera.height, rows, float(camera.principal_y)),
+    ):
         side = np.floor(length / count)
         first = np.floor(0.5 * (length - side * np.floor(length / side)))
         scales.append((side / focal, (first - principal) / focal))
@@ -100,7 +101,7 @@ class Belief:
         inside = [(m > away[k]) & (m < self.extent[k] - away[k]) for k, m in enumerate(middles)]
         self.possible = inside[0][:, None] & inside[1][None, :]
 
-    def look(self, ratio: Array, shown: View, corners: Array, grid: Array) -> Array:
+    def look(self, ratio: NumpyArray, shown: View, corners: NumpyArray, grid: NumpyArray) -> NumpyArray:
         """Add a picture, by Bayes: the ratios of all windows that a person at a cell would cover.
 
         Returns:
@@ -127,15 +128,15 @@ class Belief:
         evidence[here] = np.clip(evidence[here] + said[here], LEAST, MOST)
         return np.asarray(place[here])
 
-    def odds(self, region: tuple[slice, slice]) -> Array:
+    def odds(self, region: tuple[slice, slice]) -> NumpyArray:
         """Return the log odds of some cells."""
         return np.where(self.possible[region], self.prior + self.evidence[region], LEAST)
 
-    def forget(self, point: Array, distance: float) -> None:
+    def forget(self, point: NumpyArray, distance: float) -> None:
         """Expect nobody near a point any more."""
         self.evidence[self.cells(point - distance, point + distance)] = LEAST
 
-    def best(self, point: Array, distance: float) -> tuple[Array, float]:
+    def best(self, point: NumpyArray, distance: float) -> tuple[NumpyArray, float]:
         """Return the most likely cell near a point: its middle (2,) [m], and its log odds."""
         region = self.cells(point - distance, point + distance)
         odds = self.odds(region)
@@ -143,18 +144,18 @@ class Belief:
         first = np.array([region[0].start, region[1].start])
         return self.low + (first + np.array(at) + 0.5) * CELL, float(odds[at])
 
-    def suspected(self, above: float, apart: float) -> Array:
+    def suspected(self, above: float, apart: float) -> NumpyArray:
         """Return the middles (K, 2) [m] of the most likely cells above some log odds, no two nearer than ``apart``."""
         odds = self.odds((slice(None), slice(None)))
         cells = np.argwhere(odds > above)
         order = np.argsort(-odds[cells[:, 0], cells[:, 1]], kind="stable")
-        kept: list[Array] = []
+        kept: list[NumpyArray] = []
         for point in self.low + (cells[order] + 0.5) * CELL:
             if all(np.linalg.norm(point - other) >= apart for other in kept):
                 kept.append(point)
         return np.array(kept).reshape(-1, 2)
 
-    def cells(self, low: Array, high: Array) -> tuple[slice, slice]:
+    def cells(self, low: NumpyArray, high: NumpyArray) -> tuple[slice, slice]:
         """Return the cells of a rectangle, at least one."""
         size = np.array(self.evidence.shape)
         first = np.clip(((low - self.low) / CELL).astype(int), 0, size - 1)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.play import Play
 
-Array = np.ndarray[Any, Any]
 # The mouse is to run round the middle of the area at this distance [m]; so far off it runs straight to it.
 ORBIT, PULL = 45.0, 30.0
 # Where the cats are behind the mouse: how far for most of the time and at the end [m], bearing between two [rad].
@@ -37,10 +37,10 @@ class Chasing:
         self._middle = 0.5 * np.array([float(area.x_min + area.x_max), float(area.y_min + area.y_max)])
         self._limit = float(play.axes[0].high)
         self._left = play.steps
-        self._asked: Array | None = None
+        self._asked: NumpyArray | None = None
         self._drift = np.zeros(2)
 
-    def act(self, seen: Array) -> Array:
+    def act(self, seen: NumpyArray) -> NumpyArray:
         """Return the actions (n, 2)."""
         seen = np.asarray(seen, np.float64)
         place, velocity = seen[:, :2], seen[:, 2:4]
@@ -60,7 +60,7 @@ class Chasing:
         wanted = self._asked + self._drift + apart(place + AHEAD_S * velocity, distance)
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
-    def _way(self, mouse: Array) -> float:
+    def _way(self, mouse: NumpyArray) -> float:
         """Return the heading that the mouse is to take [rad]."""
         offset = mouse - self._middle
         distance = float(np.linalg.norm(offset))
@@ -68,7 +68,7 @@ class Chasing:
         return outward + 0.5 * np.pi * (1.0 + np.clip((distance - ORBIT) / PULL, -1.0, 1.0))
 
     @staticmethod
-    def _fan(offset: Array, heading: float) -> Array:
+    def _fan(offset: NumpyArray, heading: float) -> NumpyArray:
         """Return where each cat is to be from the mouse, unit vectors (n, 2): in the order in which they are now."""
         count = len(offset)
         side = _wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - heading)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.persons import INNER
 from qrsim.models.scene.terrain import CLEAR
 from qrsim.models.sensors.camera import Camera
 
-Array = np.ndarray[Any, Any]
 SECTOR = 6.0
 # Nats of evidence that settle a sector, and windows that a person covers.
 ENOUGH, WINDOWS = 9.0, 3.0
@@ -28,7 +26,7 @@ class Coverage:
         camera: with its detection model.
     """
 
-    def __init__(self, low: Array, extent: Array, camera: Camera):
+    def __init__(self, low: NumpyArray, extent: NumpyArray, camera: Camera):
         self._low, self._camera = low, camera
         shape = np.ceil(extent / SECTOR).astype(int)
         self._middles = low + SECTOR * (np.moveaxis(np.indices((int(shape[0]), int(shape[1]))), 0, -1) + 0.5)
@@ -45,16 +43,16 @@ class Coverage:
         )
         return float(np.log(wide / std) - 0.5 + (std**2 + (mean - other) ** 2) / (2.0 * wide**2))
 
-    def look(self, places: Array, distance: float) -> None:
+    def look(self, places: NumpyArray, distance: float) -> None:
         """Count a picture that showed the places (M, 2) from a distance [m]."""
         index = np.unique(((places - self._low) / SECTOR).astype(int), axis=0)
         self._seen[index[:, 0], index[:, 1]] += WINDOWS * self.evidence(distance)
 
-    def left(self) -> Array:
+    def left(self) -> NumpyArray:
         """Return the part of each sector's evidence that is lacking."""
         return np.where(self._wanted, np.clip(1.0 - self._seen / ENOUGH, 0.0, 1.0), 0.0)
 
-    def heading(self, i: int, places: Array, velocity: Array, swath: float, yaw: float) -> Array:
+    def heading(self, i: int, places: NumpyArray, velocity: NumpyArray, swath: float, yaw: float) -> NumpyArray:
         """Return the direction (2,), of length 1, in which a vehicle sees most that is lacking in its time; 0: nothing.
 
         Args:

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import scipy
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.plume import INNER
 from qrsim.tasks.play import Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 
-Array = np.ndarray[Any, Any]
 # Numbers of a Gaussian: middle [m], logarithms of the standard deviations, heading of its first axis.
 NUMBERS = 7
 # Guesses that are about as likely as each other, and tell how much is not known.
@@ -40,7 +40,7 @@ class Ellipsoids:
         random: where random numbers come from.
     """
 
-    def __init__(self, play: Play, white: float, locations: Array, random: np.random.Generator):
+    def __init__(self, play: Play, white: float, locations: NumpyArray, random: np.random.Generator):
         plume, area = play.world.contents.plume, play.world.area
         self._random, self._peak = random, float(plume.peak)
         self._white = max(white, FINEST * self._peak)
@@ -58,12 +58,12 @@ class Ellipsoids:
         self._best = self._prior
         self._guesses = self._like(self._prior, np.diag(self._doubt.ravel() ** 2))
 
-    def measured(self, points: Array, values: Array) -> None:
+    def measured(self, points: NumpyArray, values: NumpyArray) -> None:
         """Update with all measurements so far: values (M,) at points (M, 3) [m]."""
         loud = np.argsort(-np.abs(values), kind="stable")[:MOST_POINTS]
         points, values = points[loud], values[loud]
 
-        def error(flat: Array) -> Array:
+        def error(flat: NumpyArray) -> NumpyArray:
             gaussians = flat.reshape(self._prior.shape)
             wrong = (self._field(gaussians[None], points)[0] - values) / self._white
             return np.concatenate([wrong, ((gaussians - self._prior) / self._doubt).ravel()])
@@ -80,15 +80,15 @@ class Ellipsoids:
         self._best = best.x.reshape(self._prior.shape)
         self._guesses = self._like(self._best, np.linalg.inv(best.jac.T @ best.jac))
 
-    def concentration(self, points: Array) -> Array:
+    def concentration(self, points: NumpyArray) -> NumpyArray:
         """Return the concentration (G, P) at points (P, 3) that each guess expects."""
         return self._field(self._guesses, np.asarray(points, float))
 
-    def variance(self, mean: Array, seconds: Array | float) -> Array:
+    def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
         """Return the variance of means of measurements over some time whose expectation is ``mean``."""
         return np.asarray(self._white**2 / seconds + RELATIVE**2 * mean * mean)
 
-    def promising(self, count: int) -> Array:
+    def promising(self, count: int) -> NumpyArray:
         """Return positions (count, 3) [m] where some guesses expect concentration."""
         random = self._random
         rows, which = random.integers(0, len(self._guesses), count), random.integers(0, self._prior.shape[0], count)
@@ -98,7 +98,7 @@ class Ellipsoids:
         north, east = cosine * offset[:, 0] - sine * offset[:, 1], sine * offset[:, 0] + cosine * offset[:, 1]
         return np.asarray(gaussian[:, :3] + np.stack([north, east, offset[:, 2]], axis=1))
 
-    def _told(self, locations: Array, count: int) -> tuple[float, Array, Array]:
+    def _told(self, locations: NumpyArray, count: int) -> tuple[float, NumpyArray, NumpyArray]:
         """Return how badly so many ellipsoids fit the locations, their Gaussians (K, 7), and the errors of these."""
         middle = np.broadcast_to(0.5 * (self._low + self._high), (count, NUMBERS)).copy()
         doubt = np.broadcast_to(0.5 * (self._high - self._low), (count, NUMBERS)).copy()
@@ -127,12 +127,12 @@ class Ellipsoids:
         cost = len(locations) * math.log(max(volume, 1e-9)) + 0.5 * NUMBERS * count * math.log(len(locations))
         return cost, middle, doubt
 
-    def _like(self, best: Array, covariance: Array) -> Array:
+    def _like(self, best: NumpyArray, covariance: NumpyArray) -> NumpyArray:
         """Return guesses (G, K, 7) like the best one (K, 7)."""
         drawn = self._random.multivariate_normal(best.ravel(), covariance, GUESSES, check_valid="ignore", method="eigh")
         return np.asarray(np.clip(drawn.reshape(GUESSES, *best.shape), self._low, self._high))
 
-    def _field(self, gaussians: Array, points: Array) -> Array:
+    def _field(self, gaussians: NumpyArray, points: NumpyArray) -> NumpyArray:
         """Return the concentration (G, P) of Gaussians (G, K, 7) at points (P, 3)."""
         north, east, down = (points[:, i] - gaussians[..., i, None] for i in range(3))
         sine, cosine = np.sin(gaussians[..., 6, None]), np.cos(gaussians[..., 6, None])

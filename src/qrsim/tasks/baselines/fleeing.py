@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.tasks.baselines.chasing import Chasing
 from qrsim.tasks.play import Play
 
-Array = np.ndarray[Any, Any]
 # Speed of a mouse that runs [m/s], as of the guidance ``flee``.
 SPEED = 3.0
 
@@ -24,7 +24,7 @@ class Fleeing:
         cats, mice = play.sides
         self._cats, self._limit = len(cats.names), float(mice.axes[0].high)
 
-    def act(self, seen: Any) -> Array:
+    def act(self, seen: Any) -> NumpyArray:
         """Return the actions (m, 2), from what the mice see (m, O)."""
         offsets = np.asarray(seen, np.float64)[:, 4 : 4 + 2 * self._cats].reshape(len(seen), self._cats, 2)
         square = np.sum(offsets**2, axis=2, keepdims=True)
@@ -41,6 +41,6 @@ class Pursuing:
         cats, mice = play.sides
         self._each: dict[str, Chasing | Fleeing] = {cats.fleet: Chasing(play, seed), mice.fleet: Fleeing(play, seed)}
 
-    def act(self, seen: Any) -> dict[str, Array]:
+    def act(self, seen: Any) -> dict[str, NumpyArray]:
         """Return the actions by fleet (n_f, 2)."""
         return {fleet: policy.act(seen[fleet]) for fleet, policy in self._each.items()}

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import KeepVelocity
 
-Floats = np.ndarray[Any, Any]
 # What the controller takes an action for, as the names of its numbers.
 FLOWN = ("pitch", "roll", "throttle", "yaw_rate", "battery")
 # Velocity for each metre of the way [1/s], and at most [m/s].

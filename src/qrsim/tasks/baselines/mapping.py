@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.plume import GaussianPlume
 from qrsim.models.sensors.concentration import ConcentrationSensor
 from qrsim.tasks.agents import number_of
@@ -17,7 +18,6 @@ from qrsim.tasks.baselines.tubes import WindPlume
 from qrsim.tasks.play import Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 
-Array = np.ndarray[Any, Any]
 # Steps between two fits, each of which tells the vehicles where to fly.
 EVERY = 40
 # Places that are looked at, how long [s] a vehicle is thought to measure there, and what any flight costs [s].
@@ -33,18 +33,18 @@ GAIN, LEARN, MOST_DRIFT = 0.5, 0.1, 1.5
 class Fit(Protocol):
     """Guesses (G,) of an episode's plume, about equally likely."""
 
-    def measured(self, points: Array, values: Array) -> None:
+    def measured(self, points: NumpyArray, values: NumpyArray) -> None:
         """Update with all measurements so far: values (M,) at points (M, 3) [m]."""
 
-    def concentration(self, points: Array) -> Array:
+    def concentration(self, points: NumpyArray) -> NumpyArray:
         """Return the mean concentration (G, P) that each guess expects at points (P, 3)."""
         ...
 
-    def variance(self, mean: Array, seconds: Array | float) -> Array:
+    def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
         """Return the variance of means of measurements over some time whose expectation is ``mean``."""
         ...
 
-    def promising(self, count: int) -> Array:
+    def promising(self, count: int) -> NumpyArray:
         """Return positions (count, 3) [m] where some guesses expect concentration."""
         ...
 
@@ -64,15 +64,15 @@ class Mapping:
         self._low, self._high = bounds[:, 0] + margin[:, 0], bounds[:, 1] - margin[:, 1]
         self._random = np.random.default_rng(seed)
         self._play = play
-        self._points: list[Array] = []
-        self._values: list[Array] = []
+        self._points: list[NumpyArray] = []
+        self._values: list[NumpyArray] = []
         self._fit: Fit | None = None
         self._locations = np.zeros((0, 3))
         self._target = np.zeros((0, 3))
-        self._drift: Array | None = None
+        self._drift: NumpyArray | None = None
         self._limit = float(play.axes[0].high)
 
-    def act(self, seen: dict[str, Array]) -> Array:
+    def act(self, seen: dict[str, NumpyArray]) -> NumpyArray:
         """Return the actions (n, 3)."""
         vehicle = np.asarray(seen["vehicle"], np.float64)
         place, velocity = vehicle[:, :3], vehicle[:, 3:6]
@@ -94,7 +94,7 @@ class Mapping:
         self._asked = np.clip(wanted + apart(place + AHEAD_S * velocity, SEPARATION), -self._limit, self._limit)
         return np.clip((self._asked + self._drift) / self._limit, -1.0, 1.0)
 
-    def answer(self) -> Array:
+    def answer(self) -> NumpyArray:
         """Return each agent's answer: the expected mean, or samples of puffs."""
         self._learn()
         assert self._fit is not None
@@ -123,7 +123,7 @@ class Mapping:
         assert self._fit is not None
         self._fit.measured(np.concatenate(self._points), np.concatenate(self._values))
 
-    def _targets(self, place: Array) -> Array:
+    def _targets(self, place: NumpyArray) -> NumpyArray:
         """Return where each vehicle is to fly: of some places the best, none near that of another."""
         assert self._fit is not None
         places = np.clip(self._fit.promising(CANDIDATES), self._low, self._high)

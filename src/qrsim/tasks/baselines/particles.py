@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.plume import INNER
 from qrsim.tasks.baselines.tubes import WindPlume
 
-Array = np.ndarray[Any, Any]
 # Particles while locations are searched for tubes, after that, and where nobody tells locations.
 SEARCHERS, PARTICLES, UNTOLD = 192, 80, 500
 # Softness of a tube's edge in the logarithm of the concentration, made harder and harder, and sweeps at each.
@@ -51,25 +51,25 @@ class Guess:
         at_locations, at_measured: (N, S, P) concentration that the source makes, if its rate were 1.
     """
 
-    place: Array
-    rate: Array
-    there: Array
-    bearing: Array
-    volume: Array
-    at_locations: Array
-    at_measured: Array
+    place: NumpyArray
+    rate: NumpyArray
+    there: NumpyArray
+    bearing: NumpyArray
+    volume: NumpyArray
+    at_locations: NumpyArray
+    at_measured: NumpyArray
 
     @property
-    def rates(self) -> Array:
+    def rates(self) -> NumpyArray:
         """Rates (N, S), 0 where no source is."""
         return np.where(self.there, np.exp(self.rate), np.zeros_like(self.rate))
 
     @property
-    def bearings(self) -> Array:
+    def bearings(self) -> NumpyArray:
         """Bearings (N, S), the same for all sources of a particle."""
         return np.broadcast_to(self.bearing[:, None], self.rate.shape)
 
-    def picked(self, rows: Array) -> Guess:
+    def picked(self, rows: NumpyArray) -> Guess:
         """Return some of the particles."""
         return Guess(**{name: value[rows] for name, value in vars(self).items()})
 
@@ -77,10 +77,10 @@ class Guess:
         """Return a mutable copy."""
         return Guess(**{name: value.copy() for name, value in vars(self).items()})
 
-    def where(self, taken: Array, other: Guess) -> Guess:
+    def where(self, taken: NumpyArray, other: Guess) -> Guess:
         """Replace particles by those of another guess where ``taken`` (N,)."""
 
-        def either(own: Array, others: Array) -> Array:
+        def either(own: NumpyArray, others: NumpyArray) -> NumpyArray:
             return np.where(taken.reshape(-1, *[1] * (own.ndim - 1)), others, own)
 
         return Guess(**{name: either(value, getattr(other, name)) for name, value in vars(self).items()})
@@ -96,7 +96,7 @@ class Particles:
         random: where random numbers come from.
     """
 
-    def __init__(self, plume: WindPlume, white: float, locations: Array, random: np.random.Generator):
+    def __init__(self, plume: WindPlume, white: float, locations: NumpyArray, random: np.random.Generator):
         self.plume = plume
         self._white, self._random = max(white, 1e-4), random
         self._locations = np.asarray(locations, np.float32)
@@ -110,7 +110,7 @@ class Particles:
         if len(self._locations):
             self._search()
 
-    def measured(self, points: Array, values: Array) -> None:
+    def measured(self, points: NumpyArray, values: NumpyArray) -> None:
         """Update with all measurements so far, once a second: values (M,) at points (M, 3) [m]."""
         cells, which = np.unique(np.floor(points / CELL).astype(int), axis=0, return_inverse=True)
         which, count = which.ravel(), len(cells)
@@ -126,18 +126,18 @@ class Particles:
         for _ in range(SWEEPS_LATER):
             self._sweep()
 
-    def concentration(self, points: Array) -> Array:
+    def concentration(self, points: NumpyArray) -> NumpyArray:
         """Return the mean concentration (N, P) over time that each particle expects at points (P, 3)."""
         unit = self.plume.unit(self.guess.place, self.guess.bearings, np.asarray(points, np.float32))
         return self.plume.mean_rate * _summed(self.guess.rates, unit)
 
-    def variance(self, mean: Array, seconds: Array | float) -> Array:
+    def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
         """Return the variance of means of measurements over some time whose expectation is ``mean``."""
         # Puffs take some time to pass, so the first seconds say little more than one.
         relative = RELATIVE**2 + self.plume.restless / (np.asarray(seconds) + 3.0)
         return np.asarray(self._white**2 / seconds + relative * mean * mean)
 
-    def promising(self, count: int) -> Array:
+    def promising(self, count: int) -> NumpyArray:
         """Return positions (count, 3) [m] where some particles expect concentration."""
         random, guess = self._random, self.guess
         rows = random.integers(0, len(guess.bearing), count)
@@ -146,9 +146,13 @@ class Particles:
         along = np.exp(random.uniform(np.log(5.0), np.log(90.0), count))
         side = random.normal(0.0, 0.7, (2, count)) * np.sqrt(self.plume.spread(along))
         return source + np.stack(
-            [np.cos(bearing) * along - np.sin(bearing) * side[0], np.sin(bearing) * along + np.cos(bearing) * side[0],
-             side[1]], axis=1,
-        )  # fmt: skip
+            [
+                np.cos(bearing) * along - np.sin(bearing) * side[0],
+                np.sin(bearing) * along + np.cos(bearing) * side[0],
+                side[1],
+            ],
+            axis=1,
+        )
 
     def _begun(self, count: int) -> Guess:
         """Return particles with sources upwind of locations, in winds along which locations are in line."""
@@ -169,7 +173,7 @@ class Particles:
         self._weigh(guess, guess.there)
         return guess
 
-    def _bearings(self, count: int) -> Array:
+    def _bearings(self, count: int) -> NumpyArray:
         """Return bearings (N,): more likely those along which many locations are close in line."""
         random = self._random
         if len(self._locations) < 2:
@@ -184,12 +188,12 @@ class Particles:
         turned = chosen + np.pi * random.integers(0, 2, count) + random.normal(0.0, 0.01, count)
         return np.asarray(turned, np.float32)
 
-    def _random_rates(self, shape: Any) -> Array:
+    def _random_rates(self, shape: Any) -> NumpyArray:
         """Return logarithms of rates of sources."""
         low, high = np.log(self.plume.rates)
         return np.asarray(self._random.uniform(low, high, shape), np.float32)
 
-    def _new_places(self, guess: Guess) -> Array:
+    def _new_places(self, guess: Guess) -> NumpyArray:
         """Return places (N, 3) for new sources: upwind of a location that no tube holds yet, or anywhere.
 
         Where nobody tells locations, upwind of where something was smelt.
@@ -212,18 +216,18 @@ class Particles:
         places = np.where(random.uniform(size=(count, 1)) < ANYWHERE, anywhere, upwind)
         return np.clip(places, *self._inner).astype(np.float32)
 
-    def _least(self, guess: Guess) -> Array:
+    def _least(self, guess: Guess) -> NumpyArray:
         """Return the concentration (N,) above which locations lie."""
         smallest = np.where(guess.there, guess.rate, np.inf).min(axis=1)
         return np.asarray(self.plume.threshold * np.exp(smallest), np.float32)
 
-    def _weigh(self, guess: Guess, which: Array) -> None:
+    def _weigh(self, guess: Guess, which: NumpyArray) -> None:
         """Compute the volumes of tubes (N, S) anew."""
         which = which & guess.there
         least = self._least(guess)[:, None] / np.exp(guess.rate)
         guess.volume[which] = self.plume.volume(guess.place[which], guess.bearings[which], least[which])
 
-    def _likelihood(self, guess: Guess) -> Array:
+    def _likelihood(self, guess: Guess) -> NumpyArray:
         """Return the logarithm (N,) of the posterior density, but for a constant."""
         rates = guess.rates
         total = np.where(guess.there, guess.rate, 0.0).sum(axis=1) - PER_SOURCE * guess.there.sum(axis=1)
@@ -240,7 +244,7 @@ class Particles:
             total = total - np.sum(tails + 0.5 * np.log(variance), axis=1)
         return np.asarray(np.where(self._possible(guess), total, -np.inf), np.float64)
 
-    def _possible(self, guess: Guess) -> Array:
+    def _possible(self, guess: Guess) -> NumpyArray:
         """Return whether all sources of particles (N,) are where sources may be, and release what they may."""
         low, high = np.log(self.plume.rates)
         inside = np.all((guess.place >= self._inner[0]) & (guess.place <= self._inner[1]), axis=2)
@@ -282,7 +286,7 @@ class Particles:
         self.guess = self.guess.where(taken, proposed)
         self._likely = np.where(taken, likely, self._likely)
 
-    def _changed(self, slot: Array, place: Array, rate: Array, there: Array) -> Guess:
+    def _changed(self, slot: NumpyArray, place: NumpyArray, rate: NumpyArray, there: NumpyArray) -> Guess:
         """Return the particles with the source in slot (N,) changed."""
         old, new = self.guess, self.guess.copy()
         which = np.arange(len(slot)), slot
@@ -295,7 +299,7 @@ class Particles:
         )
         return new
 
-    def _any_slot(self) -> Array:
+    def _any_slot(self) -> NumpyArray:
         """Return a random source of each particle."""
         there = self.guess.there
         return np.argmax(there + self._random.uniform(size=there.shape), axis=1)
@@ -336,6 +340,6 @@ class Particles:
         return new
 
 
-def _summed(rates: Array, unit: Array) -> Array:
+def _summed(rates: NumpyArray, unit: NumpyArray) -> NumpyArray:
     """Sum the concentration (N, P) of all sources (N, S), from that of each at rate 1 (N, S, P)."""
     return np.einsum("ns,nsp->np", rates, unit)

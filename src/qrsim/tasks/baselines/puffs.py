@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.plume import PuffPlume, trail
 from qrsim.tasks.baselines.particles import Guess
 from qrsim.tasks.baselines.tubes import WindPlume
 
-Array = np.ndarray[Any, Any]
 
-
-def puff_samples(known: WindPlume, puffs: PuffPlume, guess: Guess, points: Array, random: np.random.Generator) -> Array:
+def puff_samples(
+    known: WindPlume, puffs: PuffPlume, guess: Guess, points: NumpyArray, random: np.random.Generator
+) -> NumpyArray:
     """Sample concentrations (P, N) at points (P, 3) [m], one instant per particle of a guess.
 
     Releases are independent of each other, so those in the air at a moment are a random number of random ages.

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.tasks.baselines.belief import Belief, view
 from qrsim.tasks.baselines.coverage import Coverage
 from qrsim.tasks.baselines.separation import apart
@@ -13,7 +14,6 @@ from qrsim.tasks.baselines.tours import length, tours
 from qrsim.tasks.baselines.visiting import HEIGHT, NEAR, SEPARATION, SPEED, over_ground, toward
 from qrsim.tasks.play import Play
 
-Array = np.ndarray[Any, Any]
 # Height of the survey [m], at most so far from the area's ceiling, and how steeply it is left for a person.
 SURVEY, CEILING, SLOPE = 70.0, 8.0, 0.85
 # Log odds that make a cell worth a visit, and that end one.
@@ -46,9 +46,9 @@ class Searching:
         count = len(play.agents)
         self._target = np.full((count, 2), np.nan)
         self._waited, self._rested = np.zeros(count, int), np.zeros(count, int)
-        self._place: Array | None = None
+        self._place: NumpyArray | None = None
 
-    def act(self, seen: dict[str, Array]) -> Array:
+    def act(self, seen: dict[str, NumpyArray]) -> NumpyArray:
         """Return the actions (n, 3)."""
         place = np.asarray(seen["vehicle"][:, :3], np.float64).copy()
         for i in range(len(place)):
@@ -65,7 +65,7 @@ class Searching:
         wanted = np.stack([self._steer(i, place, velocity[i], float(yaw[i])) for i in range(len(place))])
         return np.clip(over_ground(wanted + apart(place, SEPARATION), place) / self._limit, -1.0, 1.0)
 
-    def _look(self, ratio: Array, corners: Array, grid: Array) -> Array:
+    def _look(self, ratio: NumpyArray, corners: NumpyArray, grid: NumpyArray) -> NumpyArray:
         """Add a picture to the maps, and return where it was taken."""
         corners = np.asarray(corners, np.float64)
         shown = view(corners, grid, self._belief.camera)
@@ -74,7 +74,7 @@ class Searching:
             self._coverage.look(places, float(-shown.place[2]))
         return shown.place
 
-    def _follow(self, i: int, here: Array, velocity: Array) -> None:
+    def _follow(self, i: int, here: NumpyArray, velocity: NumpyArray) -> None:
         """Keep to the likely person, or end the visit: it is found, not likely any more, or waited for in vain."""
         target, odds = self._belief.best(self._target[i], 1.5)
         near = float(np.linalg.norm(self._target[i] - here[:2])) < NEAR + 1.0 and -here[2] < HEIGHT + 1.0
@@ -86,7 +86,7 @@ class Searching:
         elif not near:
             self._target[i] = target
 
-    def _assign(self, place: Array) -> None:
+    def _assign(self, place: NumpyArray) -> None:
         """Give the suspected persons to the vehicles, on tours; a survey goes on as long as these leave time for it."""
         suspected = self._belief.suspected(LIKELY, APART)
         if not len(suspected):
@@ -107,7 +107,7 @@ class Searching:
                 self._target[i] = suspected[order[0]]
                 self._waited[i] = self._rested[i] = 0
 
-    def _steer(self, i: int, place: Array, velocity: Array, yaw: float) -> Array:
+    def _steer(self, i: int, place: NumpyArray, velocity: NumpyArray, yaw: float) -> NumpyArray:
         """Return the velocity NED [m/s] of a vehicle."""
         here = place[i]
         if np.isfinite(self._target[i, 0]):

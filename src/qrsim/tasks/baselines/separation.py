@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from qrsim.core.arrays import NumpyArray
 
 
-def apart(place: Array, distance: float) -> Array:
+def apart(place: NumpyArray, distance: float) -> NumpyArray:
     """Return velocities (n, K) [m/s] that move vehicles at (n, K) [m] away from others within a distance."""
     offset = place[:, None] - place[None]
     found = np.linalg.norm(offset, axis=-1) + 1e9 * np.eye(len(place))

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.tasks.agents import fleet_of
 from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.baselines.tours import tours
 from qrsim.tasks.baselines.visiting import SEPARATION, over_ground, toward
 from qrsim.tasks.play import Play
 
-Array = np.ndarray[Any, Any]
 # What the stop at a person costs, as a length of way [m].
 STOP = 20.0
 
@@ -29,11 +29,11 @@ class Touring:
         self._state: Any = None
         self._tours: list[list[int]] | None = None
 
-    def know(self, state: Any) -> None:
+    def know(self, state: object) -> None:
         """Take the true state of the world at the present step."""
         self._state = state
 
-    def act(self, seen: Any) -> Array:
+    def act(self, seen: object) -> NumpyArray:
         """Return the actions (n, 3), from the truth alone."""
         model, fleet = fleet_of(self._play.world, self._state, self._play.task.fleet)
         pose = model.vehicle.pose(fleet.vehicle)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from qrsim.core.arrays import NumpyArray
+
 ROUNDS = 50
 
 
-def length(start: Array, points: Array, order: list[int]) -> float:
+def length(start: NumpyArray, points: NumpyArray, order: list[int]) -> float:
     """Return how long a tour from ``start`` (2,) through ``points`` (P, 2) in an order is, without the way back."""
     way = np.concatenate([start[None], points[order]])
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
-def untangled(start: Array, points: Array, order: list[int]) -> list[int]:
+def untangled(start: NumpyArray, points: NumpyArray, order: list[int]) -> list[int]:
     """Return an order in which no part of the tour is shorter when it is flown backwards (2-opt; Croes 1958)."""
     best, shortest = list(order), length(start, points, order)
     for _ in range(ROUNDS):
@@ -29,7 +28,7 @@ def untangled(start: Array, points: Array, order: list[int]) -> list[int]:
     return best
 
 
-def tours(starts: Array, points: Array, stop: float) -> list[list[int]]:
+def tours(starts: NumpyArray, points: NumpyArray, stop: float) -> list[list[int]]:
     """Return the order in which each vehicle visits its share of the points, so that the last is done early.
 
     Args:

@@ -11,13 +11,13 @@ from typing import Any, cast
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.scene.plume import PuffPlume
 from qrsim.tasks.play import Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.world.episode import surroundings
 
-Array = np.ndarray[Any, Any]
 # Slices of a tube along the wind, to so far [m] beyond where its axis leaves the box: its side leaves it later.
 SLICES, BEYOND = 20, 25.0
 
@@ -40,8 +40,8 @@ class WindPlume:
     speed: float
     factor: float
     exponent: float
-    low: Array
-    high: Array
+    low: NumpyArray
+    high: NumpyArray
     fewest: int
     most: int
     rates: tuple[float, float]
@@ -81,17 +81,17 @@ class WindPlume:
         """Whether all sources have the same rate."""
         return self.rates[0] == self.rates[1]
 
-    def spread(self, along: Array) -> Array:
+    def spread(self, along: NumpyArray) -> NumpyArray:
         """Return the spread s [m^2] at a distance downwind [m]."""
         return np.asarray(2.0 * self.factor * np.exp(self.exponent * np.log(np.maximum(along, 1e-3))))
 
-    def along_across(self, place: Array, bearing: Array, points: Array) -> tuple[Array, Array]:
+    def along_across(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
         """Return downwind, crosswind distances (..., P) [m] of points (P, 3) from sources (..., 3) in winds (...)."""
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]
         north, east = (points[:, i] - place[..., i, None] for i in range(2))
         return cosine * north + sine * east, cosine * east - sine * north
 
-    def unit(self, place: Array, bearing: Array, points: Array) -> Array:
+    def unit(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> NumpyArray:
         """Return the concentration (..., P) at points (P, 3) of sources (..., 3) of rate 1, winds blowing to (...)."""
         along, across = self.along_across(place, bearing, points)
         spread = self.spread(along)
@@ -101,14 +101,14 @@ class WindPlume:
         field = (direct + reflected) / (np.pi * self.speed * spread)
         return np.where(along > 0.0, field, np.zeros_like(field))
 
-    def reach(self, place: Array, bearing: Array) -> Array:
+    def reach(self, place: NumpyArray, bearing: NumpyArray) -> NumpyArray:
         """Return the distance (...) [m] from sources (..., 3) downwind to the edge of the box."""
         way = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
         edge = np.where(way > 0.0, self.high[:2], self.low[:2])
         far = (edge - place[..., :2]) / np.where(np.abs(way) < 1e-6, 1e-6, way)
         return np.maximum(far.min(axis=-1), 0.0)
 
-    def volume(self, place: Array, bearing: Array, least: Array) -> Array:
+    def volume(self, place: NumpyArray, bearing: NumpyArray, least: NumpyArray) -> NumpyArray:
         """Return the volume (...) [m^3] in the box where sources (..., 3) of rate 1 give more than ``least`` (...).
 
         Discs along the wind; what the ground throws back is left out.
@@ -125,7 +125,7 @@ class WindPlume:
             area = area - square * (np.arccos(part) - part * np.sqrt(1.0 - part * part))
         return np.asarray(reach * np.mean(area * self._inside(place, bearing, along, radius), axis=-1))
 
-    def _inside(self, place: Array, bearing: Array, along: Array, radius: Array) -> Array:
+    def _inside(self, place: NumpyArray, bearing: NumpyArray, along: NumpyArray, radius: NumpyArray) -> NumpyArray:
         """Return which part of the chords of discs across the wind is in the box."""
         first, last = -radius, radius
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]

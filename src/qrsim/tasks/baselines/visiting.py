@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from qrsim.core.arrays import NumpyArray
+
 # Where a person is found: at rest this high above the ground, and so near to the person on the map [m].
 HEIGHT, NEAR = 3.0, 2.5
 # Velocity for each metre of the way [1/s], at most so fast on each axis [m/s].
@@ -17,7 +16,7 @@ FLOOR = 2.0
 SEPARATION = 12.0
 
 
-def toward(here: Array, point: Array, height: float = HEIGHT) -> Array:
+def toward(here: NumpyArray, point: NumpyArray, height: float = HEIGHT) -> NumpyArray:
     """Return the velocity NED (3,) [m/s] of a vehicle at ``here`` (3,) that is to rest near ``point`` (2,).
 
     It goes down as late as it can, so that it sees most on its way, and stops as soon as it is near.
@@ -33,7 +32,7 @@ def toward(here: Array, point: Array, height: float = HEIGHT) -> Array:
     return np.array([*level, np.clip(GAIN * down, -SPEED, SPEED)])
 
 
-def over_ground(velocity: Array, place: Array) -> Array:
+def over_ground(velocity: NumpyArray, place: NumpyArray) -> NumpyArray:
     """Return velocities NED (n, 3) [m/s] that lead no vehicle at (n, 3) [m] into the ground.
 
     One that others above it push away would go there.

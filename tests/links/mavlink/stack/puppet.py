@@ -44,9 +44,15 @@ class Puppet:
     """
 
     def __init__(
-        self, flavour: str = "px4", factor: float = 1.0, fence: tuple = (), settle: float = 2.0,
-        z_min: float = -math.inf, z_max: float = math.inf, local_origin: str = "start",
-    ):  # fmt: skip
+        self,
+        flavour: str = "px4",
+        factor: float = 1.0,
+        fence: tuple = (),
+        settle: float = 2.0,
+        z_min: float = -math.inf,
+        z_max: float = math.inf,
+        local_origin: str = "start",
+    ):
         facts = Facts("a", hover_throttle=0.5, has_battery=True, fence=fence, z_min=z_min, z_max=z_max)
         facts = replace(facts, local_origin=local_origin)  # type: ignore[arg-type]
         self.stack = FlightStack(facts, SITE, flavour=flavour, factor=factor)  # type: ignore[arg-type]

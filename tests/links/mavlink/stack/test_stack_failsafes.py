@@ -152,9 +152,15 @@ def test_nothing_milder_ends_a_return():
 
 @pytest.mark.parametrize(
     ("action", "mode", "armed"),
-    [(0, Mode.HOLD, True), (1, Mode.HOLD, True), (2, Mode.RTL, True), (3, Mode.LAND, True), (5, Mode.HOLD, False),
-     (6, Mode.HOLD, False)],
-)  # fmt: skip
+    [
+        (0, Mode.HOLD, True),
+        (1, Mode.HOLD, True),
+        (2, Mode.RTL, True),
+        (3, Mode.LAND, True),
+        (5, Mode.HOLD, False),
+        (6, Mode.HOLD, False),
+    ],
+)
 def test_a_link_to_the_ground_that_is_lost(action, mode, armed):
     puppet = Puppet()
     puppet.stack.parameters.set("NAV_DLL_ACT", action)

@@ -72,8 +72,11 @@ def test_the_last_metres_of_a_landing_are_slow():
     puppet.fly_up(20.0)
     puppet.do(21)
     sinks = {}
-    puppet.run(40.0, until=lambda now: now.seen.on_ground, each=lambda now: sinks.update(
-        {round(-now.seen.position_ned[2]): now.seen.velocity_ned[2]}))  # fmt: skip
+    puppet.run(
+        40.0,
+        until=lambda now: now.seen.on_ground,
+        each=lambda now: sinks.update({round(-now.seen.position_ned[2]): now.seen.velocity_ned[2]}),
+    )
     # MPC_Z_VEL_MAX_DN above 10 m, MPC_LAND_SPEED below 5 m.
     assert sinks[12] == pytest.approx(1.5, abs=0.1)
     assert sinks[2] == pytest.approx(0.7, abs=0.05)

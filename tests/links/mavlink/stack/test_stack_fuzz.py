@@ -67,17 +67,27 @@ def disturb(draw: random.Random, puppet: Any) -> None:
         assert ack.result in Result
     elif what == 3:
         target = LocalTarget(
-            draw.choice((1, 2, 7, 8, 9, 12)), draw.randrange(0x1000),
-            numbers(draw, 3), numbers(draw, 3), numbers(draw, 3), *numbers(draw, 2),
-        )  # fmt: skip
+            draw.choice((1, 2, 7, 8, 9, 12)),
+            draw.randrange(0x1000),
+            numbers(draw, 3),
+            numbers(draw, 3),
+            numbers(draw, 3),
+            *numbers(draw, 2),
+        )
         stack.setpoint(target)
     elif what == 4:
         stack.setpoint(
             GlobalTarget(
-                draw.choice((0, 1, 3, 5, 6, 10, 11)), draw.randrange(0x1000), draw.choice(PLACES), draw.choice(PLACES),
-                numbers(draw, 1)[0], numbers(draw, 3), numbers(draw, 3), *numbers(draw, 2),
+                draw.choice((0, 1, 3, 5, 6, 10, 11)),
+                draw.randrange(0x1000),
+                draw.choice(PLACES),
+                draw.choice(PLACES),
+                numbers(draw, 1)[0],
+                numbers(draw, 3),
+                numbers(draw, 3),
+                *numbers(draw, 2),
             )
-        )  # fmt: skip
+        )
     elif what == 5:
         stack.setpoint(AttitudeTarget(draw.randrange(256), numbers(draw, 4), numbers(draw, 3), numbers(draw, 1)[0]))
     elif what == 6:

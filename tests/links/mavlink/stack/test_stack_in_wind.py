@@ -49,14 +49,18 @@ class Field:
         self.stacks = [
             FlightStack(
                 Facts(
-                    name, number + 1, self.simulation.world.time_step, tilt_max=float(np.max(handling.tilt_max)),
+                    name,
+                    number + 1,
+                    self.simulation.world.time_step,
+                    tilt_max=float(np.max(handling.tilt_max)),
                     hover_throttle=float(handling.throttle(handling.mass * handling.gravity)),
-                    roll_gain=gain, pitch_gain=gain,
+                    roll_gain=gain,
+                    pitch_gain=gain,
                 ),
                 self.simulation.site,
             )
             for number, name in enumerate(self.simulation.vehicle_names)
-        ]  # fmt: skip
+        ]
         self.said: list[str] = []
         self.reached: list[int] = []
         self.run(2.0)
@@ -74,13 +78,20 @@ class Field:
         standing, reasons = simulation.truth.on_ground, simulation.reasons
         return [
             Seen(
-                simulation.time, tuple(place[i].tolist()), tuple(speed[i].tolist()), tuple(angles[i].tolist()),
-                valid=bool(np.isfinite(place[i]).all()), latitude=math.degrees(latitude[i]),
-                longitude=math.degrees(longitude[i]), altitude=float(altitude[i]), charge=float(charge[i]),
-                on_ground=bool(standing[i]), stopped=reasons[i],
+                simulation.time,
+                tuple(place[i].tolist()),
+                tuple(speed[i].tolist()),
+                tuple(angles[i].tolist()),
+                valid=bool(np.isfinite(place[i]).all()),
+                latitude=math.degrees(latitude[i]),
+                longitude=math.degrees(longitude[i]),
+                altitude=float(altitude[i]),
+                charge=float(charge[i]),
+                on_ground=bool(standing[i]),
+                stopped=reasons[i],
             )
             for i in range(len(place))
-        ]  # fmt: skip
+        ]
 
     def run(self, seconds: float, until: Callable[[], bool] | None = None) -> bool:
         """Fly for some time, or until something holds; return whether it did."""

@@ -33,8 +33,13 @@ def test_items_that_move_nothing_are_reached_at_once(flavour, commands):
     assert at[last - 1] - at[2] < 0.1
 
 
-@pytest.mark.parametrize(("flavour", "command"), [*(("px4", one) for one in (82, 114, 115, 181, 183, 207, 208, 3000)),
-                                                  *(("ardupilot", one) for one in (4501, 208, 3000))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("flavour", "command"),
+    [
+        *(("px4", one) for one in (82, 114, 115, 181, 183, 207, 208, 3000)),
+        *(("ardupilot", one) for one in (4501, 208, 3000)),
+    ],
+)
 def test_items_of_the_other_autopilot_are_refused(flavour, command):
     puppet = Puppet(flavour)
     items = [item(0, WAYPOINT, 5, 0, 5.0), item(1, command, 9, 0, 5.0, params=(1, 0, 0, 0))]
@@ -68,10 +73,16 @@ def test_a_gate_is_passed_on_the_way_to_the_next_place():
 
 
 def test_conditions_of_ardupilot_hold_on_the_way_to_the_next_place():
-    items = [item(0, WAYPOINT, up=0.0), item(1, TAKEOFF, up=5.0), item(2, 114, frame=2, params=(8.0, 0, 0, 0)),
-             item(3, 115, frame=2, params=(90.0, 0, 0, 0)), item(4, 82, 30, 0, 5.0, params=(0, 0, 0, 0)),
-             item(5, 115, frame=2, params=(30.0, 0, -1, 1)), item(6, WAYPOINT, 60, 0, 5.0, params=(0, 0, 0, 180.0)),
-             item(7, WAYPOINT, 90, 0, 5.0)]  # fmt: skip
+    items = [
+        item(0, WAYPOINT, up=0.0),
+        item(1, TAKEOFF, up=5.0),
+        item(2, 114, frame=2, params=(8.0, 0, 0, 0)),
+        item(3, 115, frame=2, params=(90.0, 0, 0, 0)),
+        item(4, 82, 30, 0, 5.0, params=(0, 0, 0, 0)),
+        item(5, 115, frame=2, params=(30.0, 0, -1, 1)),
+        item(6, WAYPOINT, 60, 0, 5.0, params=(0, 0, 0, 180.0)),
+        item(7, WAYPOINT, 90, 0, 5.0),
+    ]
     found = reached_at(items, "ardupilot")
     # Eight metres before the spline waypoint it turns east, and flies on so; then 30 degrees to the left of that.
     assert found[2][0] == pytest.approx(22.0, abs=0.3)
@@ -79,11 +90,23 @@ def test_conditions_of_ardupilot_hold_on_the_way_to_the_next_place():
     assert found[6] == pytest.approx((58.0, math.pi / 3), abs=0.3)
 
 
-@pytest.mark.parametrize(("changed", "home"), [({"params": (1, 0, 0, 0)}, (10.0, 0.0, 5.0)), ({}, (20.0, 8.0, 3.0)),
-                                               ({"frame": 2, "z": 491.0}, (20.0, 8.0, 3.0))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changed", "home"),
+    [
+        ({"params": (1, 0, 0, 0)}, (10.0, 0.0, 5.0)),
+        ({}, (20.0, 8.0, 3.0)),
+        ({"frame": 2, "z": 491.0}, (20.0, 8.0, 3.0)),
+    ],
+)
 def test_home_is_set_by_an_item(changed, home):
     there = replace(item(2, 179, 20, 8, 3.0, params=(0, 0, 0, 0)), **changed)
-    puppet = flown([item(0, TAKEOFF, up=5.0), item(1, WAYPOINT, 10, 0, 5.0, params=(0, 0.1, NAN, NAN)), there,
-                    item(3, WAYPOINT, 11, 0, 5.0)])  # fmt: skip
+    puppet = flown(
+        [
+            item(0, TAKEOFF, up=5.0),
+            item(1, WAYPOINT, 10, 0, 5.0, params=(0, 0.1, NAN, NAN)),
+            there,
+            item(3, WAYPOINT, 11, 0, 5.0),
+        ]
+    )
     north, east, down = puppet.stack.home.position_ned
     assert (north, east, -down) == pytest.approx(home, abs=0.9)

@@ -153,10 +153,12 @@ def test_a_return_goes_on_within_half_a_metre_of_its_height_and_one_of_home(monk
     back.begin(craft, ())
     # RTL_RETURN_ALT, 60 m, RTL_DESCEND_ALT, 10 m: the goal of the step after is the next phase's.
     for place, goal in (
-        ((40.0, 0.0, -59.45), (40.0, 0.0, -60.0)), ((40.0, 0.0, -59.6), (40.0, 0.0, -60.0)),
-        ((1.1, 0.0, -60.0), (0.0, 0.0, -60.0)), ((0.9, 0.0, -60.0), (0.0, 0.0, -60.0)),
+        ((40.0, 0.0, -59.45), (40.0, 0.0, -60.0)),
+        ((40.0, 0.0, -59.6), (40.0, 0.0, -60.0)),
+        ((1.1, 0.0, -60.0), (0.0, 0.0, -60.0)),
+        ((0.9, 0.0, -60.0), (0.0, 0.0, -60.0)),
         ((0.0, 0.0, -60.0), (0.0, 0.0, -10.0)),
-    ):  # fmt: skip
+    ):
         puppet.seen.position_ned = place
         back.fly(craft)
         assert found[-1][0] == pytest.approx(goal, abs=0.01)
@@ -176,7 +178,7 @@ def test_a_climb_that_is_asked_for_takes_off():
         (LocalTarget(1, 0x9F8, (0.0, 0.0, -0.19), yaw=0.0), False),
         (LocalTarget(1, 0x9C7, velocity=(0.0, 0.0, -0.11), yaw=0.0), True),
         (LocalTarget(1, 0x9C7, velocity=(0.0, 0.0, -0.09), yaw=0.0), False),
-    ):  # fmt: skip
+    ):
         puppet = Puppet()
         puppet.stack.setpoint(target)
         puppet.stack.set_mode(1, 0x00060000)

@@ -112,10 +112,15 @@ def test_circle_of_ardupilot_goes_round_a_place_ahead():
     assert math.hypot(*puppet.seen.velocity_ned[:2]) == pytest.approx(10.0 * math.radians(20.0), rel=0.1)
 
 
-@pytest.mark.parametrize(("number", "text"), [(21, "Mode change to SMART_RTL failed: not flown here"),
-                                              (1, "Mode change to ACRO failed: not flown here"),
-                                              (2, "Mode change to ALT_HOLD failed: no manual control input"),
-                                              (99, "No such mode 99")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (21, "Mode change to SMART_RTL failed: not flown here"),
+        (1, "Mode change to ACRO failed: not flown here"),
+        (2, "Mode change to ALT_HOLD failed: no manual control input"),
+        (99, "No such mode 99"),
+    ],
+)
 def test_modes_of_ardupilot_that_cannot_be_had_are_refused_by_name(number, text):
     puppet = flying("ardupilot")
     assert puppet.stack.set_mode(1, number) == FAILED

@@ -27,9 +27,17 @@ class Glider:
 
     def __init__(self, flavour="px4", fence=WIDE, z_min=-300.0, loiter_radius=150.0):
         facts = Facts(
-            "w", kinds=FLOWN, mav_type=FIXED_WING, fence=fence, z_min=z_min, z_max=0.0, airspeed=25.0,
-            airspeed_min=11.3, loiter_radius=loiter_radius, has_battery=True,
-        )  # fmt: skip
+            "w",
+            kinds=FLOWN,
+            mav_type=FIXED_WING,
+            fence=fence,
+            z_min=z_min,
+            z_max=0.0,
+            airspeed=25.0,
+            airspeed_min=11.3,
+            loiter_radius=loiter_radius,
+            has_battery=True,
+        )
         self.stack = WingStack(facts, SITE, flavour=flavour)
         self.seen = Seen(charge=0.8, present=0xF, healthy=0xF, on_ground=False)
         self.order, self.said, self.reached, self.trail = None, [], [], []
@@ -72,9 +80,11 @@ class Glider:
         heading += min(max(turn, -0.26 * DT), 0.26 * DT)
         seen.velocity_ned = (speed * math.cos(heading), speed * math.sin(heading), climb)
         self.put(
-            north + seen.velocity_ned[0] * DT, east + seen.velocity_ned[1] * DT, down + climb * DT,
+            north + seen.velocity_ned[0] * DT,
+            east + seen.velocity_ned[1] * DT,
+            down + climb * DT,
             math.remainder(heading, 2.0 * math.pi),
-        )  # fmt: skip
+        )
         seen.time = round(seen.time + DT, 6)
 
     @staticmethod

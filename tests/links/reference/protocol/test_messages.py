@@ -73,9 +73,16 @@ def test_kinds_of_steps_and_required_fields_are_those_of_the_reference():
     own = {"Server", "Session", "Event", "Events", "Pacing", "Readings", "Values", "Episode", "Outcome"}
     own |= {"Claimed", "Order", "Commanded", "Status", "World"}
     assert {name for name in required if name.partition(".")[0] not in own} == {
-        "Size.value", "Init.task", "Reset.value", "Disconnect.quit", "Step.dt", "Step.type", "State.t", "Ack.error",
+        "Size.value",
+        "Init.task",
+        "Reset.value",
+        "Disconnect.quit",
+        "Step.dt",
+        "Step.type",
+        "State.t",
+        "Ack.error",
         "Message.type",
-    }  # fmt: skip
+    }
 
 
 def test_extensions_have_numbers_above_those_of_the_reference():

@@ -102,8 +102,9 @@ def flown(model: Any, rows: dict[str, Any], dt: float, air: tuple[float, float, 
         still = Vec3(zero, zero, zero)  # type: ignore[arg-type]
         start: Any = replace(
             model.initial_state(Vec3(*first[:3]), Quaternion(*first[6:10]).euler(), Vec3(*first[3:6]), still),  # type: ignore[arg-type]
-            quaternion=Quaternion(*first[6:10]), rates_body=Vec3(*first[10:]),  # type: ignore[arg-type]
-        )  # fmt: skip
+            quaternion=Quaternion(*first[6:10]),
+            rates_body=Vec3(*first[10:]),  # type: ignore[arg-type]
+        )
         wind, spins = Vec3(*(jnp.full(1, part) for part in air)), Vec3(*(jnp.full(1, float(part)) for part in rates))
         around = Around(lambda place: (zero, still), spins)
         columns = [rows[name][:-1, None] for name in ("elevator", "aileron", "rudder", "throttle")]
@@ -130,8 +131,10 @@ def test_the_golden_trajectory(golden: Path) -> None:
         **dict(zip(STATES[3:6], jax.tree.leaves(states.velocity_body), strict=True)),
         **dict(zip(STATES[6:10], jax.tree.leaves(states.quaternion), strict=True)),
         **dict(zip(STATES[10:], jax.tree.leaves(states.rates_body), strict=True)),
-        "airspeed": states.airspeed, "alpha": states.angle_of_attack, "beta": states.sideslip,
-    }  # fmt: skip
+        "airspeed": states.airspeed,
+        "alpha": states.angle_of_attack,
+        "beta": states.sideslip,
+    }
     for name, values in found.items():
         scale = np.max(np.abs(rows[name]))
         np.testing.assert_allclose(values[:, 0], rows[name][1:], rtol=0.0, atol=1e-9 * scale, err_msg=name)

@@ -206,9 +206,15 @@ class TestStabiliser:
         """(W8) at 4 m/s as at 8: k = (25/8)^2; roll and pitch errors of 0.02 and -0.01, a yaw rate of 0.5 rad/s."""
         zero = many(0.0)
         memory, found = uncompiled(wanted_surfaces)(
-            aerosonde(), Stabiliser(zero, zero, zero), AttitudeCommand(many(0.12), many(0.19), zero),
-            Euler(many(0.1), many(0.2), zero), vector(0.01, 0.02, 0.5), many(4.0), many(-0.1), 0.01,
-        )  # fmt: skip
+            aerosonde(),
+            Stabiliser(zero, zero, zero),
+            AttitudeCommand(many(0.12), many(0.19), zero),
+            Euler(many(0.1), many(0.2), zero),
+            vector(0.01, 0.02, 0.5),
+            many(4.0),
+            many(-0.1),
+            0.01,
+        )
         k = 625.0 / 64.0
         slow = 0.01 * 0.5
         aileron = k * (1.2 * 0.02 - 0.12 * 0.01) + 0.1 * 0.01 * 0.02

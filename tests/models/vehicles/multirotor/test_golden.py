@@ -49,10 +49,12 @@ def started(flight: Flown, first: dict[str, float]) -> Any:
     zero, count = np.zeros(1), len(state.rotor_speed)
     return replace(
         state,
-        position_ned=Vec3(*one("north", "east", "down")), quaternion=Quaternion(*one("qw", "qx", "qy", "qz")),
-        velocity_body=Vec3(*one("u", "v", "w")), rates_body=Vec3(*one("p", "q", "r")),
+        position_ned=Vec3(*one("north", "east", "down")),
+        quaternion=Quaternion(*one("qw", "qx", "qy", "qz")),
+        velocity_body=Vec3(*one("u", "v", "w")),
+        rates_body=Vec3(*one("p", "q", "r")),
         rotor_speed=tuple(one(*(f"omega{i}" for i in range(count)))) if "omega0" in first else (zero,) * count,
-    )  # fmt: skip
+    )
 
 
 def compare(states: Any, rows: dict[str, np.ndarray[Any, Any]], relative: float) -> None:

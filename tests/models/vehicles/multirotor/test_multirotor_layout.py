@@ -21,17 +21,22 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 BUNCH = tuple(
     Rotor((0.0, 0.0, 0.0), direction, axis)
     for direction, axis in [
-        (1, (0.6, 0.0, -0.8)), (1, (-0.6, 0.0, -0.8)), (-1, (0.0, 0.6, -0.8)), (-1, (0.0, -0.6, -0.8)),
+        (1, (0.6, 0.0, -0.8)),
+        (1, (-0.6, 0.0, -0.8)),
+        (-1, (0.0, 0.6, -0.8)),
+        (-1, (0.0, -0.6, -0.8)),
     ]
-)  # fmt: skip
+)
 # On arms of 1 m, each tilted along the circle so that its push takes most of its reaction torque away.
 CANTED = tuple(
     Rotor(position, direction, axis)
     for position, direction, axis in [
-        ((1.0, 0.0, 0.0), 1, (0.0, 0.6, -0.8)), ((0.0, 1.0, 0.0), -1, (0.6, 0.0, -0.8)),
-        ((-1.0, 0.0, 0.0), 1, (0.0, -0.6, -0.8)), ((0.0, -1.0, 0.0), -1, (-0.6, 0.0, -0.8)),
+        ((1.0, 0.0, 0.0), 1, (0.0, 0.6, -0.8)),
+        ((0.0, 1.0, 0.0), -1, (0.6, 0.0, -0.8)),
+        ((-1.0, 0.0, 0.0), 1, (0.0, -0.6, -0.8)),
+        ((0.0, -1.0, 0.0), -1, (-0.6, 0.0, -0.8)),
     ]
-)  # fmt: skip
+)
 
 
 def test_a_ring_begins_clockwise_and_turns_in_turns() -> None:
@@ -111,9 +116,14 @@ def test_each_rotor_needs_a_twentieth_of_the_most_loaded(behind: float, holds: b
 def leaner(rotor_drag: float, **others: Any) -> Any:
     """Return a vehicle of 10 N with nothing but drag of four rotors of 1e-5 N s^2."""
     values: Any = {
-        "mass": 1.0, "gravity": 10.0, "thrust_coefficient": 1e-5, "drag_x": 0.0, "drag_z": 0.0,
-        "rotor_drag": rotor_drag, **others,
-    }  # fmt: skip
+        "mass": 1.0,
+        "gravity": 10.0,
+        "thrust_coefficient": 1e-5,
+        "drag_x": 0.0,
+        "drag_z": 0.0,
+        "rotor_drag": rotor_drag,
+        **others,
+    }
     return Multirotor(**values)
 
 

@@ -14,8 +14,11 @@ from qrsim.models.vehicles.multirotor.mixer import Mixer, mixer_of
 
 # Forward and aside by 0.2 m, from the front right one clockwise.
 QUAD = (
-    Rotor((0.2, 0.2, 0.0), -1), Rotor((-0.2, 0.2, 0.0), 1), Rotor((-0.2, -0.2, 0.0), -1), Rotor((0.2, -0.2, 0.0), 1),
-)  # fmt: skip
+    Rotor((0.2, 0.2, 0.0), -1),
+    Rotor((-0.2, 0.2, 0.0), 1),
+    Rotor((-0.2, -0.2, 0.0), -1),
+    Rotor((0.2, -0.2, 0.0), 1),
+)
 FIFTH = Rotor((0.0, 0.0, 0.0), 1)
 SIGNS = ((-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0))
 
@@ -103,8 +106,11 @@ def test_rotors_that_are_canted_along_with_their_reaction_hold_yaw() -> None:
     length = math.hypot(0.1, 1.0)
     side, lift = 0.1 / length, -1.0 / length
     rotors = [
-        Rotor((0.2, 0.0, 0.0), 1, (0.0, -side, lift)), Rotor((0.0, 0.2, 0.0), -1, (-side, 0.0, lift)),
-        Rotor((-0.2, 0.0, 0.0), 1, (0.0, side, lift)), Rotor((0.0, -0.2, 0.0), -1, (side, 0.0, lift)), FIFTH,
-    ]  # fmt: skip
+        Rotor((0.2, 0.0, 0.0), 1, (0.0, -side, lift)),
+        Rotor((0.0, 0.2, 0.0), -1, (-side, 0.0, lift)),
+        Rotor((-0.2, 0.0, 0.0), 1, (0.0, side, lift)),
+        Rotor((0.0, -0.2, 0.0), -1, (side, 0.0, lift)),
+        FIFTH,
+    ]
     known: Any = np.array([True])
     np.testing.assert_array_equal(mixer_of(rotors, 0.02, 5.0, [(4, known)]).holds_yaw, [1.0])  # type: ignore[arg-type]

@@ -46,17 +46,27 @@ def test_thrust_over_the_ground() -> None:
     A rotor of 1e-10 N has the induced velocity of one of 1e-9 N: 1/(1 - (1/4)/(1 + 1)) for as much sideways.
     """
     given: Any = (
-        np.array([3.0, 3.0, 0.0, 1e-10]), np.array([0.0, 0.0, 0.0, 1e-9]), np.array([0.05, 0.5, 0.25, 0.25]), 0.5, 1.0,
-    )  # fmt: skip
+        np.array([3.0, 3.0, 0.0, 1e-10]),
+        np.array([0.0, 0.0, 0.0, 1e-9]),
+        np.array([0.05, 0.5, 0.25, 0.25]),
+        0.5,
+        1.0,
+    )
     np.testing.assert_allclose(near_ground(*given), [4.0, 3.2, 0.0, 8e-10 / 7.0], rtol=1e-9)
 
 
 def test_a_rotor_of_ten_newtons_flies_past_the_ground() -> None:
     """R = 0.4 m at 0.2 m: v_i^2 = 10 N/(2 x 1.25 pi 0.16) m^2/s^2; T = 10/(1 - (1/4)/(1 + 9/v_i^2))."""
     values: Any = {
-        "rotors": (Rotor((0.0, 0.0, 0.0), 1),), "rotor_radius": 0.4, "thrust_coefficient": 1e-5, "air_density": 1.25,
-        "rotor_drag": 0.0, "drag_x": 0.0, "drag_y": 0.0, "drag_z": 0.0,
-    }  # fmt: skip
+        "rotors": (Rotor((0.0, 0.0, 0.0), 1),),
+        "rotor_radius": 0.4,
+        "thrust_coefficient": 1e-5,
+        "air_density": 1.25,
+        "rotor_drag": 0.0,
+        "drag_x": 0.0,
+        "drag_y": 0.0,
+        "drag_z": 0.0,
+    }
     motion, still = moving(vec(3.0, 0.0, 0.0), 1, 1000.0), vec(0.0, 0.0, 0.0)
     ground = plane_below(np.full(4, 0.2), vec(0.0, 0.0, -1.0))  # type: ignore[arg-type]
     turned = motion.quaternion.rotation()

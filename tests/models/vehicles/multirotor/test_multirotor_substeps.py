@@ -34,9 +34,11 @@ TWIN = (Rotor((0.0, 0.0, -0.06), -1), Rotor((0.0, 0.0, -0.06), 1))
 THRUST = 2.0 * 17.09716e-6 * 500.0**2
 # The X500's own, from the front right one clockwise.
 FOUR = (
-    Rotor((0.174, 0.174, -0.06), -1), Rotor((-0.174, 0.174, -0.06), 1),
-    Rotor((-0.174, -0.174, -0.06), -1), Rotor((0.174, -0.174, -0.06), 1),
-)  # fmt: skip
+    Rotor((0.174, 0.174, -0.06), -1),
+    Rotor((-0.174, 0.174, -0.06), 1),
+    Rotor((-0.174, -0.174, -0.06), -1),
+    Rotor((0.174, -0.174, -0.06), 1),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -57,11 +59,19 @@ def vec(x: Any, y: Any, z: Any) -> Vec3:
 def plain(**others: Any) -> Any:
     """Return an X500 of two rotors, without drag and friction, whose step of 0.02 s is one substep."""
     values: Any = {
-        "drag_x": 0.0, "drag_y": 0.0, "drag_z": 0.0, "rotor_drag": 0.0, "longest_substep": DT,
-        "rotors": TWIN, "thrust_coefficient": 17.09716e-6,
-        "spin_up": 0.025, "spin_down": 0.05, "thin_air": "ignored",
-        "contact": Contact(friction=0.0), **others,  # type: ignore[arg-type]
-    }  # fmt: skip
+        "drag_x": 0.0,
+        "drag_y": 0.0,
+        "drag_z": 0.0,
+        "rotor_drag": 0.0,
+        "longest_substep": DT,
+        "rotors": TWIN,
+        "thrust_coefficient": 17.09716e-6,
+        "spin_up": 0.025,
+        "spin_down": 0.05,
+        "thin_air": "ignored",
+        "contact": Contact(friction=0.0),
+        **others,  # type: ignore[arg-type]
+    }
     return Multirotor(**values)
 
 
@@ -71,9 +81,18 @@ def start(height: Any, north: Any = 0.0, speed: Any = 500.0, yaw: float = 0.0, r
     bent = (Brush(zero + 0.5, zero),) * (5 + rotors)
     speeds = (np.broadcast_to(np.asarray(speed, float), (COUNT,)),) * rotors
     return MultirotorState(
-        vec(0.0, 0.0, -np.asarray(height)), turned, vec(north, 0.0, 0.0), vec(0.0, 0.0, 0.0), speeds,  # type: ignore[arg-type]
-        zero + yaw, vec(0.0, 0.0, 0.0), bent, zero, zero, zero,
-    )  # fmt: skip
+        vec(0.0, 0.0, -np.asarray(height)),
+        turned,
+        vec(north, 0.0, 0.0),
+        vec(0.0, 0.0, 0.0),
+        speeds,  # type: ignore[arg-type]
+        zero + yaw,
+        vec(0.0, 0.0, 0.0),
+        bent,
+        zero,
+        zero,
+        zero,
+    )
 
 
 def flown(state: MultirotorState, command: Any, dt: float = DT, around: Any = None, **others: Any) -> Any:

@@ -18,9 +18,7 @@ Corners = tuple[tuple[float, float, float], ...]
 
 # Radius [m], moment of inertia of a rotor [kg m^2], voltage [V], avionics [W], gains of the angles and rates [1/s], and
 # the top [m].
-NAMES = (
-    "rotor_radius", "rotor_inertia", "nominal_voltage", "avionics_power", "attitude_gain", "rate_gain", "top",
-)  # fmt: skip
+NAMES = ("rotor_radius", "rotor_inertia", "nominal_voltage", "avionics_power", "attitude_gain", "rate_gain", "top")
 REST = {
     "x500": (0.128, 0.0, 14.8, 5.0, 8.0, 24.0, -0.1),
     # rotorpy's hummingbird_params has rotor_radius 0.10; three cells.
@@ -43,18 +41,24 @@ PLACES: dict[str, tuple[Corners, tuple[int, ...], Corners]] = {
     "x500": (square(0.174, -0.06), (-1, 1, -1, 1), square(0.15, 0.2)),
     "hummingbird": (square(0.12020815, 0.0), (-1, 1, -1, 1), square(0.084145707, 0.12)),
     "pelican": (
-        ((0.21, 0.0, -0.05), (0.0, 0.21, -0.05), (-0.21, 0.0, -0.05), (0.0, -0.21, -0.05)), (1, -1, 1, -1),
+        ((0.21, 0.0, -0.05), (0.0, 0.21, -0.05), (-0.21, 0.0, -0.05), (0.0, -0.21, -0.05)),
+        (1, -1, 1, -1),
         square(0.1, 0.12),
     ),
     "crazyflie": (square(0.032526912, 0.0), (-1, 1, -1, 1), square(0.022768838, 0.015)),
     "hexa4": (
         (
-            (0.30310889, 0.175, 0.0), (0.0, 0.35, 0.0), (-0.30310889, 0.175, 0.0),
-            (-0.30310889, -0.175, 0.0), (0.0, -0.35, 0.0), (0.30310889, -0.175, 0.0),
+            (0.30310889, 0.175, 0.0),
+            (0.0, 0.35, 0.0),
+            (-0.30310889, 0.175, 0.0),
+            (-0.30310889, -0.175, 0.0),
+            (0.0, -0.35, 0.0),
+            (0.30310889, -0.175, 0.0),
         ),
-        (1, -1, 1, -1, 1, -1), square(0.2, 0.25),
+        (1, -1, 1, -1, 1, -1),
+        square(0.2, 0.25),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", sorted(PLACES))

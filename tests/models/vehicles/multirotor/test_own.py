@@ -25,8 +25,13 @@ from qrsim.models.vehicles.multirotor.sets import SETS
 from qrsim.models.vehicles.process_noise import ProcessNoise
 
 QUAD = {
-    "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
-}  # fmt: skip
+    "mass": 1.2,
+    "arm": 0.225,
+    "rotors": 4,
+    "hover_throttle": 0.5,
+    "thrust_to_weight": 2.2,
+    "attitude_bandwidth": 8.0,
+}
 OTHERS = [
     QUAD,
     dict(zip(SIX, (4.0, 0.45, 6, 0.55, 2.0, 6.0), strict=True)),
@@ -74,9 +79,11 @@ def test_what_is_known_of_the_thrust_keeps_the_declared_thrust_to_weight() -> No
 
 
 TABLE = {
-    "throttle_percent": [50, 65, 75, 85, 100], "thrust_g": [510, 760, 960, 1130, 1390],
-    "rpm": [3900, 4700, 5300, 5750, 6400], "power_W": [58, 104, 150, 195, 270],
-}  # fmt: skip
+    "throttle_percent": [50, 65, 75, 85, 100],
+    "thrust_g": [510, 760, 960, 1130, 1390],
+    "rpm": [3900, 4700, 5300, 5750, 6400],
+    "power_W": [58, 104, 150, 195, 270],
+}
 HEXA: dict[str, Any] = {"mass": 3.5, "arm": 0.35, "rotors": 6, "attitude_bandwidth": 6.0}
 
 
@@ -187,10 +194,14 @@ def test_the_rigid_pelican_at_the_weight_of_the_identified_one_hovers_at_77_perc
 @pytest.mark.parametrize(
     ("geometry", "count", "first"),
     [
-        ("quad_x", 4, (0.2121, 0.2121)), ("quad_plus", 4, (0.3, 0.0)), ("hexa_x", 6, (0.2598, 0.15)),
-        ("hexa_plus", 6, (0.3, 0.0)), ("octo_x", 8, (0.2772, 0.1148)), ("coaxial_x8", 8, (0.2121, 0.2121)),
+        ("quad_x", 4, (0.2121, 0.2121)),
+        ("quad_plus", 4, (0.3, 0.0)),
+        ("hexa_x", 6, (0.2598, 0.15)),
+        ("hexa_plus", 6, (0.3, 0.0)),
+        ("octo_x", 8, (0.2772, 0.1148)),
+        ("coaxial_x8", 8, (0.2121, 0.2121)),
     ],
-)  # fmt: skip
+)
 def test_usual_arrangements(geometry: str, count: int, first: tuple[float, float]) -> None:
     rotors = rotors_of(geometry, 0.3, 0.05)
     assert len(rotors) == count
@@ -225,7 +236,7 @@ def test_a_pair_on_one_axis_gives_nine_tenths_of_two() -> None:
         ({"geometry": "quadx"}, r"geometry: no arrangement is called 'quadx'; did you mean 'quad_x'\?"),
         ({"arm": True}, r"arm: .*; allowed: 0\.02 to 3 m"),
     ],
-)  # fmt: skip
+)
 def test_numbers_that_cannot_be_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         own_multirotor(**{**QUAD, **changes})

@@ -13,8 +13,13 @@ from qrsim.errors import UsageError
 from qrsim.models.vehicles.multirotor.own import GEOMETRIES, own_multirotor, own_parameters, rotors_of
 
 QUAD: dict[str, Any] = {
-    "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
-}  # fmt: skip
+    "mass": 1.2,
+    "arm": 0.225,
+    "rotors": 4,
+    "hover_throttle": 0.5,
+    "thrust_to_weight": 2.2,
+    "attitude_bandwidth": 8.0,
+}
 
 
 @pytest.mark.parametrize(
@@ -106,10 +111,14 @@ def test_it_stands_on_feet_below_the_middles_of_its_arms() -> None:
 @pytest.mark.parametrize(
     ("geometry", "arms", "count", "first_deg"),
     [
-        ("quad_x", 4, 4, 45.0), ("quad_plus", 4, 4, 0.0), ("hexa_x", 6, 6, 30.0), ("hexa_plus", 6, 6, 0.0),
-        ("octo_x", 8, 8, 22.5), ("coaxial_x8", 4, 8, 45.0),
+        ("quad_x", 4, 4, 45.0),
+        ("quad_plus", 4, 4, 0.0),
+        ("hexa_x", 6, 6, 30.0),
+        ("hexa_plus", 6, 6, 0.0),
+        ("octo_x", 8, 8, 22.5),
+        ("coaxial_x8", 4, 8, 45.0),
     ],
-)  # fmt: skip
+)
 def test_arrangements_have_their_arms_and_the_angle_of_the_first(
     geometry: str, arms: int, count: int, first_deg: float
 ) -> None:

@@ -53,11 +53,13 @@ def flown(dtype: Any) -> Any:
         attitude = jax.tree.map(lambda leaf: np.array(leaf, dtype), Quaternion.of(angles))
     spun = np.where(np.arange(COUNT) < RESTS, 1.0, 0.0).astype(dtype)
     start = replace(
-        start, quaternion=attitude, yaw_setpoint=yaw.astype(dtype),
+        start,
+        quaternion=attitude,
+        yaw_setpoint=yaw.astype(dtype),
         velocity_body=replace(start.velocity_body, x=ahead),
         position_ned=Vec3(np.zeros(COUNT, dtype), east.astype(dtype), down.astype(dtype)),
         rotor_speed=tuple(speed * spun for speed in start.rotor_speed),
-    )  # fmt: skip
+    )
     hover = np.sqrt(MASS * GRAVITY / (4 * 8.54858e-6 * 1000.0**2)) * spun
     commands = []
     for k in range(STEPS):
@@ -131,8 +133,13 @@ def test_who_has_no_throttle_holds_no_heading(flights: Any) -> None:
 def test_energy_does_not_grow_without_power(flights: Any) -> None:
     """It falls 20 m with still rotors, bounces, and lies; what a spring holds is counted."""
     states, _ = flights
-    points = np.array([*((0.15 * a, 0.15 * b, 0.2) for a in (1, -1) for b in (1, -1)), (0.0, 0.0, -0.1),
-                       *((0.174 * a, 0.174 * b, -0.06) for a in (1, -1) for b in (1, -1))])  # fmt: skip
+    points = np.array(
+        [
+            *((0.15 * a, 0.15 * b, 0.2) for a in (1, -1) for b in (1, -1)),
+            (0.0, 0.0, -0.1),
+            *((0.174 * a, 0.174 * b, -0.06) for a in (1, -1) for b in (1, -1)),
+        ]
+    )
     lowest = np.einsum("tj,pj->tp", axes(states)[:, FALLS, 2], points) + states.position_ned.z[:, FALLS, None]
     elastic = 0.5 * MASS * GRAVITY / 0.003 / 4.0 * np.sum(np.maximum(lowest, 0.0) ** 2, -1)
     rates = stacked(states.rates_body)[:, FALLS]

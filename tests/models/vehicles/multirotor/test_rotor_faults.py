@@ -16,9 +16,11 @@ DT, FAILS_AT = 0.02, 10.0
 
 def scenario(vehicle: dict[str, Any], faults: list[dict[str, Any]], controller: str = "cascade") -> dict[str, Any]:
     fleet = {
-        "vehicle": vehicle, "faults": faults, "controller": {"type": controller, "feed": "truth"},
+        "vehicle": vehicle,
+        "faults": faults,
+        "controller": {"type": controller, "feed": "truth"},
         "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}],
-    }  # fmt: skip
+    }
     wind = {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 10.0}
     return {"name": "x", "duration": 20.0, "world": {"wind": wind}, "fleets": {"a": fleet}}
 
@@ -63,9 +65,15 @@ def test_an_octorotor_holds_place_and_heading() -> None:
         for i, a in enumerate(angles)
     ]
     vehicle = {
-        "type": "multirotor", "model": "hexa4", "on_failure": "reallocate", "mass": 6.0, "rotors": rotors,
-        "inertia_x": 0.35, "inertia_y": 0.35, "inertia_z": 0.65,
-    }  # fmt: skip
+        "type": "multirotor",
+        "model": "hexa4",
+        "on_failure": "reallocate",
+        "mass": 6.0,
+        "rotors": rotors,
+        "inertia_x": 0.35,
+        "inertia_y": 0.35,
+        "inertia_z": 0.65,
+    }
     places, _, why, yaw_rate = flown(vehicle)
     assert why == ""
     assert np.hypot(*places[:, :2].T).max() < 0.04

@@ -36,11 +36,13 @@ def commanded(step: int) -> np.ndarray[Any, Any]:
 
 def matrix(w: float, x: float, y: float, z: float) -> np.ndarray[Any, Any]:
     """Return the rotation from body axes to the ground's."""
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 @pytest.mark.long
@@ -55,10 +57,13 @@ def test_five_seconds_of_rotor_commands_in_wind() -> None:
     other = theirs.Multirotor(dict(numbers), integrator_kwargs={"method": "RK45", "rtol": 1e-11, "atol": 1e-12})
     w, x, y, z = quaternion
     state = {
-        "x": TURNED @ np.array([0.0, 0.0, -HEIGHT]), "v": TURNED @ matrix(w, x, y, z) @ velocity,
-        "q": np.array([x, -y, -z, w]), "w": TURNED @ rates, "wind": TURNED @ WIND,
+        "x": TURNED @ np.array([0.0, 0.0, -HEIGHT]),
+        "v": TURNED @ matrix(w, x, y, z) @ velocity,
+        "q": np.array([x, -y, -z, w]),
+        "w": TURNED @ rates,
+        "wind": TURNED @ WIND,
         "rotor_speeds": np.full(4, HOVER),
-    }  # fmt: skip
+    }
 
     # Its rotors follow within 5 ms up and down, it has no ground effect, as here at this height, and one density.
     own = replace(SETS["hummingbird"](), spin_up=0.005, spin_down=0.005, longest_substep=0.001, thin_air="ignored")

@@ -64,8 +64,13 @@ def test_a_quarter_turn_is_asked_for_at_two_hundred_degrees_a_second() -> None:
     """2 x 2.8/0.4 sin(0.4 x 45 degrees) are 4.3 rad/s, of which 3.5 are allowed; of an eighth turn 2.2 rad/s."""
     halves = np.radians([45.0, 22.5])
     none, one = np.zeros(2), np.ones(2)
-    wanted = jax.jit(lambda w, z: rates_wanted(
-        Stabiliser(), Quaternion(one, none, none, none), Quaternion(w, none, none, z), none  # type: ignore[arg-type]
-    ))(np.cos(halves), np.sin(halves))  # fmt: skip
+    wanted = jax.jit(
+        lambda w, z: rates_wanted(
+            Stabiliser(),
+            Quaternion(one, none, none, none),
+            Quaternion(w, none, none, z),
+            none,  # type: ignore[arg-type]
+        )
+    )(np.cos(halves), np.sin(halves))
     np.testing.assert_allclose(wanted.z, [3.5, 14.0 * np.sin(np.radians(9.0))], rtol=1e-5)
     np.testing.assert_allclose(wanted.x, 0.0, atol=1e-6)

@@ -32,9 +32,14 @@ def around(normal: tuple[float, float, float], like: Any) -> Around:
 
 
 def drive(
-    model: Any, commands: Any, dt: float, substeps: int = 1, normal: tuple[float, float, float] = (0.0, 0.0, -1.0),
-    yaw: float = 0.0, dtype: Any = np.float64,
-) -> tuple[Any, Any]:  # fmt: skip
+    model: Any,
+    commands: Any,
+    dt: float,
+    substeps: int = 1,
+    normal: tuple[float, float, float] = (0.0, 0.0, -1.0),
+    yaw: float = 0.0,
+    dtype: Any = np.float64,
+) -> tuple[Any, Any]:
     """Return states and specific forces, leaves (T, n), after each of some commands, a record of (T, n)."""
     with jax.enable_x64(dtype == np.float64):
         model, commands = cast(model, dtype), cast(commands, dtype)

@@ -21,9 +21,14 @@ def test_the_golden_trajectory(golden: Path) -> None:
     command = SteeringCommand(rows["steering_cmd"][:-1, None], rows["speed_cmd"][:-1, None])  # type: ignore[arg-type]
     states, _ = drive(Rover(), command, 0.05, substeps=10)
     found = {
-        "north": states.position_ned.x, "east": states.position_ned.y, "heading": states.attitude.yaw,
-        "v": states.speed, "vy": states.slip_speed, "r": states.yaw_rate, "delta": states.steering,
-    }  # fmt: skip
+        "north": states.position_ned.x,
+        "east": states.position_ned.y,
+        "heading": states.attitude.yaw,
+        "v": states.speed,
+        "vy": states.slip_speed,
+        "r": states.yaw_rate,
+        "delta": states.steering,
+    }
     rows["heading"] = (rows["heading"] + math.pi) % (2.0 * math.pi) - math.pi
     for name, values in found.items():
         scale = np.max(np.abs(rows[name]))
@@ -78,8 +83,9 @@ def test_the_ground_tilts_it_and_carries_it() -> None:
     normal = (-0.2 / length, 0.0, -1.0 / length)
     whole = np.ones((300, 1))
     for model, command in (
-        (Rover(), SteeringCommand(0.0 * whole, whole)), (DifferentialRover(), WheelCommand(whole, whole))
-    ):  # fmt: skip
+        (Rover(), SteeringCommand(0.0 * whole, whole)),
+        (DifferentialRover(), WheelCommand(whole, whole)),
+    ):
         north, _ = drive(model, command, 0.02, normal=normal)
         assert north.attitude.pitch[-1, 0] == pytest.approx(math.atan(0.2))
         assert north.attitude.roll[-1, 0] == pytest.approx(0.0, abs=1e-12)

@@ -79,8 +79,12 @@ def test_what_a_steered_rover_declares() -> None:
     """The preset r1 as in the docs: 10 kg, 0.35 m between the axles and 3 m/s; inertia 0.169 kg m^2."""
     found: Any = Rover(preset="r1")
     assert [found.mass, found.front_arm, found.rear_arm, found.yaw_inertia, found.speed_max] == [
-        10.0, 0.175, 0.175, 0.169, 3.0,
-    ]  # fmt: skip
+        10.0,
+        0.175,
+        0.175,
+        0.169,
+        3.0,
+    ]
     limits = {"pitch": 1.5707963267948966, "velocity": 30.0, "rate": 20.0}
     assert dict(Rover.default_limits) == dict(DifferentialRover.default_limits) == limits
 

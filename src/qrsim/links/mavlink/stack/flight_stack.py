@@ -153,9 +153,7 @@ class FlightStack(Flight):
 
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
         """Return a plan as it was accepted; the fence is that of the scenario before."""
-        return {
-            PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally
-        }[kind]  # fmt: skip
+        return {PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally}[kind]
 
     def home_item(self) -> Item | None:
         """Return the item 0 of ArduPilot, which is home and can be read without a mission; None without one."""

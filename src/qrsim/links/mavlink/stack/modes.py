@@ -38,8 +38,14 @@ ARMED_FLAG = 128
 _STICKS_FLAGS = 1 | 16 | 64
 # MAV_STANDARD_MODE, of PX4's modes alone: ArduPilot calls all of its own non-standard.
 STANDARD = {
-    Mode.POSITION: 1, Mode.ORBIT: 2, Mode.ALTITUDE: 4, Mode.RTL: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8,
-}  # fmt: skip
+    Mode.POSITION: 1,
+    Mode.ORBIT: 2,
+    Mode.ALTITUDE: 4,
+    Mode.RTL: 5,
+    Mode.MISSION: 6,
+    Mode.LAND: 7,
+    Mode.TAKEOFF: 8,
+}
 # MAV_MODE_PROPERTY, and PX4's modes that have the first.
 ADVANCED, NOT_SELECTABLE = 1, 2
 _ADVANCED = frozenset((Mode.STABILIZED, Mode.OFFBOARD, Mode.FOLLOW, Mode.ORBIT))
@@ -131,10 +137,18 @@ class Flavour:
 
 
 _PX4_NUMBERS = {
-    Mode.STABILIZED: _px4(7), Mode.ALTITUDE: _px4(2), Mode.POSITION: _px4(3), Mode.ORBIT: _px4(3, 1),
-    Mode.TAKEOFF: _px4(4, 2), Mode.HOLD: _px4(4, 3), Mode.MISSION: _px4(4, 4), Mode.RTL: _px4(4, 5),
-    Mode.LAND: _px4(4, 6), Mode.FOLLOW: _px4(4, 8), Mode.OFFBOARD: _px4(6),
-}  # fmt: skip
+    Mode.STABILIZED: _px4(7),
+    Mode.ALTITUDE: _px4(2),
+    Mode.POSITION: _px4(3),
+    Mode.ORBIT: _px4(3, 1),
+    Mode.TAKEOFF: _px4(4, 2),
+    Mode.HOLD: _px4(4, 3),
+    Mode.MISSION: _px4(4, 4),
+    Mode.RTL: _px4(4, 5),
+    Mode.LAND: _px4(4, 6),
+    Mode.FOLLOW: _px4(4, 8),
+    Mode.OFFBOARD: _px4(6),
+}
 _PX4_NAMES = {
     _px4(1): "Manual", _px4(2): "Altitude", _px4(3): "Position", _px4(3, 1): "Orbit", _px4(3, 2): "Position Slow",
     _px4(4, 2): "Takeoff", _px4(4, 3): "Hold", _px4(4, 4): "Mission", _px4(4, 5): "Return", _px4(4, 6): "Land",
@@ -170,11 +184,16 @@ def _flavours(
     modes = frozenset(own)
     return {
         "px4": Flavour(
-            "px4", PX4, 1 + 4 + 8 + 16, modes - {Mode.NOGPS} | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes,
-            _PX4_NUMBERS, _PX4_NAMES, _PX4_ALIASES,
+            "px4",
+            PX4,
+            1 + 4 + 8 + 16,
+            modes - {Mode.NOGPS} | {Mode.FOLLOW} if Mode.TAKEOFF in own else modes,
+            _PX4_NUMBERS,
+            _PX4_NAMES,
+            _PX4_ALIASES,
         ),
         "ardupilot": Flavour("ardupilot", ARDUPILOT, 1 + 8 + 16 + 64, modes, own, names, aliases or {}, guided),
-    }  # fmt: skip
+    }
 
 
 FLAVOURS = _flavours(_COPTER_NUMBERS, _COPTER, 4, {17: Mode.HOLD})

@@ -50,9 +50,15 @@ class Path:
         return self.position[0] + north * ratio, self.position[1] + east * ratio, self.position[2] + fall
 
     def move(
-        self, goal: Triple, here: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float = 0.0,
+        self,
+        goal: Triple,
+        here: Triple,
+        speeds: Triple,
+        limits: tuple[float, float],
+        dt: float,
+        beyond: float = 0.0,
         along: Triple = STANDS,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Move the point on by a step.
 
         Args:

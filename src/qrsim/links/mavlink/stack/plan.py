@@ -73,8 +73,11 @@ def _bad_numbers(item: Item, total: int) -> PlanResult | None:
     first, second, third, _ = item.params
     if any(math.isinf(number) for number in item.params):
         return (
-            PlanResult.INVALID_PARAM1, PlanResult.INVALID_PARAM2, PlanResult.INVALID_PARAM3, PlanResult.INVALID_PARAM4
-        )[next(place for place, number in enumerate(item.params) if math.isinf(number))]  # fmt: skip
+            PlanResult.INVALID_PARAM1,
+            PlanResult.INVALID_PARAM2,
+            PlanResult.INVALID_PARAM3,
+            PlanResult.INVALID_PARAM4,
+        )[next(place for place, number in enumerate(item.params) if math.isinf(number))]
     if item.command == JUMP and not (first == first and 0 <= first < total and first == int(first)):
         return PlanResult.INVALID_PARAM1
     if item.command == CHANGE_SPEED:

@@ -97,9 +97,10 @@ class Sticks:
         right, forward = _in_circle(_shaped(self._values[0]), _shaped(self._values[1]))
         sine, cosine = math.sin(craft.yaw), math.cos(craft.yaw)
         along = (
-            level * (forward * cosine - right * sine), level * (forward * sine + right * cosine),
+            level * (forward * cosine - right * sine),
+            level * (forward * sine + right * cosine),
             -throttle * (up if throttle > 0.0 else down),
-        )  # fmt: skip
+        )
         return craft.go(craft.path.position, speeds, along=along)
 
     def _altitude(self, craft: Craft, throttle: float) -> Order:

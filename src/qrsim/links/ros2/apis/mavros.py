@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.codes import Sensor
 from qrsim.links.mavlink.stack.modes import ARMED_FLAG
@@ -25,7 +25,6 @@ from qrsim.links.ros2.topics import Quality, Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.shared import sight as s
 
-Array = np.ndarray[Any, Any]
 PACKAGES = ("mavros_msgs", "geographic_msgs", "std_srvs")
 MAP, BASE = "map", "base_link"
 # MAV_MODE_FLAG: remote control, guided.
@@ -37,7 +36,7 @@ _ORIENTATION_STD, _RATES_STD, _FORCE_STD = 1.0, 0.0003490659, 0.0003
 _GPS, _NO_FIX, _UNKNOWN, _DIAGONAL = 1, -1, 0, 2
 
 
-def _diagonal(std: float) -> Array:
+def _diagonal(std: float) -> NumpyArray:
     """Return the covariance (9,) of three alike and independent numbers."""
     return np.diag([std * std] * 3).reshape(9)
 
@@ -78,16 +77,18 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     yield told("extended_state", kind, "static", 5.0, landed, lambda view: view.stack.heartbeat().landed)
     yield told("statustext/recv", "mavros_msgs/msg/StatusText", "sensor", EACH, _text(types, texts))
     yield told(
-        "home_position/home", "mavros_msgs/msg/HomePosition", "static", 0.5,
+        "home_position/home",
+        "mavros_msgs/msg/HomePosition",
+        "static",
+        0.5,
         f.form(
-            types, "mavros_msgs/msg/HomePosition",
-            (
-                "geo.latitude", "geo.longitude", "geo.altitude", *_axes("position"), *_axes("orientation", "xyzw"),
-            ),
+            types,
+            "mavros_msgs/msg/HomePosition",
+            ("geo.latitude", "geo.longitude", "geo.altitude", *_axes("position"), *_axes("orientation", "xyzw")),
             _home,
         ),
         lambda view: view.stack.home,
-    )  # fmt: skip
+    )
     yield from _local(types, told)
     yield from _global(types, told)
     yield from _sensors(types, told)
@@ -172,9 +173,15 @@ def _global(types: Types, told: Maker) -> Iterator[Told]:
 
     kind = "sensor_msgs/msg/NavSatFix"
     paths = (
-        "status.status", "latitude", "longitude", "altitude", "position_covariance[0]", "position_covariance[4]",
-        "position_covariance[8]", "position_covariance_type",
-    )  # fmt: skip
+        "status.status",
+        "latitude",
+        "longitude",
+        "altitude",
+        "position_covariance[0]",
+        "position_covariance[4]",
+        "position_covariance[8]",
+        "position_covariance_type",
+    )
     yield told(
         "global_position/global", kind, "sensor", 50.0, f.form(types, kind, paths, place, BASE, status__service=_GPS)
     )
@@ -230,9 +237,11 @@ def _sensors(types: Types, told: Maker) -> Iterator[Told]:
     spreads = {
         f"{name}_covariance": _diagonal(std)
         for name, std in (
-            ("orientation", _ORIENTATION_STD), ("angular_velocity", _RATES_STD), ("linear_acceleration", _FORCE_STD),
+            ("orientation", _ORIENTATION_STD),
+            ("angular_velocity", _RATES_STD),
+            ("linear_acceleration", _FORCE_STD),
         )
-    }  # fmt: skip
+    }
     yield told("imu/data", kind, "sensor", 50.0, f.form(types, kind, paths, inertial, BASE, **spreads))
 
     def battery(view: View) -> tuple[float, ...] | None:
@@ -240,7 +249,23 @@ def _sensors(types: Types, told: Maker) -> Iterator[Told]:
         return None if charge != charge else (view.seen.voltage, charge)
 
     kind = "sensor_msgs/msg/BatteryState"
-    yield told("battery", kind, "sensor", 2.0, f.form(
-        types, kind, ("voltage", "percentage"), battery, temperature=_NAN, current=_NAN, charge=_NAN, capacity=_NAN,
-        design_capacity=_NAN, power_supply_status=2, power_supply_technology=3, present=True,
-    ))  # fmt: skip
+    yield told(
+        "battery",
+        kind,
+        "sensor",
+        2.0,
+        f.form(
+            types,
+            kind,
+            ("voltage", "percentage"),
+            battery,
+            temperature=_NAN,
+            current=_NAN,
+            charge=_NAN,
+            capacity=_NAN,
+            design_capacity=_NAN,
+            power_supply_status=2,
+            power_supply_technology=3,
+            present=True,
+        ),
+    )

@@ -136,10 +136,14 @@ class Asked:
 
     def _raw_place(self, message: Any) -> None:
         self._global(
-            message.type_mask, message.coordinate_frame, message, velocity=f.enu(_vector(message.velocity)),
-            acceleration=f.enu(_vector(message.acceleration_or_force)), yaw=0.5 * math.pi - message.yaw,
+            message.type_mask,
+            message.coordinate_frame,
+            message,
+            velocity=f.enu(_vector(message.velocity)),
+            acceleration=f.enu(_vector(message.acceleration_or_force)),
+            yaw=0.5 * math.pi - message.yaw,
             yaw_rate=-message.yaw_rate,
-        )  # fmt: skip
+        )
 
     def _raw_attitude(self, message: Any) -> None:
         thrust = min(max(message.thrust, 0.0), 1.0)
@@ -164,7 +168,7 @@ class Asked:
             yield Answered(self._space + name, f"mavros_msgs/srv/{kind}", answer)
         yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._tell_home)
 
-    def _response(self, kind: str, *values: Any) -> Any:
+    def _response(self, kind: str, *values: object) -> Any:
         return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
 
     def _obey(self, kind: str, command: int, *params: float) -> Any:
@@ -200,6 +204,6 @@ class Asked:
         self._stack.set_mode(base, custom)
         return self._response("SetMode", True)
 
-    def _tell_home(self, r: Any) -> Any:
+    def _tell_home(self, r: object) -> Any:
         result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
         return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

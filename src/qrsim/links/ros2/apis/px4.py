@@ -78,9 +78,13 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
     status = Status()
 
     def told(
-        name: str, kind: str, rate: float, fields: Callable[[View], Fields | None],
-        key: Callable[[View], object] | None = None, **constants: Any,
-    ) -> Told:  # fmt: skip
+        name: str,
+        kind: str,
+        rate: float,
+        fields: Callable[[View], Fields | None],
+        key: Callable[[View], object] | None = None,
+        **constants: object,
+    ) -> Told:
         return Told(
             Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"), rate, _made(types, kind, fields, constants), key
         )
@@ -93,24 +97,43 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         status.look(view)
         beat, state, armed = view.stack.heartbeat(), state_of(view), view.stack.armed
         return {
-            "armed_time": status.armed, "takeoff_time": status.took_off, "nav_state_timestamp": status.mode,
-            "arming_state": _IS_ARMED if armed else _DISARMED, "nav_state": state, "nav_state_user_intention": state,
+            "armed_time": status.armed,
+            "takeoff_time": status.took_off,
+            "nav_state_timestamp": status.mode,
+            "arming_state": _IS_ARMED if armed else _DISARMED,
+            "nav_state": state,
+            "nav_state_user_intention": state,
             "failsafe": beat.system_status == CRITICAL,
             "pre_flight_checks_pass": armed or not view.stack.health().reasons,
-        }  # fmt: skip
+        }
 
     kind = system.stack.heartbeat().mav_type
     yield told(
-        "vehicle_status", "VehicleStatus", 2.0, vehicle_status, changes, vehicle_type=_TYPES.get(kind, 1),
-        system_type=kind, system_id=system.number, component_id=1, power_input_valid=True, safety_off=True,
+        "vehicle_status",
+        "VehicleStatus",
+        2.0,
+        vehicle_status,
+        changes,
+        vehicle_type=_TYPES.get(kind, 1),
+        system_type=kind,
+        system_id=system.number,
+        component_id=1,
+        power_input_valid=True,
+        safety_off=True,
         gcs_connection_lost=True,
-    )  # fmt: skip
+    )
     yield told("vehicle_control_mode", "VehicleControlMode", 2.0, _control_mode, changes)
     yield told("vehicle_land_detected", "VehicleLandDetected", 1.0, _landed, changes)
     yield told(
-        "home_position", "HomePosition", 0.5, _home, lambda view: view.stack.home, valid_alt=True, valid_hpos=True,
+        "home_position",
+        "HomePosition",
+        0.5,
+        _home,
+        lambda view: view.stack.home,
+        valid_alt=True,
+        valid_hpos=True,
         valid_lpos=True,
-    )  # fmt: skip
+    )
     origin = _Origin()
     yield told("vehicle_local_position", "VehicleLocalPosition", MOST, lambda view: _local_position(view, origin))
     yield told("vehicle_global_position", "VehicleGlobalPosition", MOST, _global_position)
@@ -160,10 +183,13 @@ def _control_mode(view: View) -> Fields:
     flies = offboard or automatic
     levels = ("position", "velocity", "altitude", "climb_rate", "attitude", "rates", "allocation")
     return {
-        "flag_armed": armed, "flag_control_offboard_enabled": offboard, "flag_control_auto_enabled": automatic,
-        "flag_multicopter_position_control_enabled": flies, "flag_control_termination_enabled": state == TERMINATED,
+        "flag_armed": armed,
+        "flag_control_offboard_enabled": offboard,
+        "flag_control_auto_enabled": automatic,
+        "flag_multicopter_position_control_enabled": flies,
+        "flag_control_termination_enabled": state == TERMINATED,
         **{f"flag_control_{level}_enabled": flies for level in levels},
-    }  # fmt: skip
+    }
 
 
 def _landed(view: View) -> Fields:
@@ -218,12 +244,31 @@ def _local_position(view: View, origin: _Origin) -> Fields | None:
     north, east, down = view.row[s.STD_VELOCITY : s.STD_VELOCITY + 3]
     valid = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid", "xy_global", "z_global", "heading_good_for_control")
     return {
-        **dict.fromkeys(valid, True), "x": x, "y": y, "z": z, "vx": vx, "vy": vy, "vz": vz, "z_deriv": vz,
-        "heading": seen.attitude[2], "unaided_heading": seen.attitude[2], "ref_lat": latitude, "ref_lon": longitude,
-        "ref_alt": altitude, "dist_bottom": below if seen_below else NAN, "dist_bottom_valid": seen_below,
-        "dist_bottom_sensor_bitfield": _RANGE if seen_below else 0, "eph": eph, "epv": epv,
-        "evh": math.hypot(north, east), "evv": down, "vxy_max": NAN, "vz_max": NAN, "hagl_min": NAN, "hagl_max": NAN,
-    }  # fmt: skip
+        **dict.fromkeys(valid, True),
+        "x": x,
+        "y": y,
+        "z": z,
+        "vx": vx,
+        "vy": vy,
+        "vz": vz,
+        "z_deriv": vz,
+        "heading": seen.attitude[2],
+        "unaided_heading": seen.attitude[2],
+        "ref_lat": latitude,
+        "ref_lon": longitude,
+        "ref_alt": altitude,
+        "dist_bottom": below if seen_below else NAN,
+        "dist_bottom_valid": seen_below,
+        "dist_bottom_sensor_bitfield": _RANGE if seen_below else 0,
+        "eph": eph,
+        "epv": epv,
+        "evh": math.hypot(north, east),
+        "evv": down,
+        "vxy_max": NAN,
+        "vz_max": NAN,
+        "hagl_min": NAN,
+        "hagl_max": NAN,
+    }
 
 
 def _global_position(view: View) -> Fields | None:
@@ -232,9 +277,14 @@ def _global_position(view: View) -> Fields | None:
         return None
     eph, epv = _accuracies(view)
     return {
-        "lat": seen.latitude, "lon": seen.longitude, "alt": seen.altitude, "alt_ellipsoid": seen.altitude, "eph": eph,
-        "epv": epv, "terrain_alt": NAN,
-    }  # fmt: skip
+        "lat": seen.latitude,
+        "lon": seen.longitude,
+        "alt": seen.altitude,
+        "alt_ellipsoid": seen.altitude,
+        "eph": eph,
+        "epv": epv,
+        "terrain_alt": NAN,
+    }
 
 
 def _quaternion(view: View) -> list[float]:
@@ -250,10 +300,14 @@ def _odometry(view: View) -> Fields | None:
     if not seen.valid:
         return None
     return {
-        "position": view.local(seen.position_ned), "q": _quaternion(view), "velocity": seen.velocity_ned,
-        "angular_velocity": seen.rates, "position_variance": _squares(row, s.STD_POSITION),
-        "orientation_variance": _squares(row, s.STD_ATTITUDE), "velocity_variance": _squares(row, s.STD_VELOCITY),
-    }  # fmt: skip
+        "position": view.local(seen.position_ned),
+        "q": _quaternion(view),
+        "velocity": seen.velocity_ned,
+        "angular_velocity": seen.rates,
+        "position_variance": _squares(row, s.STD_POSITION),
+        "orientation_variance": _squares(row, s.STD_ATTITUDE),
+        "velocity_variance": _squares(row, s.STD_VELOCITY),
+    }
 
 
 def _squares(row: list[float], first: int) -> list[float]:
@@ -275,14 +329,26 @@ def _fix(view: View) -> Fields | None:
     moving = north == north and east == east
     satellites = row[s.SATELLITES]
     return {
-        "latitude_deg": latitude, "longitude_deg": longitude, "altitude_msl_m": height, "altitude_ellipsoid_m": height,
-        "s_variance_m_s": row[s.SPEED], "fix_type": seen.fix_type, "eph": seen.horizontal_accuracy,
-        "epv": seen.vertical_accuracy, "hdop": row[s.HDOP], "vdop": row[s.VDOP], "vel_m_s": math.hypot(north, east),
-        "vel_n_m_s": north, "vel_e_m_s": east, "vel_d_m_s": down,
-        "cog_rad": math.atan2(east, north) if moving else NAN, "vel_ned_valid": moving,
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+        "altitude_msl_m": height,
+        "altitude_ellipsoid_m": height,
+        "s_variance_m_s": row[s.SPEED],
+        "fix_type": seen.fix_type,
+        "eph": seen.horizontal_accuracy,
+        "epv": seen.vertical_accuracy,
+        "hdop": row[s.HDOP],
+        "vdop": row[s.VDOP],
+        "vel_m_s": math.hypot(north, east),
+        "vel_n_m_s": north,
+        "vel_e_m_s": east,
+        "vel_d_m_s": down,
+        "cog_rad": math.atan2(east, north) if moving else NAN,
+        "vel_ned_valid": moving,
         "time_utc_usec": round((view.unix + view.fix_time) * 1e6),
-        "satellites_used": 0 if satellites != satellites else int(satellites), "heading": NAN,
-    }  # fmt: skip
+        "satellites_used": 0 if satellites != satellites else int(satellites),
+        "heading": NAN,
+    }
 
 
 def _battery(view: View) -> Fields | None:
@@ -291,7 +357,11 @@ def _battery(view: View) -> Fields | None:
         return None
     names = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
     return {
-        "voltage_v": voltage, "voltage_filtered_v": voltage, "remaining": charge, "scale": 1.0,
-        "time_remaining_s": NAN, "temperature": NAN,
+        "voltage_v": voltage,
+        "voltage_filtered_v": voltage,
+        "remaining": charge,
+        "scale": 1.0,
+        "time_remaining_s": NAN,
+        "temperature": NAN,
         "warning": sum(charge <= view.stack.parameters[name] for name in names),
-    }  # fmt: skip
+    }

@@ -77,19 +77,19 @@ class Asked:
 
     # ---- set-points ----
 
-    def _take_mode(self, message: Any) -> None:
+    def _take_mode(self, message: object) -> None:
         self._mode, self._mode_at = message, self._system.view.seen.time
         self._hand_over()
 
-    def _take_motion(self, message: Any) -> None:
+    def _take_motion(self, message: object) -> None:
         self._motion = message
         self._take()
 
-    def _take_attitude(self, message: Any) -> None:
+    def _take_attitude(self, message: object) -> None:
         self._attitude = message
         self._take()
 
-    def _take_rates(self, message: Any) -> None:
+    def _take_rates(self, message: object) -> None:
         self._rates = message
         self._take()
 
@@ -138,9 +138,14 @@ class Asked:
             return (x, y, z) if counts else _UNKNOWN
 
         return LocalTarget(
-            _LOCAL, 0, part("position", mode.position), part("velocity", mode.position or mode.velocity),
-            part("acceleration", True), float(motion.yaw), float(motion.yawspeed),
-        )  # fmt: skip
+            _LOCAL,
+            0,
+            part("position", mode.position),
+            part("velocity", mode.position or mode.velocity),
+            part("acceleration", True),
+            float(motion.yaw),
+            float(motion.yawspeed),
+        )
 
     # ---- commands ----
 
@@ -160,12 +165,12 @@ class Asked:
     def _acknowledged(self, message: Any) -> Any:
         """Obey or refuse a command, and return its acknowledgement."""
         command = int(message.command)
-        params = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
+        params: Any = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
         if command == _SET_NAV_STATE:
             state = int(params[0]) if math.isfinite(params[0]) else -1
             main, sub = NAV_STATES.get(state, (255, 0))
             params, command = (1.0, float(main), float(sub), *params[3:]), _SET_MODE
-        ack = self._system.stack.command(Command(command, params))  # type: ignore[arg-type]
+        ack = self._system.stack.command(Command(command, params))
         answer = empty(self._types, "px4_msgs/msg/VehicleCommandAck")
         answer.timestamp, answer.command = self._system.view.boot_us, message.command
         answer.result, answer.result_param1 = int(ack.result), ack.progress

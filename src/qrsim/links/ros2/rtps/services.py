@@ -150,10 +150,17 @@ class Services:
         """Return what others are told of a reliable, volatile reader or writer."""
         places = [(w.UNICAST, w.locator(*place)) for place in self._sockets.own]
         return w.listed(
-            (w.ENDPOINT_GUID, guid), (w.PARTICIPANT_GUID, self._prefix + b"\0\0\1\xc1"), (w.TOPIC, w.text(topic)),
-            (w.TYPE, w.text(kind)), (w.RELIABILITY, struct.pack("<IiI", 2, 0, 0)), (w.DURABILITY, bytes(4)),
-            (w.USER_DATA, w.octets(identity)), (w.VERSION, b"\2\3"), (w.VENDOR, b"\0\0"), *places,
-        )  # fmt: skip
+            (w.ENDPOINT_GUID, guid),
+            (w.PARTICIPANT_GUID, self._prefix + b"\0\0\1\xc1"),
+            (w.TOPIC, w.text(topic)),
+            (w.TYPE, w.text(kind)),
+            (w.RELIABILITY, struct.pack("<IiI", 2, 0, 0)),
+            (w.DURABILITY, bytes(4)),
+            (w.USER_DATA, w.octets(identity)),
+            (w.VERSION, b"\2\3"),
+            (w.VENDOR, b"\0\0"),
+            *places,
+        )
 
     def reply(self, service: RawService, request: Request, cdr: bytes) -> None:
         """Send the response to a request, to all clients of the service, which know whose it is."""
@@ -343,10 +350,15 @@ class Services:
             (kind, w.locator(*place)) for kind in (w.METATRAFFIC, w.DEFAULT_UNICAST) for place in self._sockets.own
         ]
         payload = w.PL_CDR + w.listed(
-            (w.VERSION, b"\2\3"), (w.VENDOR, b"\0\0"), (w.PARTICIPANT_GUID, self._prefix + b"\0\0\1\xc1"),
-            (w.DOMAIN, struct.pack("<I", self._domain)), (w.BUILTIN, struct.pack("<I", _BUILTIN)),
-            (w.LEASE, struct.pack("<iI", int(_LEASE_S), 0)), (w.USER_DATA, w.octets(b"enclave=/;")), *places,
-        )  # fmt: skip
+            (w.VERSION, b"\2\3"),
+            (w.VENDOR, b"\0\0"),
+            (w.PARTICIPANT_GUID, self._prefix + b"\0\0\1\xc1"),
+            (w.DOMAIN, struct.pack("<I", self._domain)),
+            (w.BUILTIN, struct.pack("<I", _BUILTIN)),
+            (w.LEASE, struct.pack("<iI", int(_LEASE_S), 0)),
+            (w.USER_DATA, w.octets(b"enclave=/;")),
+            *places,
+        )
         return w.packet(self._prefix, w.data(_PARTICIPANT[1], _PARTICIPANT[0], 1, payload))
 
     def _tell(self, prefix: bytes, peer: _Peer, again: bool) -> None:

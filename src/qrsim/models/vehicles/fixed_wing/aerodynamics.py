@@ -85,15 +85,17 @@ def forces(
     lift = lift + along.lift_q * q + along.lift_elevator * surfaces.elevator
     drag = drag + along.drag_q * q + along.drag_elevator * surfaces.elevator
     pitch = (
-        along.moment_0 + along.moment_alpha * air.alpha + along.moment_q * q
-        + along.moment_elevator * surfaces.elevator
-    )  # fmt: skip
+        along.moment_0 + along.moment_alpha * air.alpha + along.moment_q * q + along.moment_elevator * surfaces.elevator
+    )
     side, roll, yaw = (
-        getattr(across, f"{name}_0") + getattr(across, f"{name}_beta") * air.beta
-        + getattr(across, f"{name}_p") * p + getattr(across, f"{name}_r") * r
-        + getattr(across, f"{name}_aileron") * surfaces.aileron + getattr(across, f"{name}_rudder") * surfaces.rudder
+        getattr(across, f"{name}_0")
+        + getattr(across, f"{name}_beta") * air.beta
+        + getattr(across, f"{name}_p") * p
+        + getattr(across, f"{name}_r") * r
+        + getattr(across, f"{name}_aileron") * surfaces.aileron
+        + getattr(across, f"{name}_rudder") * surfaces.rudder
         for name in ("side", "roll", "yaw")
-    )  # fmt: skip
+    )
     thrust, torque = propeller(model, air.airspeed, throttle)
     sine, cosine = sincos(air.alpha)
     force = Vec3(

@@ -34,9 +34,11 @@ class SurfaceCommand:
         unit="rad", doc="trailing edge down positive: nose down", minimum=-ELEVATOR_MAX_RAD, maximum=ELEVATOR_MAX_RAD
     )
     aileron: Array = quantity(
-        unit="rad", doc="half the difference, rolling to the right positive",
-        minimum=-AILERON_MAX_RAD, maximum=AILERON_MAX_RAD,
-    )  # fmt: skip
+        unit="rad",
+        doc="half the difference, rolling to the right positive",
+        minimum=-AILERON_MAX_RAD,
+        maximum=AILERON_MAX_RAD,
+    )
     rudder: Array = quantity(
         unit="rad", doc="trailing edge to the left positive: nose left", minimum=-RUDDER_MAX_RAD, maximum=RUDDER_MAX_RAD
     )

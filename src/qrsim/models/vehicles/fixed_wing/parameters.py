@@ -111,9 +111,12 @@ class Aeroplane:
     span: Array = parameter(default=2.8956, unit="m", doc="of the wing", above=0.0)
     chord: Array = parameter(default=0.18994, unit="m", doc="mean chord of the wing", above=0.0)
     density: Array = parameter(
-        default=None, unit="kg/m^3", doc="of the air; null: that of the standard atmosphere where it flies", above=0.0,
+        default=None,
+        unit="kg/m^3",
+        doc="of the air; null: that of the standard atmosphere where it flies",
+        above=0.0,
         nullable=True,
-    )  # fmt: skip
+    )
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
     cruise_airspeed: Array = parameter(
         default=25.0, unit="m/s", doc="airspeed that it is trimmed for, and starts at where none is given", above=0.0

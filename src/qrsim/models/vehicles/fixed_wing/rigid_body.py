@@ -40,9 +40,11 @@ def slope_of(
     )
     weight = Vec3(turned.forward.z, turned.right.z, turned.down.z) * model.gravity
     slope = Motion(
-        turned.to_ned(motion.velocity), motion.quaternion.rate(rates),
-        specific + weight - rates.cross(motion.velocity), angular,
-    )  # fmt: skip
+        turned.to_ned(motion.velocity),
+        motion.quaternion.rate(rates),
+        specific + weight - rates.cross(motion.velocity),
+        angular,
+    )
     return slope, specific
 
 

@@ -24,9 +24,15 @@ SLOWEST = 8.0
 
 
 def wanted_surfaces(
-    model: Aeroplane, memory: Stabiliser, command: Any, attitude: Euler, rates: Vec3, airspeed: Array,
-    elevator: Array, dt: float,
-) -> tuple[Stabiliser, Surfaces]:  # fmt: skip
+    model: Aeroplane,
+    memory: Stabiliser,
+    command: object,
+    attitude: Euler,
+    rates: Vec3,
+    airspeed: Array,
+    elevator: Array,
+    dt: float,
+) -> tuple[Stabiliser, Surfaces]:
     """Return the new memory and where the surfaces (n,) are to go.
 
     Args:
@@ -49,12 +55,10 @@ def wanted_surfaces(
     roll = _within(memory.roll_integral + of.roll_integral_gain * dt * lean, of.roll_integral_limit)
     slow = memory.mean_yaw_rate + (dt / of.washout) * (rates.z - memory.mean_yaw_rate)
     wanted = Surfaces(
-        _within(
-            elevator - scale * (of.pitch_gain * nose - of.pitch_rate_gain * rates.y) + pitch, ELEVATOR_MAX_RAD
-        ),
+        _within(elevator - scale * (of.pitch_gain * nose - of.pitch_rate_gain * rates.y) + pitch, ELEVATOR_MAX_RAD),
         _within(scale * (of.roll_gain * lean - of.roll_rate_gain * rates.x) + roll, AILERON_MAX_RAD),
         _within(of.yaw_damping * (rates.z - slow), RUDDER_MAX_RAD),
-    )  # fmt: skip
+    )
     return Stabiliser(roll, pitch, slow), wanted
 
 
@@ -71,9 +75,10 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
         return jnp.where(there, goal, now + jnp.clip(way, -most, most))
 
     return Surfaces(
-        followed(surfaces.elevator, wanted.elevator), followed(surfaces.aileron, wanted.aileron),
+        followed(surfaces.elevator, wanted.elevator),
+        followed(surfaces.aileron, wanted.aileron),
         followed(surfaces.rudder, wanted.rudder),
-    )  # fmt: skip
+    )
 
 
 def _within(value: Array, limit: Any) -> Array:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.fastmath import sincos
 from qrsim.core.host import on_host
 from qrsim.core.quaternions import Quaternion
@@ -22,7 +23,6 @@ from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
 from qrsim.models.vehicles.fixed_wing.rigid_body import slope_of
 from qrsim.models.vehicles.fixed_wing.state import Motion, Surfaces
 
-Floats = np.ndarray[Any, Any]
 STEPS, FOUND = 60, 1e-10
 
 

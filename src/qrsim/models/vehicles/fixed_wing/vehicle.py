@@ -55,10 +55,17 @@ class FixedWing(Aeroplane, Vehicle):
         _, elevator, throttle = cruise(here, jnp.maximum(air.airspeed, 0.5 * self.cruise_airspeed))
         thrust, _ = propeller(here, air.airspeed, jnp.clip(throttle, 0.0, 1.0))
         return FixedWingState(
-            position_ned, Quaternion.of(attitude), velocity_body, rates_body,
-            Surfaces(jnp.clip(elevator, -0.44, 0.44) + zero, zero, zero), Stabiliser(zero, zero, zero),
-            air.airspeed + zero, air.alpha + zero, air.beta + zero, thrust + zero,
-        )  # fmt: skip
+            position_ned,
+            Quaternion.of(attitude),
+            velocity_body,
+            rates_body,
+            Surfaces(jnp.clip(elevator, -0.44, 0.44) + zero, zero, zero),
+            Stabiliser(zero, zero, zero),
+            air.airspeed + zero,
+            air.alpha + zero,
+            air.beta + zero,
+            thrust + zero,
+        )
 
     def launched(self, state: FixedWingState, air_ned: Vec3) -> FixedWingState:
         """Return the state in level flight: the speed of a start is one through the air, 0 that of cruise."""
@@ -127,9 +134,17 @@ class FixedWing(Aeroplane, Vehicle):
         )
         found = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
         after = FixedWingState(
-            state.position_ned + motion.displacement, motion.quaternion, motion.velocity, motion.rates, surfaces,
-            memory, found.airspeed, found.alpha, found.beta, propeller(here, found.airspeed, throttle)[0],
-        )  # fmt: skip
+            state.position_ned + motion.displacement,
+            motion.quaternion,
+            motion.velocity,
+            motion.rates,
+            surfaces,
+            memory,
+            found.airspeed,
+            found.alpha,
+            found.beta,
+            propeller(here, found.airspeed, throttle)[0],
+        )
         return after, force
 
     def specific_force(

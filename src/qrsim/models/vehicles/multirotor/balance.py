@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.vehicles.multirotor.parameters import Airframe
 
-Floats = np.ndarray[Any, Any]
 # Nothing of this kind is that fast [m/s].
 FASTEST = 100.0
 HALVINGS = 40
 
 
-def leaning(vehicle: Airframe, tilt: Any) -> tuple[Floats, Floats] | None:
+def leaning(vehicle: Airframe, tilt: object) -> tuple[Floats, Floats] | None:
     """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad], None where rotors are tilted.
 
     Leaning by theta into a steady wind V with N rotors at a speed W, of a thrust T each,
@@ -25,8 +23,15 @@ def leaning(vehicle: Airframe, tilt: Any) -> tuple[Floats, Floats] | None:
     if any(rotor.axis != (0.0, 0.0, -1.0) for rotor in vehicle.rotors):
         return None
     names = (
-        "mass", "gravity", "thrust_coefficient", "rotor_drag", "inflow_loss", "translational_lift", "drag_x", "drag_z",
-    )  # fmt: skip
+        "mass",
+        "gravity",
+        "thrust_coefficient",
+        "rotor_drag",
+        "inflow_loss",
+        "translational_lift",
+        "drag_x",
+        "drag_z",
+    )
     of = vehicle.in_density(vehicle.site_share)
     values = [np.asarray(getattr(of, name), np.float64) for name in names]
     mass, gravity, k_t, k_d, k_z, k_h, c_x, c_z = values

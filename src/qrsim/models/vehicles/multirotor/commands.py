@@ -25,9 +25,11 @@ class AttitudeCommand:
     )
     throttle: Array = quantity(unit="1", doc="collective throttle", minimum=0.0, maximum=1.0)
     yaw_rate: Array = quantity(
-        unit="rad/s", doc="yaw rate, clockwise seen from above positive",
-        minimum=-YAW_RATE_MAX_RAD_S, maximum=YAW_RATE_MAX_RAD_S,
-    )  # fmt: skip
+        unit="rad/s",
+        doc="yaw rate, clockwise seen from above positive",
+        minimum=-YAW_RATE_MAX_RAD_S,
+        maximum=YAW_RATE_MAX_RAD_S,
+    )
 
 
 @record
@@ -69,9 +71,12 @@ def _motor_command(count: int) -> type[Any]:
         for i in range(count)
     }
     namespace: dict[str, Any] = {
-        "__annotations__": dict.fromkeys(fields, Array), "__module__": __name__, "__qualname__": name,
-        "__doc__": f"The speeds of {count} rotors as fractions of the largest; each of shape (n,).", **fields,
-    }  # fmt: skip
+        "__annotations__": dict.fromkeys(fields, Array),
+        "__module__": __name__,
+        "__qualname__": name,
+        "__doc__": f"The speeds of {count} rotors as fractions of the largest; each of shape (n,).",
+        **fields,
+    }
     return record(type(name, (MotorCommand,), namespace))
 
 

@@ -71,8 +71,9 @@ def fly(
             motion, now = substep(body, motion, targets, outside, dt / count)
             found = Outcome(
                 found.force + now.force * (1.0 / count),
-                larger(found.impact_speed, now.impact_speed), larger(found.hub, now.hub),
-            )  # fmt: skip
+                larger(found.impact_speed, now.impact_speed),
+                larger(found.hub, now.hub),
+            )
             return motion, loops, found
 
         found: tuple[Motion, Loops, Outcome] = jax.lax.fori_loop(
@@ -83,9 +84,16 @@ def fly(
     def by_the_ground() -> Any:
         motion, after, found = advance(start)
         touched = touch(
-            model.contact, outside.spring, outside.damper, model.feet, model.others, motion,
-            motion.quaternion.rotation(), outside.ground, model.longest_substep,
-        )  # fmt: skip
+            model.contact,
+            outside.spring,
+            outside.damper,
+            model.feet,
+            model.others,
+            motion,
+            motion.quaternion.rotation(),
+            outside.ground,
+            model.longest_substep,
+        )
         # What a vehicle far above would get from the bristles does not depend on whom it flies with.
         straight = jax.tree.map(jnp.zeros_like, motion.brush)
         return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
@@ -98,10 +106,18 @@ def fly(
     motion, after, found, bearing = jax.lax.cond(jnp.any(near), by_the_ground, far_above)
     slow = motion.velocity.dot(motion.velocity) < LANDED_M_S * LANDED_M_S
     moved = MultirotorState(
-        state.position_ned + motion.displacement, motion.quaternion, motion.velocity, motion.rates, motion.rotor_speed,
-        yaw if yaw is not None else motion.quaternion.euler().yaw, after.integral, motion.brush,
-        jnp.where(bearing & slow, state.standing + dt, 0.0), found.impact_speed, found.hub,
-    )  # fmt: skip
+        state.position_ned + motion.displacement,
+        motion.quaternion,
+        motion.velocity,
+        motion.rates,
+        motion.rotor_speed,
+        yaw if yaw is not None else motion.quaternion.euler().yaw,
+        after.integral,
+        motion.brush,
+        jnp.where(bearing & slow, state.standing + dt, 0.0),
+        found.impact_speed,
+        found.hub,
+    )
     return moved, found.force
 
 
@@ -149,7 +165,7 @@ def surroundings(
 
 
 def stabilised(
-    model: Airframe, state: MultirotorState, command: Any, dt: float, count: int, around: Around | None
+    model: Airframe, state: MultirotorState, command: object, dt: float, count: int, around: Around | None
 ) -> tuple[Array | None, Loops, Motors]:
     """Return the heading that is held after a step, None for that of the vehicle, and what tells the motors.
 

@@ -7,15 +7,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.files.csv_rows import CsvRows, name_and_unit
 from qrsim.files.user_files import LARGEST_TEXT, open_text
 
-Floats = np.ndarray[Any, Any]
 STANDARD_GRAVITY = 9.80665
 # Column -> quantity, and the factor to its unit: throttle 0 to 1, N, rad/s, W.
 COLUMNS = {
@@ -52,7 +51,7 @@ class MotorTable:
     power: Floats
 
     @staticmethod
-    def of(columns: Any) -> MotorTable:
+    def of(columns: object) -> MotorTable:
         """Build a table from columns by name, see COLUMNS, or from ``{"file": PATH}``, a CSV file that has them.
 
         Raises:
@@ -130,9 +129,11 @@ class MotorTable:
             "thrust_coefficient": coefficient,
             "thrust_to_weight": most / each,
             "speed_max": math.sqrt(most / coefficient),
-            "throttle_curve": curve, "hover_throttle": float(np.interp(each, self.thrust, self.throttle)),
-            "hover_power": power, "hover_speed": speed,
-        }  # fmt: skip
+            "throttle_curve": curve,
+            "hover_throttle": float(np.interp(each, self.thrust, self.throttle)),
+            "hover_power": power,
+            "hover_speed": speed,
+        }
 
     def oddities(self, radius: float) -> Iterator[str]:
         """Yield what no motor with a propeller of a radius [m] does, though the table may have it.
@@ -216,7 +217,7 @@ def _number(where: str, text: str) -> float:
     return value
 
 
-def _numbers(name: str, values: Any) -> Floats:
+def _numbers(name: str, values: object) -> Floats:
     if not isinstance(values, Sequence) or isinstance(values, str):
         raise UsageError(f"{name}: expected a list of numbers, found {values!r:.80}")
     for row, value in enumerate(values, start=1):

@@ -137,9 +137,12 @@ def own_parameters(
         UsageError: a number out of its range, or numbers that contradict each other.
     """
     given = {
-        "mass": mass, "arm": arm, "hover_throttle": hover_throttle, "thrust_to_weight": thrust_to_weight,
+        "mass": mass,
+        "arm": arm,
+        "hover_throttle": hover_throttle,
+        "thrust_to_weight": thrust_to_weight,
         "attitude_bandwidth": attitude_bandwidth,
-    }  # fmt: skip
+    }
     _check(given)
     kind = _geometry(rotors, geometry)
     known = known_numbers(known or {})
@@ -159,9 +162,7 @@ def own_parameters(
     # Of T/(rho A (W R)^2), with what two rotors on one axis lose made good; C_Q = C_T^1.5/(sqrt(2) FM).
     loading = thrust / (pairs * AIR_DENSITY * math.pi * radius**4)
     drag = 0.5 * AIR_DENSITY * BODY_DRAG * arm**2
-    gains: dict[str, Any] = {
-        "attitude_gain": attitude_bandwidth, "rate_gain": RATE_OVER_ATTITUDE * attitude_bandwidth,
-    }  # fmt: skip
+    gains: dict[str, Any] = {"attitude_gain": attitude_bandwidth, "rate_gain": RATE_OVER_ATTITUDE * attitude_bandwidth}
     return {
         "mass": mass,
         "inertia_x": INERTIA * mass * arm**2,
@@ -200,7 +201,7 @@ def own_multirotor(
     motor_table: Mapping[str, Any] | None = None,
     geometry: str | None = None,
     warn: Callable[[str], None] = warn_user,
-    **parameters: Any,
+    **parameters: object,
 ) -> Multirotor:
     """Return a multirotor of six numbers, or of four and the table of its motor, for ``make_scenario(vehicle=...)``.
 
@@ -243,9 +244,16 @@ def own_multirotor(
         raise UsageError(f"own_multirotor: give hover_throttle and thrust_to_weight, or {TABLE}")
     of_table = {name: table[name] for name in ("thrust_coefficient", "speed_max") if table}
     derived = own_parameters(
-        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry, of_table | parameters,
+        mass,
+        arm,
+        rotors,
+        hover_throttle,
+        thrust_to_weight,
+        attitude_bandwidth,
+        geometry,
+        of_table | parameters,
         curve=table.get("throttle_curve"),
-    )  # fmt: skip
+    )
     if table:
         derived |= _powered(derived, table)
         for words in columns.oddities(float(derived["rotor_radius"])):
@@ -267,7 +275,7 @@ def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str
     }
 
 
-def known_numbers(parameters: Mapping[str, Any]) -> dict[str, float]:
+def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
     """Return the given parameters from which others are derived, without lists (one number for each vehicle)."""
     found = {name: parameters[name] for name in SOURCES if name in parameters}
     return {
@@ -294,7 +302,7 @@ def _check(given: dict[str, float]) -> None:
             raise UsageError(f"{name}: {shown}; allowed: {low:g} to {high:g}{f' {unit}' if unit else ''}")
 
 
-def _arrangement(name: Any) -> Geometry:
+def _arrangement(name: object) -> Geometry:
     if not isinstance(name, str) or name not in GEOMETRIES:
         raise UsageError(f"geometry: no arrangement is called '{name}'{did_you_mean(str(name), GEOMETRIES)}")
     return GEOMETRIES[name]

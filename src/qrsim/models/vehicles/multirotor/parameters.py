@@ -15,9 +15,11 @@ from qrsim.models.vehicles.multirotor.geometry import Rotor, Triple
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
 
 _X500 = (
-    Rotor((0.174, 0.174, -0.06), -1), Rotor((-0.174, 0.174, -0.06), 1),
-    Rotor((-0.174, -0.174, -0.06), -1), Rotor((0.174, -0.174, -0.06), 1),
-)  # fmt: skip
+    Rotor((0.174, 0.174, -0.06), -1),
+    Rotor((-0.174, 0.174, -0.06), 1),
+    Rotor((-0.174, -0.174, -0.06), -1),
+    Rotor((0.174, -0.174, -0.06), 1),
+)
 _X500_FEET = ((0.15, 0.15, 0.2), (-0.15, 0.15, 0.2), (-0.15, -0.15, 0.2), (0.15, -0.15, 0.2))
 
 
@@ -49,9 +51,11 @@ class Airframe:
         default=0.0, unit="kg m^2", doc="moment of inertia of a rotor about its axis", minimum=0.0
     )
     rotor_drag: Array = parameter(
-        default=8.06428e-5, unit="N s^2/m", doc="drag of a rotor in its plane over its speed and airspeed (k_d)",
+        default=8.06428e-5,
+        unit="N s^2/m",
+        doc="drag of a rotor in its plane over its speed and airspeed (k_d)",
         minimum=0.0,
-    )  # fmt: skip
+    )
     inflow_loss: Array = parameter(
         default=0.0, unit="N s^2/m", doc="thrust that a rotor loses over its speed and the inflow (k_z)", minimum=0.0
     )
@@ -68,9 +72,12 @@ class Airframe:
         default=1.225, unit="kg/m^3", doc="density of the air for which the coefficients are", above=0.0
     )
     throttle_curve: Array = parameter(
-        default=1.0, unit="1", doc="a of thrust/largest thrust = a u^2 + (1 - a) u at throttle u",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
+        default=1.0,
+        unit="1",
+        doc="a of thrust/largest thrust = a u^2 + (1 - a) u at throttle u",
+        minimum=0.0,
+        maximum=1.0,
+    )
     nominal_voltage: Array = parameter(
         default=14.8, unit="V", doc="below it the largest rotor speed falls with the voltage of a battery", above=0.0
     )
@@ -158,7 +165,14 @@ class Airframe:
         if self.thin_air == "ignored":
             return self
         names = (
-            "thrust_coefficient", "rotor_drag", "inflow_loss", "translational_lift", "flapping", "drag_x", "drag_y",
-            "drag_z", "air_density",
-        )  # fmt: skip
+            "thrust_coefficient",
+            "rotor_drag",
+            "inflow_loss",
+            "translational_lift",
+            "flapping",
+            "drag_x",
+            "drag_y",
+            "drag_z",
+            "air_density",
+        )
         return replace(self, **{name: getattr(self, name) * share for name in names})

@@ -73,9 +73,16 @@ def slope_of(
     touched = None
     if motion.brush:
         touched = touch(
-            model.contact, around.spring, around.damper, model.feet, model.others, motion, turned, around.ground,
+            model.contact,
+            around.spring,
+            around.damper,
+            model.feet,
+            model.others,
+            motion,
+            turned,
+            around.ground,
             model.longest_substep,
-        )  # fmt: skip
+        )
         force, moment = force + touched.force, moment + touched.moment
     rates, inertia = motion.rates, model.inertia
     specific = force * (1.0 / model.mass)

@@ -35,9 +35,12 @@ class Stabiliser:
     rate_limit: Array = parameter(default=3.84, unit="rad/s", doc="largest roll and pitch rate asked for", above=0.0)
     yaw_rate_limit: Array = parameter(default=3.5, unit="rad/s", doc="largest yaw rate asked for", above=0.0)
     yaw_share: Array = parameter(
-        default=0.15, unit="1", doc="share of a yaw torque that is kept when the rotors are at their limits",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
+        default=0.15,
+        unit="1",
+        doc="share of a yaw torque that is kept when the rotors are at their limits",
+        minimum=0.0,
+        maximum=1.0,
+    )
 
 
 def rates_wanted(gains: Stabiliser, attitude: Quaternion, wanted: Quaternion, yaw_rate: Array) -> Vec3:

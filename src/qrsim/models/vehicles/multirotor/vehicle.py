@@ -74,12 +74,18 @@ class Multirotor(Airframe, Vehicle):
         lift = self.thrust_coefficient * self.lift_share * self.share(position_ned)
         speed = jnp.sqrt(self.mass * self.gravity / lift)
         return MultirotorState(
-            position_ned, Quaternion.of(attitude), velocity_body, rates_body,
+            position_ned,
+            Quaternion.of(attitude),
+            velocity_body,
+            rates_body,
             (jnp.broadcast_to(speed, like.shape),) * len(self.rotors),
-            jnp.asarray(attitude.yaw), Vec3(zero, zero, zero),
+            jnp.asarray(attitude.yaw),
+            Vec3(zero, zero, zero),
             (Brush(zero, zero),) * (len(self.feet) + len(self.others)),
-            zero, zero, zero,
-        )  # fmt: skip
+            zero,
+            zero,
+            zero,
+        )
 
     def with_thrust(self, state: MultirotorState, thrust: Array) -> MultirotorState:
         """Return a state at a collective thrust (n,) [N]; a NaN leaves it as it is."""
@@ -151,9 +157,11 @@ class Multirotor(Airframe, Vehicle):
         lower = jnp.where(stands, self.contact.sink - functools.reduce(jnp.add, depths) / len(depths), 0.0)
         place = replace(state.position_ned, z=state.position_ned.z + lower)
         return replace(
-            state, position_ned=place, standing=jnp.where(stands, LANDED_S, state.standing),
+            state,
+            position_ned=place,
+            standing=jnp.where(stands, LANDED_S, state.standing),
             rotor_speed=tuple(jnp.where(stands, 0.0, speed) for speed in state.rotor_speed),
-        )  # fmt: skip
+        )
 
     def load(self, state: MultirotorState) -> Load:
         """Return thrust, weight and electrical power (V25)."""
@@ -202,7 +210,7 @@ class Multirotor(Airframe, Vehicle):
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
 
-    def leaning(self, tilt: Any) -> tuple[Any, Any] | None:
+    def leaning(self, tilt: object) -> tuple[Any, Any] | None:
         """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad]."""
         return leaning(self, tilt)
 

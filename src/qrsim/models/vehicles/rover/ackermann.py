@@ -71,9 +71,7 @@ class Rover(Vehicle):
     speed_max: Array = parameter(default=8.0, unit="m/s", doc="largest speed", above=0.0)
     speed_lag: Array = parameter(default=0.4, unit="s", doc="time constant of the speed", minimum=0.05)
     acceleration_max: Array = parameter(default=4.0, unit="m/s^2", doc="largest acceleration of its drive", above=0.0)
-    steering_max: Array = parameter(
-        default=0.5, unit="rad", doc="largest steering angle", above=0.0, maximum=0.8
-    )  # fmt: skip
+    steering_max: Array = parameter(default=0.5, unit="rad", doc="largest steering angle", above=0.0, maximum=0.8)
     steering_lag: Array = parameter(default=0.1, unit="s", doc="time constant of the steering", minimum=0.02)
     steering_rate_max: Array = parameter(default=4.0, unit="rad/s", doc="largest rate of the steering", above=0.0)
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
@@ -113,9 +111,11 @@ class Rover(Vehicle):
         """Return position, attitude, velocity and rates (n,)."""
         zero = jnp.zeros_like(state.speed)
         return Pose(
-            state.position_ned, state.attitude, Vec3(state.speed, state.slip_speed, zero),
+            state.position_ned,
+            state.attitude,
+            Vec3(state.speed, state.slip_speed, zero),
             Vec3(zero, zero, state.yaw_rate),
-        )  # fmt: skip
+        )
 
     def step(
         self,

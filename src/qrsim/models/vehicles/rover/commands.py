@@ -18,9 +18,11 @@ class SteeringCommand(DriveCommand):
     """Steering angle and speed, which the rover's own drives bring about; each of shape (n,)."""
 
     steering: Array = quantity(
-        unit="rad", doc="angle of the front wheels, to the right positive",
-        minimum=-STEERING_MAX_RAD, maximum=STEERING_MAX_RAD,
-    )  # fmt: skip
+        unit="rad",
+        doc="angle of the front wheels, to the right positive",
+        minimum=-STEERING_MAX_RAD,
+        maximum=STEERING_MAX_RAD,
+    )
     speed: Array = quantity(
         unit="m/s", doc="forward speed, negative backwards", minimum=-SPEED_MAX_M_S, maximum=SPEED_MAX_M_S
     )
