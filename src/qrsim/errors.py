@@ -14,9 +14,9 @@ LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
 # What others call it, by words that look unlike it.
 SYNONYMS: dict[str, str] = {
     "alt": "height", "altitude": "height", "bearing": "wind_from_deg", "compass": "magnetometer",
-    "direction": "wind_from_deg", "gps": "gnss", "lat": "latitude_deg", "latitude": "latitude_deg",
-    "lidar": "scan", "liion": "lithium_cells", "lipo": "lithium_cells", "lng": "longitude_deg",
-    "lon": "longitude_deg", "long": "longitude_deg", "longitude": "longitude_deg",
+    "direction": "wind_from_deg", "from": "wind_from_deg", "gps": "gnss", "lat": "latitude_deg",
+    "latitude": "latitude_deg", "lidar": "scan", "liion": "lithium_cells", "lipo": "lithium_cells",
+    "lng": "longitude_deg", "lon": "longitude_deg", "long": "longitude_deg", "longitude": "longitude_deg",
     "winddirection": "wind_from_deg",
 }  # fmt: skip
 

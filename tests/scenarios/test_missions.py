@@ -176,6 +176,9 @@ def test_a_run_tells_of_its_missions(tmp_path: Path) -> None:
     content["fleets"]["a"]["vehicles"] += [
         {"position_ned": [0.0, 50.0, -20.0], "legs": [to(5.0, 50.0, -20.0)]},
         {"position_ned": [0.0, 90.0, -20.0], "legs": [to(5.0, 90.0, -20.0, accept_radius=1e-4)]},
+        # These two meet on the way, and then tell of no leg any more.
+        {"position_ned": [0.0, 130.0, -20.0], "legs": [to(0.0, 140.0, -20.0, accept_radius=1e-4)]},
+        {"position_ned": [0.0, 134.0, -20.0], "legs": [to(0.0, 124.0, -20.0, accept_radius=1e-4)]},
     ]
     fly(load_scenario(content), tmp_path / "run", seed=1, precision="float32")
     run = open_run(tmp_path / "run")
@@ -188,6 +191,8 @@ def test_a_run_tells_of_its_missions(tmp_path: Path) -> None:
     assert told["a_1", "mission_finished"].message.startswith("a_1 finished its mission, at ")
     said = r"a_2 has not reached leg 1 of 1, to north 5 m, east 90 m, 20 m up: [\d.]+ m to go; "
     assert re.match(said + r"reached within 0.0001 m, at ", told["a_2", "leg_timeout"].message)
+    for name in ("a_3", "a_4"):
+        assert {kind for vehicle, kind in told if vehicle == name} == {"collision"}
     assert [summary.stopped for summary in summarise(run)] == ["", "", ""]
     assert [summary.waypoints for summary in summarise(run)] == [1, 1, 0]
 

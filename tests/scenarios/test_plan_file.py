@@ -292,13 +292,15 @@ BAD: dict[str, tuple[Any, str]] = {
     "no mission": (without(plan(), "mission"), "mission: is missing; expected an object"),
     "a typo": (
         {**plan(), "mission": {"version": 2, "plannedHomePositon": HOME, "items": []}},
-        "mission.plannedHomePosition: is missing; expected [latitude, longitude, altitude]; found 'plannedHomePositon'",
+        "mission.plannedHomePosition: is missing; expected [latitude, longitude, altitude], which QGroundControl saves "
+        "once the launch position is set; found 'plannedHomePositon'",
     ),
     "no items": (without(plan(), "mission", "items"), "mission.items: is missing; expected a list"),
     "items": (altered(plan(), "all", "mission", "items"), "mission.items: expected a list, found 'all'"),
     "no home": (
         without(plan(), "mission", "plannedHomePosition"),
-        "mission.plannedHomePosition: is missing; expected [latitude, longitude, altitude]",
+        "mission.plannedHomePosition: is missing; expected [latitude, longitude, altitude], which QGroundControl saves "
+        "once the launch position is set",
     ),
     "home without altitude": (
         altered(plan(), [47.0, 8.0], "mission", "plannedHomePosition"),

@@ -129,3 +129,27 @@ def test_heights_that_look_like_feet_are_told(tmp_path: Path, height: float, top
     else:
         told = warnings_of(content)
     assert [words in each and "item 2 " in each for each in told] == ([True] if words else [])
+
+
+def test_a_plan_far_from_its_home_and_one_for_two_vehicles_are_told(tmp_path: Path) -> None:
+    """0.018 degrees of latitude are 2.0 km."""
+    path = tmp_path / "far.plan"
+    items = [item(16, 47.0, 8.0, 20.0), item(16, 47.0003, 8.0, 20.0)]
+
+    def told(home: float, vehicles: int) -> list[str]:
+        mission = {"version": 2, "plannedHomePosition": [home, 8.0, 450.0], "items": items}
+        path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}), "utf-8")
+        wide = {"type": "box", "x_min": -3000, "x_max": 3000, "y_min": -100, "y_max": 100, "z_min": -100}
+        content = scenario({"plan": {"file": str(path)}}, area=wide)
+        content["site"] = {"plan": {"file": str(path)}}
+        (fleet,) = content["fleets"].values()
+        fleet["vehicles"] = fleet["vehicles"] * vehicles
+        for number, vehicle in enumerate(fleet["vehicles"]):
+            fleet["vehicles"][number] = {**vehicle, "position_ned": [0.0, 5.0 * number, -20.0]}
+        return [each.partition(": ")[2] for each in warnings_of(content)]
+
+    assert told(47.0, 1) == []
+    (words,) = told(46.982, 1)
+    assert words == "item 1 is 2 km from the plan's home; is the home where it was planned?"
+    (words,) = told(47.0, 2)
+    assert words.startswith("2 vehicles fly it, on one path and to one place, where they may collide")

@@ -31,7 +31,9 @@ class MissionWatch:
                 continue
             self.before[i] = _progress(state, -1)
             for kind, now, old in zip((LATE, FINISHED), progress, before, strict=True):
-                for row, vehicle in np.argwhere(now > np.concatenate([old[None], now[:-1]])):
+                # The guidance of a vehicle that has stopped goes on, and tells nothing.
+                flies = state.violation.code == 0
+                for row, vehicle in np.argwhere((now > np.concatenate([old[None], now[:-1]])) & flies):
                     yield i, _told(fleet, state, int(row), int(vehicle), kind)
 
     def ending(self, history: History) -> Iterator[tuple[int, Found]]:

@@ -103,5 +103,5 @@ def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[s
         if ground + ON_IT >= z > ground - high + ON_IT:
             yield (
                 f"fleets.{name}.vehicles.{i}.position_ned: z = {z:g} m is below where it stands on its feet; allowed: "
-                f"at most {ground - high:g}"
+                f"at most {ground - high:g}; did you mean on_ground: true, which puts it there?"
             )

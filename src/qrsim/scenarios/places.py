@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -17,7 +18,7 @@ from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
 from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
-from qrsim.scenarios.plan_site import far_from_home, home_of, in_feet
+from qrsim.scenarios.plan_site import far_from_home, home_of, in_feet, items_far_from_home
 from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,
@@ -77,6 +78,7 @@ class _Places:
         self.fences: dict[str, Plan] = {}
         self.by_route: set[str] = set()
         self.by_wing: set[str] = set()
+        self.shared: dict[str, int] = {}
         z_min = vars(scenario.world.area).get("z_min")
         self.ceiling = None if z_min is None else -z_min
         self.on_ground = False
@@ -109,6 +111,7 @@ class _Places:
         mission = guidance.type == MISSION
         if fleet.vehicle.type == "fixed_wing":
             self.by_wing.update(planned)
+        self.shared.update({file: count for file, count in Counter(planned).items() if count > 1})
         if planned and guidance.type == "route" and "repeat" not in guidance.model_fields_set:
             guidance = guidance.model_copy(update={"repeat": False})
         plans = [plan for plan in map(self._read, planned if mission else ()) if plan is not None]
@@ -231,8 +234,14 @@ class _Places:
                 more = f" (and {len(others)} more of its kind)" if others else ""
                 warn_user(f"{file}: {first.route_text if by_route else first.text}{more}")
         for file, plan in self.flown.items():
-            if words := in_feet(file, plan, self.ceiling, file in self.by_wing):
-                warn_user(words)
+            for words in (in_feet(file, plan, self.ceiling, file in self.by_wing), items_far_from_home(file, plan)):
+                if words:
+                    warn_user(words)
+            if file in self.shared:
+                warn_user(
+                    f"{file}: {self.shared[file]} vehicles fly it, on one path and to one place, where they may "
+                    "collide; give each its own plan"
+                )
         if words := far_from_home({**self.fences, **self.flown}, self.site):
             warn_user(words)
 

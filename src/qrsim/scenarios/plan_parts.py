@@ -115,7 +115,8 @@ def part_of(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
     path = f"{where}.{key}" if where else key
     if key not in parent:
         near = nearest(key, parent)
-        expected = HOME if key == "plannedHomePosition" else KINDS[kind]
+        home = f"{HOME}, which QGroundControl saves once the launch position is set"
+        expected = home if key == "plannedHomePosition" else KINDS[kind]
         raise PlanFaultError(f"{path}: is missing; expected {expected}{f'; found {near!r}' if near else ''}")
     return of_kind(parent[key], kind, path)
 

@@ -60,6 +60,21 @@ def far_from_home(plans: Mapping[str, Plan], site: Site) -> str | None:
     return f"{file}: its home is {' and '.join(apart_by)}{others}; site: {{plan: FILE}} takes the site from it"
 
 
+def items_far_from_home(file: str, plan: Plan) -> str | None:
+    """Return a sentence on a plan that begins far from its own home, None where it begins near."""
+    if not plan.waypoints:
+        return None
+    first, home = plan.waypoints[0], plan.home
+    around = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
+    north, east, _ = around.geodetic_to_ned(
+        math.radians(first.latitude_deg), math.radians(first.longitude_deg), home.altitude_amsl
+    )
+    distance = math.hypot(north, east)
+    if distance <= FAR:
+        return None
+    return f"{file}: item {first.item} is {_length(distance)} from the plan's home; is the home where it was planned?"
+
+
 def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str | None:
     """Return a hint that the heights of a plan may be in feet, None if they are plausible in metres.
 

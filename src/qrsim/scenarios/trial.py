@@ -232,7 +232,10 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]
         except FaultError:
             raise
         except (Exception, SystemExit) as error:
-            advice = next((words for kind, words in _ADVICE if isinstance(error, kind)), in_one_line(error))
+            # An array of several numbers is refused before JAX can say why.
+            kinds = type(error), jax.errors.TracerBoolConversionError
+            asked = kinds[str(error).startswith("The truth value of an array")]
+            advice = next((words for kind, words in _ADVICE if issubclass(asked, kind)), in_one_line(error))
             no_noise = isinstance(error, AttributeError) and error.obj is None and error.name == "normals"
             if kind == "vehicle" and no_noise:
                 advice = _NO_NOISE

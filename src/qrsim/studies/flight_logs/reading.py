@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from qrsim.errors import LogError, UsageError, did_you_mean_file
+from qrsim.files.recordings import RECORDINGS, data_folder
 from qrsim.files.user_files import open_file
 from qrsim.studies.flight_logs.rosbag import is_bag, read_bag
 from qrsim.studies.flight_logs.signals import FlightLog
@@ -27,6 +28,8 @@ def read_log(path: Path, namespace: str | None = None, boot: int | None = None) 
         LogError: empty, no format that is known, or what the reader of the format finds wrong.
         RunError: a bag is damaged.
     """
+    if str(path) in RECORDINGS and not path.exists():
+        path = data_folder() / path
     if path.exists() and is_bag(path):
         if boot is not None:
             raise _no_boots(path, boot)

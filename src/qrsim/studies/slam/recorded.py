@@ -115,7 +115,8 @@ def _columns(run: Run, stream: str, names: tuple[str, ...], index: int, count: i
         raise RunError(f"{run.folder}: {stream} end before truth does")
     for name in names:
         if name not in run[stream]:
-            raise RunError(f"{run.folder}: {stream} have no '{name}', which slam needs")
+            only = "; the vehicle has to be a pelican or another 'quadrotor'" if stream == "commands" else ""
+            raise RunError(f"{run.folder}: {stream} have no '{name}', which slam needs{only}")
     arrays = run[stream].arrays(names)
     return np.stack([np.asarray(arrays[name][:count, index], np.float64) for name in names], axis=-1)
 

@@ -154,6 +154,15 @@ def test_a_motor_table_may_be_a_csv_file(tmp_path: Path) -> None:
     assert own_multirotor(**HEXA, motor_table={"file": str(path)}) == own_multirotor(**HEXA, motor_table=TABLE)
 
 
+def test_the_power_of_a_motor_may_be_voltage_and_current(tmp_path: Path) -> None:
+    path = tmp_path / "motor.csv"
+    rows = zip(*TABLE.values(), strict=True)
+    lines = [f"{throttle},{thrust},{rpm},16,{power / 16}" for throttle, thrust, rpm, power in rows]
+    lines.insert(0, "Throttle [%],Thrust [g],RPM,Voltage [V],Current [A]")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert own_multirotor(**HEXA, motor_table={"file": str(path)}) == own_multirotor(**HEXA, motor_table=TABLE)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -165,6 +174,10 @@ def test_a_motor_table_may_be_a_csv_file(tmp_path: Path) -> None:
         ("throttle,thrust [kg],rpm,power_W\n0.5,5,4000,60\n1,9,6000,200\n", "has no column thrust_N or thrust_g"),
         ("rpm,rpm\n1,2\n", "line 1: the column 'rpm' is there 2 times"),
         ("a,b\n1,2\n", "line 1: no column is called throttle"),
+        (
+            "throttle,thrust_N,rpm,current_A\n0.5,5,4000,3\n1,9,6000,9\n",
+            "motor.csv: has no column power_W, nor voltage_V and current_A, whose product it is",
+        ),
         ("", "not CSV: the file is empty"),
     ],
 )

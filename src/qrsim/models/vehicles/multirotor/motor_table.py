@@ -24,6 +24,8 @@ COLUMNS = {
     "thrust_g": ("thrust", STANDARD_GRAVITY / 1000.0),
     "rpm": ("speed", math.pi / 30.0),
     "power_W": ("power", 1.0),
+    "voltage_V": ("voltage", 1.0),
+    "current_A": ("current", 1.0),
 }
 # Largest efficiency of a motor, shaft power over electrical power.
 MOST_EFFICIENT = 0.9
@@ -63,8 +65,12 @@ class MotorTable:
             raise UsageError(f"expected columns by name ({', '.join(COLUMNS)}), found {columns!r:.80}{a_file}")
         if "file" in columns:
             if len(columns) > 1 or not isinstance(columns["file"], str):
-                raise UsageError("file: expected the path of a CSV file, and no columns beside it")
-            columns = _columns_of(Path(columns["file"]))
+                raise UsageError("file: expected the path of a CSV file, and no columns in addition")
+            read = _columns_of(Path(columns["file"]))
+            try:
+                return MotorTable.of(read)
+            except UsageError as error:
+                raise UsageError(f"{columns['file']}: {error}") from None
         found: dict[str, Floats] = {}
         for name, values in columns.items():
             if name not in COLUMNS:
@@ -76,7 +82,12 @@ class MotorTable:
             least = "above 0" if quantity in ("thrust", "speed") else "from 0"
             if len(values) and (values[0] < 0.0 or (values[0] == 0.0 and least == "above 0")):
                 raise UsageError(f"{name} of row 1 is {values[0]:g}; allowed: {least}")
+        volts, amperes = found.pop("voltage", None), found.pop("current", None)
+        if "power" not in found and volts is not None and amperes is not None and len(volts) == len(amperes):
+            found["power"] = volts * amperes
         for quantity in ("throttle", "thrust", "speed", "power"):
+            if quantity == "power" and quantity not in found:
+                raise UsageError("has no column power_W, nor voltage_V and current_A, whose product it is")
             if quantity not in found:
                 names = " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
                 raise UsageError(f"has no column {names}")
@@ -166,7 +177,8 @@ class MotorTable:
 def _columns_of(path: Path) -> dict[str, list[float]]:
     """Read the columns of COLUMNS from a CSV file; other columns are ignored.
 
-    A name may have its unit in brackets: ``thrust [g]`` is ``thrust_g``.
+    A name may have its unit in brackets: ``thrust [g]`` is ``thrust_g``. Case does not matter. Voltage and current
+    count if there is no power.
 
     Raises:
         UsageError: the file cannot be read, or a field is no number; names the line and the column.
@@ -175,11 +187,14 @@ def _columns_of(path: Path) -> dict[str, list[float]]:
         with open_text(path, LARGEST_TEXT) as file:
             reader = CsvRows(file)
             names = [_name_of(column) for column in reader.header]
+            if "power_W" in names:
+                names = ["" if name in ("voltage_V", "current_A") else name for name in names]
             twice = next((name for name in COLUMNS if names.count(name) > 1), None)
             if twice:
                 raise UsageError(f"{path}: line 1: the column '{twice}' is there {names.count(twice)} times")
             if not set(names) & set(COLUMNS):
-                raise UsageError(f"{path}: line 1: no column is called {', '.join(COLUMNS)}")
+                there = ", ".join(reader.header)[:80]
+                raise UsageError(f"{path}: line 1: no column is called {', '.join(COLUMNS)}; found {there}")
             found: dict[str, list[float]] = {name: [] for name in names if name in COLUMNS}
             for fields in reader:
                 if len(fields) != len(names):
@@ -201,10 +216,9 @@ def _columns_of(path: Path) -> dict[str, list[float]]:
 def _name_of(column: str) -> str:
     """Return the name of a column as COLUMNS has it: ``throttle [%]`` is ``throttle_percent``."""
     name, unit = name_and_unit(column)
-    if unit in (None, "1", "1/min"):
-        return name
-    of_unit = f"{name}_{'percent' if unit == '%' else unit}"
-    return of_unit if of_unit in COLUMNS else column
+    whole = name if unit in (None, "1", "1/min") else f"{name}_{'percent' if unit == '%' else unit}"
+    known = {each.casefold(): each for each in COLUMNS}
+    return known.get(whole.casefold(), column)
 
 
 def _number(where: str, text: str) -> float:
