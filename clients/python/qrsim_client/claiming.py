@@ -52,9 +52,17 @@ class SharedCalls(ABC):
         request = pb.Claim(vehicle=vehicles, on_silence=on_silence, hold=hold)
         found = self._ask(Message(type=Message.CLAIM, claim=request), Message.CLAIMED).claimed
         return Claim(
-            found.client, tuple(found.vehicle), found.scenario, found.seed, found.pace, found.factor, found.time_step,
-            found.tick, found.on_silence, found.hold,
-        )  # fmt: skip
+            found.client,
+            tuple(found.vehicle),
+            found.scenario,
+            found.seed,
+            found.pace,
+            found.factor,
+            found.time_step,
+            found.tick,
+            found.on_silence,
+            found.hold,
+        )
 
     def release(self, *vehicles: str) -> None:
         """Give claimed vehicles back to the guidance of their scenario; without names all."""
@@ -149,11 +157,16 @@ class SharedCalls(ABC):
         found = self._ask(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
         vehicles = {
             each.name: VehicleStatus(
-                each.client, each.flies, _given(each, "source_tick"), _given(each, "arrival_tick"), _given(each, "age"),
-                each.misses, _given(each, "silent_since"),
+                each.client,
+                each.flies,
+                _given(each, "source_tick"),
+                _given(each, "arrival_tick"),
+                _given(each, "age"),
+                each.misses,
+                _given(each, "silent_since"),
             )
             for each in found.vehicle
-        }  # fmt: skip
+        }
         pacing = {field.name: value for field, value in found.pacing.ListFields()}
         return Status(found.pace, found.tick, found.t, pacing, vehicles)
 

@@ -261,9 +261,14 @@ class Client(SharedCalls):
         request = pb.Act(action=_vectors("action", action), answer=_answers(answer), say=words)
         found = self._ask(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
         return Outcome(
-            step=found.step, time=found.t, observation=seen_of(found.observation), reward=np.array(found.reward),
-            terminated=found.terminated, truncated=found.truncated, info=arrays_of(found.info),
-        )  # fmt: skip
+            step=found.step,
+            time=found.t,
+            observation=seen_of(found.observation),
+            reward=np.array(found.reward),
+            terminated=found.terminated,
+            truncated=found.truncated,
+            info=arrays_of(found.info),
+        )
 
     def watch(
         self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.apps import SECONDS
-from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from qrsim.apps.openloop.command_file import CommandTable
+    from qrsim.core.arrays import NumpyArray
     from qrsim.models.vehicles.quadrotor import Quadrotor
 
 _INITIAL_FORMS = "6 (position, Euler angles), 12 (and body velocity, rates) or 13 (and thrust)"

@@ -46,7 +46,9 @@ def test_what_cannot_fly_is_refused(vehicle: dict[str, Any], words: str) -> None
 
 
 def test_feet_do_not_start_in_the_ground() -> None:
-    with pytest.raises(ScenarioError, match=r"z = -0.1 m is below where it stands on its feet; allowed: at most -0.2; did you mean on_"):
+    with pytest.raises(
+        ScenarioError, match=r"z = -0.1 m is below where it stands on its feet; allowed: at most -0.2; did you mean on_"
+    ):
         qrsim.load_scenario(scenario({"model": "x500"}, -0.1))
     qrsim.load_scenario(scenario({"model": "x500"}, -0.197))
 
