@@ -220,6 +220,7 @@ def test_what_of_a_plan_is_not_flown_is_told_once_for_each_kind(write_plan: Call
         f"{file}: geoFence.breachReturn: not used",
         f"{file}: item 6, NAV_LAND: not landed, but flown over",
         f"{file}: geoFence: not used, because world.area is 'box'; give {{type: fence, file: ...}}",
+        f"{file}: 2 vehicles fly it, on one path and to one place, where they may collide; give each its own plan",
     ]
     # Where only its fence is used, what its mission asks for concerns nobody.
     with warnings.catch_warnings(record=True) as caught:
