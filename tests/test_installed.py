@@ -147,7 +147,9 @@ def test_it_flies(python: str, tmp_path: Path, words: list[str]):
 @pytest.mark.long
 def test_the_wheel_has_every_file_and_flies(unpacked: Path, tmp_path: Path):
     def files(folder: Path) -> set[Path]:
-        every = (path for path in (folder / "qrsim").rglob("*") if path.is_file() and path.suffix != ".pyc")
+        every = (
+            path for path in (folder / "qrsim").rglob("*") if path.is_file() and path.suffix not in (".pyc", ".md")
+        )
         return {path.relative_to(folder) for path in every}
 
     assert files(unpacked) == files(ROOT / "src")

@@ -78,7 +78,7 @@ def wakes_of(world: World, before: tuple[FleetState, ...]) -> Wakes:
         return Wakes(none, none)
     jets = tuple(_jets_of(world, fleet, state) for fleet, state in zip(world.fleets, before, strict=True))
     extents = [_extent(fleet.vehicle.wake_points()) for fleet in world.fleets if fleet.vehicle.downwash == "felt"]
-    if sum(fleet.size for fleet in world.fleets) < FEW or not extents:
+    if sum(fleet.size for fleet in world.fleets) < FEW or not extents or not any(jets):
         return Wakes(jets, none)
     return Wakes(
         jets, _reaching(world, before, jets, functools.reduce(jnp.maximum, [jnp.max(each) for each in extents]))
