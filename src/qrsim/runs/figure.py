@@ -200,7 +200,7 @@ def _legs_of(vehicle: Any) -> Floats:
 
 
 def _paths(data: _Data) -> Paths:
-    wind = data.mean.mean(axis=(0, 1))
+    wind = np.nanmean(data.mean * data.flying("wind")[..., None], axis=(0, 1))
     return Paths(
         data.names, data.position, data.setpoint, data.places, data.reported, tuple(data.stops), wind, data.colours
     )

@@ -48,7 +48,7 @@ class Paths:
         places: of each vehicle, (K, 2) where its legs lead, north and east [m].
         reported: (T2, n, 3) [m], what GNSS says; None without a receiver.
         stopped: numbers of those that stopped.
-        wind: (3,) mean over all ticks and vehicles [m/s], NED.
+        wind: (3,) mean over all ticks of vehicles in flight [m/s], NED.
         colours: (n, 4).
     """
 
