@@ -97,21 +97,14 @@ def heard() -> Iterator[None]:
 @contextlib.contextmanager
 def calling(do: Callable[[], None]) -> Iterator[None]:
     """Make Ctrl-C and SIGTERM call a function; an Interruption is raised at the end if a signal came."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     came: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
         came.append(number)
         do()
 
-    before = _installed(handle)
-    try:
+    with _handling(handle):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     if came:
         raise Interruption(came[0])
 
@@ -141,12 +134,8 @@ def run_until_signal(main: Coroutine[Any, Any, None]) -> None:
             late[0].daemon = True
             late[0].start()
 
-        before = _installed(handle) if threading.current_thread() is threading.main_thread() else {}
-        try:
+        with _handling(handle):
             await main
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     try:
         asyncio.run(watched())
@@ -164,15 +153,8 @@ def run_until_signal(main: Coroutine[Any, Any, None]) -> None:
 def ending() -> Iterator[threading.Event]:
     """Make Ctrl-C and SIGTERM set the event that is returned, and raise nothing: the work is done already."""
     came = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
+    with _handling(lambda number, frame: came.set()):
         yield came
-        return
-    before = _installed(lambda number, frame: came.set())
-    try:
-        yield came
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def leave_at_once() -> None:
@@ -184,6 +166,20 @@ def leave_at_once() -> None:
         os._exit(128 + number)
 
     _installed(leave)
+
+
+@contextlib.contextmanager
+def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Have both signals call a handler in this context, in the main thread; other threads leave signals alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = _installed(handler)
+    try:
+        yield
+    finally:
+        for number, handler_before in before.items():
+            signal.signal(number, handler_before)
 
 
 def _installed(handler: Any) -> dict[int, Any]:

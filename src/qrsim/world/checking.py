@@ -14,15 +14,9 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.sweeping import obstacle_hit
 from qrsim.models.vehicles.contracts import Charged
-from qrsim.world.sensing import (
-    at_rest,
-)
+from qrsim.world.sensing import at_rest
 from qrsim.world.standing import ground_checks, over_the_floor
-from qrsim.world.state import (
-    Fleet,
-    FleetState,
-    World,
-)
+from qrsim.world.state import Fleet, FleetState, World
 
 
 def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:

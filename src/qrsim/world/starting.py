@@ -17,23 +17,9 @@ from qrsim.models.scene.contents import Surroundings
 from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.draws import draw_fleet
-from qrsim.world.sensing import (
-    airspeed_of,
-    faulted,
-    first_belief,
-    inputs_of,
-    scene_of,
-    starting_fitted,
-)
+from qrsim.world.sensing import airspeed_of, faulted, first_belief, inputs_of, scene_of, starting_fitted
 from qrsim.world.standing import lying_force, started
-from qrsim.world.state import (
-    TURBULENCE,
-    Fleet,
-    FleetState,
-    Start,
-    World,
-    period_ticks,
-)
+from qrsim.world.state import TURBULENCE, Fleet, FleetState, Start, World, period_ticks
 
 
 def start_fleet(

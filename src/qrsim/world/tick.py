@@ -36,10 +36,7 @@ from qrsim.world.episode import (
     surroundings,
 )
 from qrsim.world.radio import exchange, parted, start_radio
-from qrsim.world.sensing import (
-    sense,
-    with_traffic,
-)
+from qrsim.world.sensing import sense, with_traffic
 from qrsim.world.standing import lying_force, settled
 from qrsim.world.starting import launched, start_fleet, vehicle_at
 from qrsim.world.state import (
