@@ -97,7 +97,8 @@ class Serve:
         """Check, compile, serve."""
         options = self._options()
         scenario = self._scenario()
-        from qrsim.files.interruptions import run_until_signal
+        import asyncio
+
         from qrsim.links.printing import Log
         from qrsim.links.reference.server import Server
         from qrsim.links.reference.tasks import Tasks
@@ -119,7 +120,7 @@ class Serve:
             await Server(options, tasks, log.say).serve(ready)
 
         try:
-            run_until_signal(serve())
+            asyncio.run(serve())
         finally:
             if options.view is not None:
                 options.view.close()
