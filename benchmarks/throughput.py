@@ -71,7 +71,7 @@ def stage_world(count: int, stage: str) -> Any:
     if place < STAGES.index("wind"):
         world["turbulence"], world["wind"] = {"type": "still"}, {"type": "calm"}
     if place < STAGES.index("noise"):
-        fleet["vehicle"] = {"type": "pelican", "process_noise": 0.0}
+        fleet["vehicle"]["process_noise"] = 0.0
     if place < STAGES.index("sensors"):
         fleet["sensors"] = {}
         fleet["controller"] = {"type": "attitude", "feed": "truth"}
@@ -80,7 +80,7 @@ def stage_world(count: int, stage: str) -> Any:
         fleet["sensors"]["gnss"] = {"type": "ideal_gnss"}
     if stage == ROTORS:
         # The cascade, since the published loops are of the identified quadrotor; both are fed with the truth.
-        fleet["vehicle"] = {"type": "multirotor", "model": "x500"}
+        fleet["vehicle"] = {"type": "multirotor", "model": "x500", "downwash": "ignored"}
         fleet["controller"], fleet["guidance"] = {"type": "cascade", "feed": "truth"}, {"type": "route"}
     return load_scenario(content, quiet=True).world()
 

@@ -335,10 +335,12 @@ def test_offboard_takes_off_lands_and_disarms():
     assert puppet.texts[-2:] == ["Landing detected", "Disarmed by landing"]
 
 
-def test_a_place_below_the_ground_lands():
-    target = position(0.0, 0.0, 3.0)
+@pytest.mark.parametrize(("down", "lands"), [(3.0, True), (0.0, True), (-0.15, True), (-0.25, False)])
+def test_a_place_below_the_ground_or_hardly_above_lands(down, lands):
+    # At the end of a square at (0, 0, 0) again, the estimate of height has drifted: a hover there drags the feet.
+    target = position(0.0, 0.0, down)
     puppet = flying(target, 4.0)
-    assert puppet.run(30.0, lambda now: not now.stack.armed, keep(target))
+    assert puppet.run(30.0, lambda now: not now.stack.armed, keep(target)) is lands
 
 
 def test_guided_flies_set_points_at_once_and_holds_without():

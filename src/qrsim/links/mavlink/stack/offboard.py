@@ -9,7 +9,7 @@ from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, LocalTarget, Target, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
-from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Touchdown
+from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Descent
 from qrsim.links.mavlink.stack.lifting import Lift
 
 # MAV_FRAME: local, from here along north and east, and twice from here along the heading.
@@ -24,6 +24,8 @@ THRUST_AS_THRUST = 8
 LARGEST = 1e6
 # A set-point that asks for so much height above where a vehicle stands [m], or for such a climb [m/s], takes off.
 TAKES_OFF, CLIMBS = 0.2, 0.1
+# Below this height over where it stood, a vehicle that is asked down to a place lands [m].
+LANDS_FROM = 1.0
 
 
 class Offboard:
@@ -49,7 +51,7 @@ class Offboard:
         self._rates: Triple = (0.0, 0.0, 0.0)
         self._thrust = 0.0
         self._z, self._went = 0.0, False
-        self._touchdown, self._lift = Touchdown(), Lift()
+        self._descent, self._lift = Descent(), Lift()
         self._complained = -math.inf
 
     # ---- what comes in ----
@@ -159,7 +161,7 @@ class Offboard:
 
     def begin(self, craft: Craft) -> None:
         """Begin to fly by set-points."""
-        self._touchdown.clear()
+        self._descent.begin()
         self._lift.begin(craft)
         craft.begin_path()
         self._went = False
@@ -168,7 +170,7 @@ class Offboard:
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
         """Return the order, and whether it has landed."""
-        dt = craft.facts.time_step
+        dt, here = craft.facts.time_step, craft.seen.position_ned
         if self._kind == "attitude":
             return self._fly_attitude(craft, dt)
         if math.isfinite(self._yaw):
@@ -177,15 +179,17 @@ class Offboard:
             craft.turn_to(craft.yaw + self._yaw_rate * dt)
         self.lands = not self._rises(craft)
         if not craft.flies and self.lands:
-            return craft.idle(), self._touchdown.seconds(craft, craft.seen.position_ned[2]) >= LANDED_AFTER
-        if self.lands:
-            self._z = max(self._z, craft.seen.position_ned[2]) + (self._sinks() * dt)
-            on = self._touchdown.seconds(craft, self._z)
-            if on >= IDLE_AFTER:
-                return craft.idle(), on >= LANDED_AFTER
-        else:
-            self._touchdown.clear()
-            self._z = craft.seen.position_ned[2]
+            return craft.idle(), self._descent.touchdown.seconds(craft, here[2]) >= LANDED_AFTER
+        if not self.lands:
+            self._descent.begin()
+            self._z = here[2]
+            return self._motion(craft, dt), False
+        if all(map(math.isfinite, self._position)) and craft.stood_z - here[2] < LANDS_FROM:
+            return self._descent.fly(craft, self._position)
+        self._z = max(self._z, here[2]) + self._sinks() * dt
+        on = self._descent.touchdown.seconds(craft, self._z)
+        if on >= IDLE_AFTER:
+            return craft.idle(), on >= LANDED_AFTER
         return self._motion(craft, dt), False
 
     def _sinks(self) -> float:
@@ -195,8 +199,9 @@ class Offboard:
         """Return whether the set-point keeps a vehicle off the ground."""
         here = craft.seen.position_ned[2]
         if math.isfinite(self._position[2]):
-            # In flight a place below where it stood is a landing.
-            return self._position[2] < (craft.stood_z if craft.flies else here - TAKES_OFF)
+            # In flight, a place no higher than the estimate may drift above where it stood is a landing: nobody hovers
+            # there, and a vehicle that tries to drags its feet over the ground.
+            return self._position[2] < (craft.stood_z if craft.flies else here) - TAKES_OFF
         down = self._velocity[2]
         if math.isfinite(down):
             return down < (CLIMBS if craft.flies else -CLIMBS)
