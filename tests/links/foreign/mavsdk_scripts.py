@@ -175,7 +175,7 @@ class Flight:
         assert await drone.mission_raw.download_mission() == []
 
     async def offboard_position(self) -> None:
-        """Each vehicle starts at (0, 0, 0) of its frame, and flies to four places with headings; the last one lands.
+        """Each vehicle starts at (0, 0, 0) of its frame, and flies to four places with headings, the last on the ground.
 
         A new place every 10 s, as in the example: two that begin together fly side by side.
         """
@@ -192,8 +192,12 @@ class Flight:
             await first(self.drone.telemetry.attitude_euler(), lambda now, yaw=yaw: abs(now.yaw_deg - yaw) < 10.0)
             await rest
         await offboard.set_position_ned(module.PositionNedYaw(0.0, 10.0, 0.0, 180.0))
-        await self.disarmed()
+        await self.wait(10.0)
+        # The example ends here: on the ground, or above it by what the estimate of height has drifted since the first start.
         await self.stop()
+        if await first(self.drone.telemetry.armed()):
+            await self.drone.action.land()
+        await self.disarmed()
 
     async def stop(self) -> None:
         """Stop OFFBOARD, which may have ended by itself."""

@@ -18,7 +18,7 @@ from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.landing import Descent
 from qrsim.links.mavlink.stack.mission import Mission
 from qrsim.links.mavlink.stack.modes import BY_SETPOINTS, BY_STICKS, FLAVOURS, FLIES_AGAIN, Flavour, Mode
-from qrsim.links.mavlink.stack.offboard import Offboard
+from qrsim.links.mavlink.stack.offboard import TAKES_OFF, Offboard
 from qrsim.links.mavlink.stack.parameters import Parameters
 from qrsim.links.mavlink.stack.returning import Return
 from qrsim.links.mavlink.stack.sticks import Sticks
@@ -124,7 +124,7 @@ class Flight:
         if mode in BY_STICKS or self._loiters_by_sticks():
             return self.by_sticks.fly(craft, mode if mode in BY_STICKS else Mode.POSITION)
         if mode is Mode.HOLD:
-            return self._hold(), False
+            return self._hold()
         if mode is Mode.TAKEOFF:
             return self._take_off(), False
         if mode is Mode.MISSION:
@@ -143,13 +143,18 @@ class Flight:
             self.offboard.level(craft)
         return self.offboard.fly(craft)
 
-    def _hold(self) -> Order | None:
-        craft = self.craft
+    def _hold(self) -> tuple[Order | None, bool]:
+        """Return the order to stay at a place, and whether it has landed: who is to stay hardly above the ground lands."""
+        craft, here = self.craft, self.craft.seen.position_ned
         if not craft.flies and craft.seen.on_ground:
-            return craft.idle()
+            return craft.idle(), False
         if self._goal is None:
-            self._goal = craft.path.stop(self.parameters["MPC_ACC_HOR"])
-        return craft.go(self._goal)
+            stop = craft.path.stop(self.parameters["MPC_ACC_HOR"])
+            # The path of a landing leads below the ground.
+            self._goal = (stop[0], stop[1], min(stop[2], here[2]))
+        if craft.flies and self._goal[2] > craft.stood_z - TAKES_OFF:
+            return self._descent.fly(craft, self._goal)
+        return craft.go(self._goal), False
 
     @property
     def _has_sticks(self) -> bool:

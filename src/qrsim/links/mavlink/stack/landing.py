@@ -15,6 +15,8 @@ HELD, HELD_SPEED, FALLS = 0.6, 0.25, 1.0
 # into a wind turns over that foot, so it is kept level, with a part of the throttle of a hover, as by PX4: its position
 # control asks for no horizontal acceleration after ``ground_contact``.
 STEADY, TOUCHED, RESTS = 3.0, 0.2, 0.8
+# Below this height over where it stood, the ground is expected at once [m].
+LOW = 1.0
 # On the ground for so long with a descent asked for, the motors idle; for so long, it has landed [s].
 IDLE_AFTER, LANDED_AFTER = 0.5, 1.0
 
@@ -86,4 +88,5 @@ class Descent:
         if self._slow_since is None:
             self._slow_since = seen.time
         above, speed = craft.path.position[2] - seen.position_ned[2], abs(seen.velocity_ned[2])
-        return seen.time - self._slow_since > STEADY and above > TOUCHED and speed < HELD_SPEED
+        steady = 0.0 if craft.stood_z - seen.position_ned[2] < LOW else STEADY
+        return seen.time - self._slow_since > steady and above > TOUCHED and speed < HELD_SPEED

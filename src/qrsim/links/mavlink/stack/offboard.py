@@ -9,7 +9,7 @@ from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, LocalTarget, Target, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
-from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Descent
+from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, LOW, Descent
 from qrsim.links.mavlink.stack.lifting import Lift
 
 # MAV_FRAME: local, from here along north and east, and twice from here along the heading.
@@ -24,8 +24,6 @@ THRUST_AS_THRUST = 8
 LARGEST = 1e6
 # A set-point that asks for so much height above where a vehicle stands [m], or for such a climb [m/s], takes off.
 TAKES_OFF, CLIMBS = 0.2, 0.1
-# Below this height over where it stood, a vehicle that is asked down to a place lands [m].
-LANDS_FROM = 1.0
 
 
 class Offboard:
@@ -184,7 +182,7 @@ class Offboard:
             self._descent.begin()
             self._z = here[2]
             return self._motion(craft, dt), False
-        if all(map(math.isfinite, self._position)) and craft.stood_z - here[2] < LANDS_FROM:
+        if all(map(math.isfinite, self._position)) and craft.stood_z - here[2] < LOW:
             return self._descent.fly(craft, self._position)
         self._z = max(self._z, here[2]) + self._sinks() * dt
         on = self._descent.touchdown.seconds(craft, self._z)
