@@ -209,7 +209,7 @@ def tour_line(what: str, simulation: qrsim.Simulation) -> str:
 
 @pytest.mark.nightly
 def test_the_examples_fly(build, served):
-    """The one beside the header, and those of its README and of docs/serve.md, which are written for port 10000."""
+    """The one beside the header, and those of its README and of docs/howto/tcp_client.md, written for port 10000."""
     done = subprocess.run(
         [build("fly", (HEADER / "fly.cpp").read_text("utf-8")), str(served.port)],
         capture_output=True,
