@@ -18,7 +18,12 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = {
     page.stem: page.read_text("utf-8")
-    for page in [DOCS / "explanation" / "task_design.md", *sorted((DOCS / "explanation" / "models").glob("*.md"))]
+    for page in [
+        DOCS / "howto" / "choose_an_estimator.md",
+        DOCS / "reference" / "setpoints.md",
+        DOCS / "explanation" / "task_design.md",
+        *sorted((DOCS / "explanation" / "models").glob("*.md")),
+    ]
 }
 ALL_PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 
