@@ -219,7 +219,7 @@ def test_the_examples_fly(build, served):
     )
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.splitlines()[-1].startswith("t = 10 s: ")
-    for page in (HEADER / "README.md", ROOT / "docs" / "serve.md"):
+    for page in (HEADER / "README.md", ROOT / "docs" / "howto" / "tcp_client.md"):
         [text] = re.findall(r"^```cpp\n(.*?)^```$", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
         assert "10000" in text
         program = build(page.stem, text.replace("10000", str(served.port)))
