@@ -3,7 +3,8 @@
 // The step is that of the default scenario with the full Dryden turbulence and without GNSS (the horizontal position
 // and velocity are the truth at 5 Hz): route, waypoint controller fed with the sensors, log shear, gusts along and
 // about all axes, Heun integration of the identified quadrotor with process noise, area and state limits, barometer,
-// attitude estimator, gyroscope, accelerometer. No vehicle sees another one. Formulas and sources: docs/models.md.
+// attitude estimator, gyroscope, accelerometer. No vehicle sees another one.
+// Formulas and sources: docs/explanation/models/index.md.
 //
 // Arguments: run VEHICLES TICKS REPEATS THREADS   prints "wall_seconds cpu_seconds flying" of each repeat
 //            check FIRST TICKS SPEED_20FT         reads stream keys and fields of 16 vehicles, prints them TICKS later
@@ -399,7 +400,7 @@ INLINE void slope(const Body& body, const Rotation& d, const Command& command, V
   rate.v[11] = TURN * command.turn - 5.08944f * r + noise[5];
 }
 
-// ---- route and waypoint controller: docs/control.md
+// ---- route and waypoint controller: docs/explanation/models/control.md
 
 __attribute__((noinline, cold)) void next_waypoint(Block& s, I arrived) {
   const F* ways = &s.w0;
@@ -436,7 +437,7 @@ INLINE Command control(Block& s) {
           clip(6.0f * turn, -4.4f, 4.4f)};
 }
 
-// ---- limits: docs/scenarios.md
+// ---- limits: docs/howto/write_a_scenario.md
 
 constexpr float LARGEST[9] = {float(M_PI), float(89.0 * M_PI / 180.0), float(10.0 * M_PI), 15.0f, 15.0f, 15.0f,
                               6.0f, 6.0f, 6.0f};

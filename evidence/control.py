@@ -1,4 +1,4 @@
-"""How well the controllers of docs/control.md hold and follow.
+"""How well the controllers of docs/explanation/control_accuracy.md hold and follow.
 
 Step responses: calm air, no noise, controllers fed with the truth; every response is a vehicle of its own, all in one
 world. Holding and tracking: a mean wind of WIND [m/s] 20 ft above ground, full Dryden turbulence, noisy sensors, over

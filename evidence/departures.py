@@ -1,4 +1,6 @@
-"""How far three deliberate departures from the reference implementation carry a flight (docs/models.md).
+"""How far three deliberate departures from the reference implementation carry a flight.
+
+See docs/explanation/differences.md.
 
 In one world each departure has two vehicles far apart: one flies as this package does, the other as published. There is
 a mean wind, and nothing random. The study takes the differences of the two paths, each seen from its own start.

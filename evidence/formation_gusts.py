@@ -246,7 +246,7 @@ def _key(number: float) -> str:
 
 
 def run(full: bool) -> dict[str, Any]:
-    """Return grids, lines and sweeps; the full form draws the pictures of docs/turbulence_field.md."""
+    """Return grids, lines and sweeps; the full form draws the pictures of docs/explanation/formation_in_gusts.md."""
     seeds, seconds, spacings, flights, sweeps = FULL if full else SMALL
     whole = LEFT_OUT_S + seconds
     grids: dict[str, Any] = {

@@ -122,7 +122,7 @@ def _ou_path(stream: Stream, start: jax.Array, steps: int, dt: float, std: float
 
 
 def allan_variance(std: float, tau: float, window: float) -> float:
-    """Return the Allan variance of averages over ``window`` seconds (docs/models/sensors.md)."""
+    """Return the Allan variance of averages over ``window`` seconds (docs/explanation/models/sensors.md)."""
     m = window / tau
     return std**2 / m**2 * (2.0 * m - 3.0 + 4.0 * math.exp(-m) - math.exp(-2.0 * m))
 

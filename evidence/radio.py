@@ -2,8 +2,8 @@
 closed forms.
 
 Two vehicles at each distance, in a network of the preset without shadowing, exchange beacons; what the closed form says
-is computed here in double precision, from the data that docs/radio.md names. Bands are of 99 % (binomial), for all
-distances of a preset together. The full form draws docs/images/radio_delivery.png.
+is computed here in double precision, from the data that docs/explanation/models/radio.md names. Bands are of 99 %
+(binomial), for all distances of a preset together. The full form draws docs/images/radio_delivery.png.
 """
 
 from __future__ import annotations

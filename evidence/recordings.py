@@ -1,4 +1,4 @@
-"""How well the published constants reproduce the recorded flights, open loop (docs/models/vehicle.md).
+"""How well the published constants reproduce the recorded flights, open loop (docs/explanation/paper.md).
 
 The computation is ``qrsim validate``'s.
 """

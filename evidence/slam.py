@@ -1,4 +1,4 @@
-"""Range-only SLAM under white and under coloured GNSS noise: what docs/slam.md says of both graphs.
+"""Range-only SLAM under white and under coloured GNSS noise: what docs/explanation/slam_results.md says of both graphs.
 
 Every flight has its own seed; both noises of a seed share waypoints, landmarks, guesses and the noise of the ranges.
 Differences are tested pair by pair with Wilcoxon's signed ranks (two-sided); means have Student t intervals, slopes and

@@ -125,7 +125,7 @@ def summary(data: Any) -> dict[str, Any]:
 
 
 def run(full: bool) -> dict[str, Any]:
-    """Return all conditions and their effects; the full form draws the picture of docs/team_errors.md."""
+    """Return all conditions and their effects; the full form draws the picture of docs/explanation/team_errors.md."""
     with tempfile.TemporaryDirectory() as folder:
         data = flown(full, Path(folder))
     found = {"seeds": data.sizes["seed"], "points": summary(data), "stopped": int(data["stopped"].sum())}

@@ -1,7 +1,8 @@
 """A Kalman filter of your own in NumPy, fed with nothing but readings, beside the built-in one on the same flights.
 
 ``python examples/ekf.py [SEEDS [SECONDS]]`` flies 200 seeds for 60 s in wind and prints what both err by, and ANEES:
-the squares of errors over those stated, per error; 1 is right. Its 15 errors are those of docs/estimators.md, F1.
+the squares of errors over those stated, per error; 1 is right. Its 15 errors are those of (F1),
+docs/explanation/models/estimators.md.
 """
 
 import sys

@@ -26,12 +26,13 @@ def blocks(language: str) -> list[tuple[str, str]]:
     found = []
     for page in PAGES:
         matches = [text for kind, text in FENCE.findall(page.read_text("utf-8")) if kind == language]
-        found += [(f"{page.name}-{number}", text) for number, text in enumerate(matches, start=1)]
+        name = page.relative_to(ROOT).as_posix()
+        found += [(f"{name}-{number}", text) for number, text in enumerate(matches, start=1)]
     return found
 
 
 # Pages whose Python blocks belong together, in their order.
-TOGETHER = ("field_day.md",)
+TOGETHER = ("docs/start/field_day.md",)
 
 
 def examples(language: str) -> list[Any]:

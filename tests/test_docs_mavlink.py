@@ -1,4 +1,4 @@
-"""The tables of docs/mavlink.md are those of the code."""
+"""The tables of docs/reference/mavlink_compared.md are those of the code."""
 
 from __future__ import annotations
 

@@ -40,6 +40,14 @@ def test_every_page_has_a_place_of_its_own() -> None:
     assert len(set(names)) == len(names)
 
 
+def test_the_index_names_every_page_once() -> None:
+    index = ROOT / "docs" / "index.md"
+    tables = index.read_text("utf-8").partition("\n## ")[2]
+    named = sorted((index.parent / link).resolve() for link in re.findall(r"\]\(([^)]+)\)", tables))
+    expected = sorted(path for path in pages(ROOT) if path.suffix == ".md" and path not in (index, ROOT / "README.md"))
+    assert named == expected
+
+
 def test_every_environment_variable_is_listed() -> None:
     sources = [path for path in (ROOT / "src").rglob("*") if path.suffix in (".py", ".c")]
     read = {name for path in sources for name in re.findall(r"QRSIM_[A-Z_]+", path.read_text("utf-8"))}
@@ -48,7 +56,9 @@ def test_every_environment_variable_is_listed() -> None:
     assert read == listed - {"QRSIM_PEERS"}
 
 
-@pytest.mark.parametrize("page", [path for path in pages(ROOT) if path.suffix == ".md"], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [path for path in pages(ROOT) if path.suffix == ".md"], ids=lambda page: page.relative_to(ROOT).as_posix()
+)
 def test_headings_of_a_page_differ(page: Path) -> None:
     """GitHub and the site number the anchors of equal headings differently."""
     if page.name == "CHANGELOG.md":

@@ -17,7 +17,8 @@ def test_every_controller_settles_where_it_is_asked_to(steps: dict[str, dict[str
     for fleet, responses in steps.items():
         for quantity, found in responses.items():
             if quantity in ("roll", "pitch"):
-                # The platform's own stabilisation settles at 0.74498 of a tilt command (docs/control.md).
+                # The platform's own stabilisation settles at 0.74498 of a tilt command
+                # (docs/explanation/models/control.md).
                 assert found["error_percent"] == pytest.approx(25.502, abs=0.05), (fleet, quantity)
             else:
                 assert abs(found["error_percent"]) < (5.0 if quantity == "height" else 1.0), (fleet, quantity)

@@ -108,7 +108,7 @@ def qrsim(python: str, folder: Path, *words: str, **variables: str) -> str:
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["laser", "point_mass", "climb"])
 def test_components_of_ones_own(python: str, tmp_path: Path, name: str):
-    """The examples of docs/extending.md, copied to where a user has them."""
+    """The examples of docs/reference/contracts.md, copied to where a user has them."""
     for ending in ("py", "yaml"):
         file = f"{name}.{ending}"
         (tmp_path / file).write_bytes((ROOT / "examples" / "outside" / file).read_bytes())

@@ -1,4 +1,4 @@
-"""The examples of docs/extending.md: each a file beside its scenario, flown as a user would."""
+"""The examples of docs/reference/contracts.md: each a file beside its scenario, flown as a user would."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ from qrsim.studies.sweep.flying import dumped
 from qrsim.studies.sweep.groups import make_group
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "outside"
+DOCS = EXAMPLES.parents[1] / "docs"
 LASER = EXAMPLES / "laser.yaml"
 
 
 def test_the_page_shows_the_laser():
-    page = (EXAMPLES.parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+    page = (DOCS / "howto" / "own_component.md").read_text(encoding="utf-8")
     assert f"```python\n{(EXAMPLES / 'laser.py').read_text(encoding='utf-8')}```" in page
 
 
@@ -178,7 +179,7 @@ class TestPointMass:
     "kind", ["sensor", "vehicle", "wind", "turbulence", "controller", "guidance", "estimator", "task", "metric", "link"]
 )
 def test_every_contract_has_an_example_that_the_page_names(kind: str):
-    page = (EXAMPLES.parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+    page = (DOCS / "reference" / "contracts.md").read_text(encoding="utf-8")
     (row,) = [line for line in page.splitlines() if re.match(rf"\| `?{kind}\b", line)]
     (name,) = re.findall(r"examples/outside/(\w+\.py)`", row)
     assert (EXAMPLES / name).is_file()

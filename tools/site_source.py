@@ -24,8 +24,8 @@ EXTRA = {
     "clients/ros2/README.md": "reference/client_ros2.md",
 }
 LEFT_OUT = {"evidence", "writers", "__pycache__"}
-# Its one section has every word.
-UNSEARCHED = ("CHANGELOG.md",)
+# They have every word.
+UNSEARCHED = ("CHANGELOG.md", "docs/index.md")
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)\s#]+)(?P<anchor>#[^)\s]*)?(?=\))")
 _FENCE = re.compile(r"^\s*(```+|~~~+)")
 
@@ -72,7 +72,7 @@ def collect(root: Path, out: Path, address: str) -> int:
             continue
         text, count = turn(source.read_text("utf-8"), source, places, root, address)
         turned += count
-        if source.name in UNSEARCHED:
+        if source.relative_to(root).as_posix() in UNSEARCHED:
             text = f"---\nsearch:\n  exclude: true\n---\n\n{text}"
         if not target.exists() or target.read_text("utf-8") != text:
             target.write_text(text, "utf-8")

@@ -26,7 +26,7 @@ from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.telemetry import ENCODERS
 from qrsim.models.site import Site
 
-PAGE = Path(__file__).resolve().parents[1] / "mavlink.md"
+PAGE = Path(__file__).resolve().parents[1] / "reference" / "mavlink_compared.md"
 BEGIN, END = "<!-- written by: python -m docs.writers.mavlink_table --write -->", "<!-- end of what is written -->"
 BOTH: tuple[FlavourName, FlavourName] = ("px4", "ardupilot")
 NONE = "-"
@@ -216,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         PAGE.write_text(rewritten(text), encoding="utf-8")
         return 0
     same = rewritten(text) == text
-    print("docs/mavlink.md has the tables of now" if same else "docs/mavlink.md differs: --write")
+    print(f"docs/reference/{PAGE.name} " + ("has the tables of now" if same else "differs: --write"))
     return int(not same)
 
 

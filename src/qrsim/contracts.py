@@ -1,4 +1,4 @@
-"""The contracts of components and links of your own (docs/extending.md), in one place.
+"""The contracts of components and links of your own (docs/reference/contracts.md), in one place.
 
 A component may name its contract as its base class, and need not. Methods marked abstract are required; everything else
 has a default.

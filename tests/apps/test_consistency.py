@@ -56,11 +56,11 @@ def test_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     print_consistency([Row("position", 27.0, NAN, NAN, 1)])
     *_, means, where = capsys.readouterr().out.splitlines()
     assert means.startswith("  Above 1 the estimate errs by more than it states: GNSS errors last for minutes")
-    assert where.endswith("(docs/estimators.md).")
+    assert where.endswith("(docs/explanation/consistency.md).")
     # Slow errors of fixes are the reason of those of the position alone, and an interval with 1 in it shows nothing.
     print_consistency([Row("position", 0.9, 0.8, 1.02, 9), Row("bias", 3.52, 3.27, 3.76, 9)])
     *_, last = capsys.readouterr().out.splitlines()
-    assert last == "  Above 1 the estimate errs by more than it states (docs/estimators.md)."
+    assert last == "  Above 1 the estimate errs by more than it states (docs/explanation/consistency.md)."
     print_consistency([Row("all errors", 2.19, -2.07, 6.45, 3)])
     *_, last = capsys.readouterr().out.splitlines()
     assert last.split(maxsplit=3)[3] == "95 % interval 0.00 to 6.45, as it states"

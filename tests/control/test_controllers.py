@@ -36,7 +36,7 @@ from qrsim.models.vehicles.quadrotor import Quadrotor
 Array = np.ndarray[Any, Any]
 DT = 0.02
 QUICK = {"xla_cpu_use_fusion_emitters": False}
-HOVER = 0.59004353928  # the throttle that carries the weight: docs/models/vehicle.md
+HOVER = 0.59004353928  # the throttle that carries the weight: docs/explanation/models/vehicle.md
 SETTLES = 0.74498  # of a tilt command
 
 

@@ -1,4 +1,7 @@
-"""What estimators compute, by hand from docs/estimators.md (F1 to F8), where the numbers are small enough for that."""
+"""What estimators compute, by hand.
+
+From docs/explanation/models/estimators.md (F1 to F8), where the numbers are small enough for that.
+"""
 
 from __future__ import annotations
 

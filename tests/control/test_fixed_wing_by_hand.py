@@ -1,4 +1,7 @@
-"""One step of a fixed wing's controller by hand: L1 and total energy of docs/models/fixed_wing.md, W11 and W12."""
+"""One step of a fixed wing's controller by hand.
+
+L1 and total energy of docs/explanation/models/fixed_wing.md, W11 and W12.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""How the Kalman filter starts, and the errors that it considers, by hand from docs/estimators.md (F6, F7)."""
+"""How the Kalman filter starts, and the errors that it considers.
+
+By hand from docs/explanation/models/estimators.md (F6, F7).
+"""
 
 from __future__ import annotations
 

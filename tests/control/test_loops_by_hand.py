@@ -1,4 +1,7 @@
-"""Single steps of loops, of the cascade and of those who flee, by hand from docs/control.md and docs/tasks.md."""
+"""Single steps of loops, of the cascade and of those who flee.
+
+By hand from docs/explanation/models/control.md and docs/explanation/task_design.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Single steps along missions by hand: ramps and polynomials, arrivals and landings of docs/control.md, C18 to C22."""
+"""Single steps along missions by hand.
+
+Ramps and polynomials, arrivals and landings of docs/explanation/models/control.md, C18 to C22.
+"""
 
 from __future__ import annotations
 

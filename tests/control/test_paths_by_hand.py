@@ -1,4 +1,7 @@
-"""Plans of missions by hand, from ramps, corners, polynomials and landings of docs/control.md, C18 to C21."""
+"""Plans of missions by hand.
+
+From ramps, corners, polynomials and landings of docs/explanation/models/control.md, C18 to C21.
+"""
 
 from __future__ import annotations
 

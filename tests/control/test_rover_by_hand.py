@@ -1,4 +1,7 @@
-"""One step of a rover's controller by hand: pure pursuit, backing and stopping of docs/models/rover.md, D7 to D9."""
+"""One step of a rover's controller by hand.
+
+Pure pursuit, backing and stopping of docs/explanation/models/rover.md, D7 to D9.
+"""
 
 from __future__ import annotations
 

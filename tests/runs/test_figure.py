@@ -402,7 +402,7 @@ JAMMING = """world:
 
 
 def test_what_interferes_is_drawn_where_and_said_when(tmp_path):
-    """From 45 dB-Hz, 10 mW end tracking within 715 m (docs/gnss.md), 0.1 mW within a tenth of that."""
+    """From 45 dB-Hz, 10 mW end tracking within 715 m (docs/howto/jam_and_spoof.md), 0.1 mW within a tenth of that."""
     figure = drawn(tmp_path, scenario_yaml=JAMMING)
     plan = figure.axes[PLAN]
     signs = {line.get_label(): line.get_xydata()[0].tolist() for line in plan.lines if line.get_marker() in "DXP"}

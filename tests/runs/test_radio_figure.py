@@ -84,7 +84,7 @@ def test_a_row_is_cut_in_two_by_a_wall(run: Any) -> None:
     assert (sent[~(far | np.eye(8, dtype=bool))] == 10).all()
     assert not sent[far].any()
     assert heard[0, 1] == heard[1, 0] == 10
-    # 20 dBm - (31.68 dB + 22 lg 6000), with no shadowing: docs/radio.md.
+    # 20 dBm - (31.68 dB + 22 lg 6000), with no shadowing: docs/explanation/models/radio.md.
     assert strength[0, 1] == pytest.approx(20.0 - 31.68 - 22.0 * np.log10(6000.0), abs=0.2)
     assert strength[0, 1] == pytest.approx(strength[1, 0], abs=0.1)
     assert heard[2, 5] == 0

@@ -1,4 +1,7 @@
-"""The mapper against plumes that are made up here, by the formulas of docs/models/scene.md written down once more."""
+"""The mapper against plumes that are made up here.
+
+By the formulas of docs/explanation/models/scene.md written down once more.
+"""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def test_fences_stand_while_something_acts_and_cost_nothing_else(layer: Interfer
     assert [name for name, _ in watched.sent] == ["batched_scales"] * 3
     radii = [value[:, 0].tolist() for _, value in watched.sent]
     assert radii[0] == radii[2] == [0.0, 60.0]
-    # 1 mW ends tracking within 224 m (docs/gnss.md).
+    # 1 mW ends tracking within 224 m (docs/howto/jam_and_spoof.md).
     assert radii[1] == pytest.approx([224.0, 60.0], rel=0.02)
 
 

@@ -53,7 +53,7 @@ def pages() -> Mapping[str, str]:
     ]
     introduction = """A scenario is made of components: a wind, a vehicle, a sensor. Each key below takes one of
         the types listed beside it, as in `wind: {type: log_shear, speed_20ft: 6}`. Every type has defaults for most
-        of its parameters. [Components of your own](../extending.md) take the same places."""
+        of its parameters. [Components of your own](../howto/own_component.md) take the same places."""
     made["components.md"] = page("Components", introduction, table(("kind", "key", "default", "types"), rows))
     return made
 

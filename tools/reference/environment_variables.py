@@ -39,7 +39,7 @@ INTERNAL = (
 def pages() -> Mapping[str, str]:
     """Return the page."""
     introduction = """qrsim reads these variables of its environment. They choose folders and compilers, and
-        change nothing in a scenario. [Compiled programs](../cache.md) explains those of the cache."""
+        change nothing in a scenario. [Compiled programs](../howto/cache.md) explains those of the cache."""
     public = table(("variable", "default", "effect"), ((code(name), default, text) for name, default, text in PUBLIC))
     internal = table(("variable", "use"), ((code(name), text) for name, text in INTERNAL))
     return {

@@ -16,7 +16,8 @@ def pages() -> Mapping[str, str]:
         `gymnasium.make(ID)`. Where it commands several, it is one of PettingZoo:
         `qrsim.envs.parallel_env(SCENARIO)`. All are pure functions of JAX as well:
         `qrsim.envs.Functional.of(SCENARIO)`. An episode is terminated when a vehicle stops, and truncated after its
-        last step. [Tasks and environments](../tasks.md) defines the rewards and scores the baselines."""
+        last step. [Design of the tasks](../explanation/task_design.md)
+        defines the rewards, [baselines](../explanation/baselines.md) scores the baselines."""
     each = {name: Functional.of(name) for name in (*SINGLE, *SEVERAL)}
     rows = [_row(name, functional) for name, functional in each.items()]
     listed = table(("scenario", "ID", "agents", "observation", "action", "steps", "period [s]"), rows)

@@ -52,7 +52,7 @@ def pages() -> Mapping[str, str]:
     introduction = """A run folder has a folder of Parquet files for each stream. A row is one vehicle at one
         tick. Units and meanings are in the metadata of the columns as well:
         `qrsim.open_run(FOLDER).describe("truth")`. A quantity that a fleet lacks is NaN in its rows. N is a number
-        from 0. [Runs](../runs.md) explains the folder."""
+        from 0. [Runs](run_folder.md) explains the folder."""
     simulation = _flown()
     history = simulation.history
     found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}

@@ -18,8 +18,9 @@ def pages() -> Mapping[str, str]:
     """Return the page."""
     introduction = """A preset is a named set of parameters of one component: the numbers of a chip, a receiver, a
         radio or an airframe. `preset: NAME` chooses it, and each parameter that the scenario gives as well replaces
-        that of the preset. Angles are in radians. [Sensors](../sensors.md), [GNSS receivers](../gnss.md) and
-        [radio](../radio.md) compare them and name the data sheets."""
+        that of the preset. Angles are in radians. [Sensors](../howto/choose_sensors.md),
+        [GNSS receivers](../howto/choose_a_receiver.md) and [radio](../explanation/models/radio.md) compare them and
+        name the data sheets."""
     return {
         "presets.md": page(
             "Presets", introduction, *(_part(*each) for each in _found()), _multirotors(), _sensor_sets()

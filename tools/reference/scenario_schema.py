@@ -21,11 +21,12 @@ LONGEST_EXAMPLE = 60
 def pages() -> Mapping[str, str]:
     """Return the page of scenarios and that of studies."""
     scenario = """The keys of a scenario file, as a tree. Each line gives the meaning, the type, the bounds, the default
-        and an example. Keys that take a component link to its types. [Writing a scenario](../scenarios.md) explains
-        how the parts work together, and `qrsim schema` prints the same as a JSON schema for editors."""
+        and an example. Keys that take a component link to its types. [Writing a
+        scenario](../howto/write_a_scenario.md) explains how the parts work together, and `qrsim schema`
+        prints the same as a JSON schema for editors."""
     study = """The keys of a study file, as a tree: a scenario, the parameters that vary, and the metrics to keep. Each
-        line gives the meaning, the type, the bounds, the default and an example. [Studies and sweeps](../sweep.md)
-        explains how to fly one."""
+        line gives the meaning, the type, the bounds, the default and an example. [Studies and
+        sweeps](../howto/own_study.md) explains how to fly one."""
     return {
         "scenario_schema.md": page("Keys of a scenario", scenario, *_tree(schema())),
         "study_schema.md": page("Keys of a study", study, *_tree(study_schema())),

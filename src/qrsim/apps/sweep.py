@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 class Sweep:
     """Fly a study: a scenario under many conditions, with many seeds each, on all cores or on a cluster.
 
-    A study says what varies, how often each condition is flown, and what is kept of an episode; docs/sweep.md explains
-    it. Results go to a store, an xarray Dataset in Zarr, as they come in, and can be read from there at once. A sweep
+    A study says what varies, how often each condition is flown, and what is kept of an episode;
+    docs/howto/own_study.md explains it.
+
+    Results go to a store, an xarray Dataset in Zarr, as they come in, and can be read from there at once. A sweep
     that was interrupted or killed goes on where it was when the same command is given again.
 
     Studies that come with qrsim: station_keeping, station_keeping_plain, gnss_errors, swarm_collisions,

@@ -1,4 +1,4 @@
-"""Control loops: from an estimate and a set-point to a vehicle's command (docs/control.md).
+"""Control loops: from an estimate and a set-point to a vehicle's command (docs/explanation/models/control.md).
 
 ``setpoints.py`` has the set-points, ``controllers.py`` a controller for each kind of them, ``loops.py`` the parts that
 controllers share, ``guidance.py`` the guidance of fleets without commands. Filters estimate a vehicle's state.

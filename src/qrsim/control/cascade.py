@@ -1,4 +1,6 @@
-"""A cascade of position, velocity and thrust for vehicles that take tilt and throttle (docs/control.md, C10 to C15).
+"""A cascade of position, velocity and thrust for vehicles that take tilt and throttle.
+
+See docs/explanation/models/control.md, C10 to C15.
 
 The structure is that of the multicopter position control of PX4: position error to velocity, velocity error to
 acceleration, acceleration to the direction and size of the thrust; height goes before the horizontal.

@@ -1,4 +1,7 @@
-"""Whether an estimator errs by as much as it states: normalised estimation errors squared (docs/estimators.md)."""
+"""Whether an estimator errs by as much as it states: normalised estimation errors squared.
+
+See docs/explanation/consistency.md.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """An error-state extended Kalman filter on inertial, GNSS, height, heading, magnetic and air speed readings.
 
-Equations F1 to F7 of docs/estimators.md. Gates, late measurements and resets follow what autopilots do.
+Equations F1 to F7 of docs/explanation/models/estimators.md. Gates, late measurements and resets follow what autopilots
+do.
 """
 
 from __future__ import annotations

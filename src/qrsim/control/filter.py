@@ -1,4 +1,6 @@
-"""A complementary filter: the accelerometer predicts, GNSS and barometer correct (docs/control.md, C16 and C17).
+"""A complementary filter: the accelerometer predicts, GNSS and barometer correct.
+
+See docs/explanation/models/control.md, C16 and C17.
 
 Where nobody reports an attitude it finds that too (mahony.py).
 """
@@ -126,7 +128,7 @@ class ComplementaryFilter(Estimator):
     def _turned(
         self, turning: Turning, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> Turning:
-        """Return the own attitude a tick later (docs/estimators.md, F8)."""
+        """Return the own attitude a tick later (docs/explanation/models/estimators.md, F8)."""
         turning = turning.waited(dt)
         velocity, force = field_of(readings, "velocity_ned"), field_of(readings, "specific_force")
         rates = known(field_of(readings, "rates_body"), turning.rates_body)

@@ -1,4 +1,7 @@
-"""The controller of fixed wings: L1 guidance in the plane, total energy in height (docs/models/fixed_wing.md)."""
+"""The controller of fixed wings: L1 guidance in the plane, total energy in height.
+
+See docs/explanation/models/fixed_wing.md.
+"""
 
 from __future__ import annotations
 

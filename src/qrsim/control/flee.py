@@ -1,4 +1,4 @@
-"""Guidance of a fleet that flees from the others (docs/tasks.md: cats and mouse)."""
+"""Guidance of a fleet that flees from the others (docs/explanation/task_design.md: cats and mouse)."""
 
 from __future__ import annotations
 

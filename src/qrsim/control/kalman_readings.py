@@ -1,4 +1,7 @@
-"""What single readings say of the errors of the Kalman filter: the scalars of docs/estimators.md, F2 to F5."""
+"""What single readings say of the errors of the Kalman filter.
+
+The scalars of docs/explanation/models/estimators.md, F2 to F5.
+"""
 
 from __future__ import annotations
 

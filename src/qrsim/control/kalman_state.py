@@ -1,4 +1,6 @@
-"""What the error-state Kalman filter remembers, and what small errors do to it (docs/estimators.md, F1).
+"""What the error-state Kalman filter remembers, and what small errors do to it.
+
+See docs/explanation/models/estimators.md, F1.
 
 Errors of the attitude are small rotations in NED (Sola, "Quaternion kinematics for the error-state Kalman filter",
 2017, section 7).

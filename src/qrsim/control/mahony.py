@@ -1,4 +1,6 @@
-"""Attitude from gyroscope and accelerometer, with a heading where there is one (docs/estimators.md, F8).
+"""Attitude from gyroscope and accelerometer, with a heading where there is one.
+
+See docs/explanation/models/estimators.md, F8.
 
 The explicit complementary filter of Mahony, Hamel and Pflimlin, "Nonlinear complementary filters on the special
 orthogonal group", IEEE Transactions on Automatic Control 53, 2008, with the acceleration taken out by GNSS velocities.

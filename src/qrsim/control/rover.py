@@ -1,4 +1,7 @@
-"""The controller of rovers: pure pursuit of lines and circles, and a speed loop (docs/models/rover.md, D7 to D9)."""
+"""The controller of rovers: pure pursuit of lines and circles, and a speed loop.
+
+See docs/explanation/models/rover.md, D7 to D9.
+"""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ class VelocityHeightSetpoint:
 class AttitudeHeightSetpoint:
     """Tilt as commanded to the platform's own stabilisation, height and heading, (n,).
 
-    The identified platform settles at 0.745 of a tilt command (docs/control.md).
+    The identified platform settles at 0.745 of a tilt command (docs/explanation/models/control.md).
     """
 
     roll: Array = quantity(unit="rad", doc="commanded roll")

@@ -1,4 +1,4 @@
-"""Messages over the radio, as users say and hear them (docs/radio.md)."""
+"""Messages over the radio, as users say and hear them (docs/howto/radio.md)."""
 
 from __future__ import annotations
 

@@ -305,7 +305,9 @@ class Reading(Tabled):
 
     @property
     def inbox(self) -> Inbox:
-        """What each vehicle (n,) has heard over the radio, the newest message of each of K senders; see docs/radio.md.
+        """What each vehicle (n,) has heard over the radio, the newest message of each of K senders.
+
+        See docs/howto/radio.md.
 
         Raises:
             UsageError: the scenario has no radio.

@@ -1,7 +1,7 @@
 """What each colour means, on the page, in figures and in exports: sRGB, 0 to 255.
 
 Nothing else is red but what has stopped. The first ten are told apart by deuteranopes and protanopes too
-(docs/view.md, evidence/colours.py).
+(docs/reference/view_layers.md, evidence/colours.py).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run folder has of the radio: counts of packets, and the links to the nearest (docs/radio.md)."""
+"""What a run folder has of the radio: counts of packets, and the links to the nearest (docs/howto/radio.md)."""
 
 from __future__ import annotations
 

@@ -216,7 +216,8 @@ FILTERS: Catalogue = {"complementary": ComplementaryFilter, "ekf": ErrorStateKal
 ESTIMATORS: Catalogue = {}
 METRICS: Catalogue = {}
 
-# Every kind of component that can come from outside, see docs/extending.md; obstacles are gathered by their shapes.
+# Every kind of component that can come from outside (docs/howto/own_component.md); obstacles are gathered by their
+# shapes.
 KINDS: dict[str, Catalogue] = {
     "sensor": SENSORS,
     "vehicle": VEHICLES,

@@ -57,7 +57,7 @@ def rollout(
         estimator: what feeds the controllers in place of the sensors, see ``qrsim.interface.policies``.
         policy_ticks: the policy is asked at every so-many-th tick, and its command held in between.
         metrics: what sums up a flight: an object with ``init``, ``update`` and ``finish`` as in FlightMetrics; it
-            and an estimator may be named too, see docs/extending.md.
+            and an estimator may be named too, see docs/howto/own_component.md.
         record: a function of a world's State that returns arrays to keep.
         record_every: ticks between two records, the first one at the start.
         sink: called with the numbers (B,) of some worlds, the tick, and what ``record`` returned for them, each leaf

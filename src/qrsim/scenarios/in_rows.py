@@ -1,4 +1,4 @@
-"""Vehicles in rows: so many, so far apart, in place of a list (docs/scenarios.md)."""
+"""Vehicles in rows: so many, so far apart, in place of a list (docs/howto/write_a_scenario.md)."""
 
 from __future__ import annotations
 

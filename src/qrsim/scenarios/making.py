@@ -109,7 +109,8 @@ def make_world(
 ) -> World:
     """Make a World from parts given in Python; see ``make_scenario``.
 
-    A component of your own is given as an object, as the built-in ones are: ``wind=MyWind()`` (docs/extending.md).
+    A component of your own is given as an object, as the built-in ones are: ``wind=MyWind()``
+    (docs/howto/own_component.md).
 
     Raises:
         UsageError, ScenarioError: as ``make_scenario``.

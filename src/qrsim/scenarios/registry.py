@@ -51,7 +51,7 @@ def register(kind: str, name: str, component: type) -> type:
     """Register a class under a name for scenarios; return the class.
 
     Args:
-        kind: what it is: "sensor", "vehicle", "wind", ... (see docs/extending.md).
+        kind: what it is: "sensor", "vehicle", "wind", ... (see docs/howto/own_component.md).
         name: what a scenario calls it.
         component: a record that has what its kind has.
 

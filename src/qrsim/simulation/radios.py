@@ -41,7 +41,7 @@ class Radios(Alone):
         raise NotImplementedError
 
     def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
-        """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/radio.md).
+        """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/howto/radio.md).
 
         Args:
             vehicle: name or number of the sender.

@@ -1,4 +1,4 @@
-"""Plume mapping (docs/tasks.md), as in the reference implementation."""
+"""Plume mapping (docs/explanation/task_design.md), as in the reference implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cats and mouse (docs/tasks.md), as in the reference implementation."""
+"""Cats and mouse (docs/explanation/task_design.md), as in the reference implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Search and rescue (docs/tasks.md), as in the reference implementation."""
+"""Search and rescue (docs/explanation/task_design.md), as in the reference implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Agents with radios: what they say beside what they do, and what they hear beside what they see (docs/tasks.md)."""
+"""Agents with radios: what they say beside what they do, and what they hear beside what they see.
+
+See docs/howto/use_environments.md.
+"""
 
 from __future__ import annotations
 

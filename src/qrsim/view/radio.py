@@ -1,4 +1,7 @@
-"""Links of the radio: of each the half at who hears, in the colour of its quality (docs/radio.md)."""
+"""Links of the radio: of each the half at who hears, in the colour of its quality.
+
+See docs/explanation/models/radio.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Standing on the ground, for vehicles without a contact of their own: ``ground: parked`` (docs/models/scene.md).
+"""Standing on the ground, for vehicles without a contact of their own: ``ground: parked``.
+
+See docs/explanation/models/scene.md.
 
 Vehicles that touch softly and upright are parked: at rest where they touched, and soon level, until their thrust
 exceeds their weight. Nothing of it is traced for fleets whose flight ends at the ground.

@@ -1,4 +1,7 @@
-"""Single velocities of teams, computed by hand from what their papers and docs/teams.md say; no vehicles, no worlds."""
+"""Single velocities of teams, computed by hand.
+
+From what their papers and docs/explanation/models/teams.md say; no vehicles, no worlds.
+"""
 
 from __future__ import annotations
 

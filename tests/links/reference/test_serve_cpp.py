@@ -209,7 +209,7 @@ def tour_line(what: str, simulation: qrsim.Simulation) -> str:
 
 @pytest.mark.nightly
 def test_the_examples_fly(build, served):
-    """The one beside the header, and those of its README and of docs/serve.md, which are written for port 10000."""
+    """The one beside the header, and those of its README and of docs/howto/tcp_client.md, written for port 10000."""
     done = subprocess.run(
         [build("fly", (HEADER / "fly.cpp").read_text("utf-8")), str(served.port)],
         capture_output=True,
@@ -219,7 +219,7 @@ def test_the_examples_fly(build, served):
     )
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.splitlines()[-1].startswith("t = 10 s: ")
-    for page in (HEADER / "README.md", ROOT / "docs" / "serve.md"):
+    for page in (HEADER / "README.md", ROOT / "docs" / "howto" / "tcp_client.md"):
         [text] = re.findall(r"^```cpp\n(.*?)^```$", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
         assert "10000" in text
         program = build(page.stem, text.replace("10000", str(served.port)))

@@ -23,7 +23,7 @@ from small_worlds import quiet, simulate
 
 SEED = 11
 WAYPOINT, CONTROL, VELOCITY = [8.0, -7.0, -10.0, 0.4], [0.02, -0.03, 0.6, 0.1, 11.5], [0.5, -0.4, 0.2]
-# Where every sensor stands in the measured vector (docs/serve.md).
+# Where every sensor stands in the measured vector (docs/reference/tcp_protocol.md).
 MEASURED = {
     ("gnss", "position_ned"): [0, 1, 2],
     ("attitude", "attitude"): [3, 4, 5],

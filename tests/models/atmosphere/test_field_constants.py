@@ -24,7 +24,7 @@ FOOT = 0.3048
 CHAINS, OCTAVES = 8, 8
 HIGHEST = 0.5 / 533.4 * 2.0**8
 SMALL = {"chains": CHAINS, "octaves": OCTAVES}
-# docs/models/air.md, (A23): 16/(3 pi) and 32/(9 pi).
+# docs/explanation/models/air.md, (A23): 16/(3 pi) and 32/(9 pi).
 LENGTH_ALONG, LENGTH_ACROSS = 1.697653, 1.131768
 
 

@@ -1,4 +1,7 @@
-"""Fixing carrier phase, epoch by epoch: ages, stages, wrong fixes and errors by hand from docs/gnss.md and (G24)."""
+"""Fixing carrier phase, epoch by epoch.
+
+Ages, stages, wrong fixes and errors by hand from docs/howto/corrections.md and (G24).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.fixing import Link, Received, received, started, stepped
 from qrsim.models.gnss.presets import PRESETS
 
-# The preset f9p_rtk, of docs/gnss.md.
+# The preset f9p_rtk, of docs/howto/corrections.md.
 RTK: dict[str, Any] = {
     "corrections": "rtk", "moving_base": "", "base_vehicle": None, "first_fix": "fixed", "period": 0.2,
     "smoothing_time": 10.0, "float_time": 60.0, "fix_time": 9.0, "wrong_fixes": 0.003, "fixed_accuracy": 0.01,
@@ -28,7 +31,7 @@ jit = partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "
 
 
 def test_the_preset_is_that_of_the_page() -> None:
-    """docs/gnss.md: 1 cm + 1 ppm, the data sheet's; a minute to float, and what else the tests below compute with."""
+    """docs/howto/corrections.md: 1 cm + 1 ppm, the data sheet's; a minute to float, and what tests below need."""
     numbers = {name: value for name, value in RTK.items() if name not in ("base_vehicle", "first_fix")}
     assert {name: PRESETS["f9p_rtk"][name] for name in numbers} == numbers
 
@@ -147,7 +150,10 @@ def _received(link: Link | None) -> Received:
 
 @pytest.mark.parametrize(("age", "on"), [(59.7, True), (59.9, False)])
 def test_corrections_are_of_use_for_a_minute(age: float, on: bool) -> None:
-    """A period of 0.2 s later; a base that is silent sends none (docs/gnss.md: after 60 s it is single again)."""
+    """A period of 0.2 s later; a base that is silent sends none.
+
+    See docs/howto/corrections.md, after 60 s it is single again.
+    """
     got = _received(link_of(age=one(age)))
     assert float(got.age[0]) == pytest.approx(age + 0.2, abs=1e-4)
     assert bool(got.on[0]) is on

@@ -1,4 +1,4 @@
-"""Signals that are hidden or reflected, by the table of (G21) in docs/models/gnss.md.
+"""Signals that are hidden or reflected, by the table of (G21) in docs/explanation/models/gnss.md.
 
 Of four satellites the solution takes errors of ranges to the position whatever the weights, so that the error of a
 reflection can be read off it: by the inverse of the directions.

@@ -1,4 +1,4 @@
-"""What jammers, discs and spoofers add, by hand from (G25) and (G26) of docs/models/gnss.md."""
+"""What jammers, discs and spoofers add, by hand from (G25) and (G26) of docs/explanation/models/gnss.md."""
 
 from __future__ import annotations
 

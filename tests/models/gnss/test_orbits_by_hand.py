@@ -1,4 +1,7 @@
-"""Orbits of the nominal constellation and of SP3 files, by geometry that has closed forms (docs/models/gnss.md)."""
+"""Orbits of the nominal constellation and of SP3 files, by geometry that has closed forms.
+
+See docs/explanation/models/gnss.md.
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def test_budgets_are_the_tables_of_their_document() -> None:
 
 @pytest.mark.parametrize(("name", "std"), [("consumer", 4.95), ("survey", 1.23)])
 def test_presets_are_those_of_the_page(name: str, std: float) -> None:
-    """docs/models/gnss.md: root mean squares of the budgets, to a centimetre; 1100 s and 100 s."""
+    """docs/explanation/models/gnss.md: root mean squares of the budgets, to a centimetre; 1100 s and 100 s."""
     expected = {"type": "gauss_markov_2", "std": std, "time_constant": 1100.0, "drive_time_constant": 100.0}
     assert PRESETS[name] == expected
 

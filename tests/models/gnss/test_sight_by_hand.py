@@ -1,4 +1,7 @@
-"""How satellites are seen: the mappings (G14) and (G15) of docs/models/gnss.md, and where rays cross the shell."""
+"""How satellites are seen.
+
+The mappings (G14) and (G15) of docs/explanation/models/gnss.md, and where rays cross the shell.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The table of what obstacles do: its bytes for single walls (G20 of docs/models/gnss.md), and looking into one."""
+"""The table of what obstacles do.
+
+Its bytes for single walls (G20 of docs/explanation/models/gnss.md), and looking into one.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sky with slots from knot to knot, and how many slots it has; by hand from docs/models/gnss.md."""
+"""The sky with slots from knot to knot, and how many slots it has; by hand from docs/explanation/models/gnss.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Solutions against dense least squares, and small parts of receivers by hand (docs/gnss.md, docs/models/gnss.md)."""
+"""Solutions against dense least squares, and small parts of receivers by hand.
+
+See docs/howto/choose_a_receiver.md, docs/explanation/models/gnss.md.
+"""
 
 from __future__ import annotations
 
@@ -235,7 +238,10 @@ class TestSatellites:
     """Tracked in line of sight and by a reflection, hidden, jammed, below the mask, and a free slot."""
 
     def test_states_are_those_of_the_page(self, readings: Any) -> None:
-        """0 not tracked, 1 in line of sight, 2 by a reflection alone, 3 hidden, 4 lost to jammers (docs/gnss.md)."""
+        """0 not tracked, 1 in line of sight, 2 by a reflection alone, 3 hidden, 4 lost to jammers.
+
+        See docs/howto/choose_a_receiver.md.
+        """
         assert [float(state[0]) for state in readings[0].satellite_state] == [1.0, 2.0, 3.0, 4.0, 0.0, 0.0]
 
     def test_numbers_and_places(self, readings: Any) -> None:

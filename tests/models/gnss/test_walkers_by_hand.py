@@ -1,4 +1,7 @@
-"""Walker patterns of Galileo, GLONASS and BeiDou: slots and secular rates by (G1) and (G2) of docs/models/gnss.md."""
+"""Walker patterns of Galileo, GLONASS and BeiDou.
+
+Slots and secular rates by (G1) and (G2) of docs/explanation/models/gnss.md.
+"""
 
 from __future__ import annotations
 

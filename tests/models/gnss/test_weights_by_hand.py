@@ -1,6 +1,6 @@
 """What receivers of type ``gnss`` make of satellites: C/N0, ages, weights, accuracies, by (G16) to (G24).
 
-Equations are those of docs/models/gnss.md, in double precision.
+Equations are those of docs/explanation/models/gnss.md, in double precision.
 """
 
 from __future__ import annotations

@@ -36,7 +36,10 @@ def network(**parts):
     ],
 )
 def test_a_preset_named_in_python_is_that_of_its_sheet(preset, channel, law, air_ms):
-    """MHz, dBm, kHz, kbit/s, dB; law of the loss with its ratio [dB]; time of a packet on the air (docs/radio.md)."""
+    """MHz, dBm, kHz, kbit/s, dB; law of the loss with its ratio [dB]; time of a packet on the air.
+
+    See docs/explanation/models/radio.md.
+    """
     radio = Network(preset=preset)
     assert channel == (
         radio.frequency_mhz,
@@ -51,7 +54,10 @@ def test_a_preset_named_in_python_is_that_of_its_sheet(preset, channel, law, air
 
 
 def test_what_is_not_of_a_preset_has_its_default():
-    """Numbers of docs/radio.md; a part that is given counts as a whole, and others are still those of the preset."""
+    """Numbers of docs/explanation/models/radio.md.
+
+    A part that is given counts as a whole, and others are still those of the preset.
+    """
     radio = Network(preset="lora_sf12", packet=Packet(bytes=40))
     assert (radio.packet.model, radio.packet.spreading_factor, radio.packet.bytes) == ("fsk", 0, 40)
     assert (radio.mac.period, radio.inbox.forget, radio.frequency_mhz) == (2.0, 20.0, 868.0)

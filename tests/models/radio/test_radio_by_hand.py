@@ -1,4 +1,7 @@
-"""Numbers of the radio, one by one and by hand: channel, links, queues and propagation (docs/radio.md)."""
+"""Numbers of the radio, one by one and by hand: channel, links, queues and propagation.
+
+See docs/explanation/models/radio.md.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def test_a_slope() -> None:
 
 
 def test_a_person_is_half_a_metre_wide() -> None:
-    """As docs/models/scene.md gives it."""
+    """As docs/explanation/models/scene.md gives it."""
     assert pytest.approx(0.5) == People.size
 
 

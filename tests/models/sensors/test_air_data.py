@@ -246,7 +246,7 @@ class TestAirspeed:
         assert float(reading.differential_pressure[0]) == pytest.approx(2.0)
 
 
-# Noise and offset [Pa]; docs/sensors.md.
+# Noise and offset [Pa]; docs/howto/sensors_heading_and_height.md.
 ALTIMETER_SHEETS = {"ms5611": (1.2, 50.0), "bmp280": (1.3, 100.0), "bmp390": (0.3, 50.0)}
 # Noise, offset [Pa], scale, range and step [Pa].
 AIRSPEED_SHEETS = {"ms4525do": (2.0, 3.0, 0.0025, 6895.0, 1.052), "sdp33": (0.2, 0.2, 0.03, 1500.0, 0.05)}

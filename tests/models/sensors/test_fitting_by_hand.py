@@ -50,7 +50,7 @@ def test_times_on_the_way(normal: float, late_s: float) -> None:
 
 
 def test_longest_delay_is_fifty_periods() -> None:
-    """As docs/sensors.md says."""
+    """As docs/howto/choose_sensors.md says."""
     assert LONGEST_DELAY == 50
 
 

@@ -251,7 +251,7 @@ class TestVibration:
 
 
 # Of data sheets: densities one-sided [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]; turn-on bias [deg/s], [mg]; in-run [deg/h], [ug];
-# docs/sensors.md.
+# docs/howto/sensors_inertial.md.
 SHEETS = {
     "mpu6000": (0.005, 400.0, 20.0, 80.0, 10.0, 100.0),
     "icm20689": (0.006, 150.0, 5.0, 40.0, 10.0, 60.0),

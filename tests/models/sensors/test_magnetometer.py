@@ -276,7 +276,7 @@ class TestSteel:
 
 
 # rms of a sample [uT], samples a second [Hz], step and range [uT], of data sheets; std of scale and of angles [%], and
-# of the slow error [uT], assumed; docs/sensors.md.
+# of the slow error [uT], assumed; docs/howto/sensors_heading_and_height.md.
 SHEETS = {
     "hmc5883l": (0.2, 75.0, 0.0917, 130.0, 2.0, 0.2, 0.2),
     "ist8310": (0.3, 100.0, 0.3, 1600.0, 2.0, 0.5, 0.3),

@@ -34,7 +34,8 @@ LOAD = Load(np.ones(1), np.ones(1))  # type: ignore[arg-type]
 
 @pytest.mark.parametrize(
     ("sensor", "first", "step"),
-    # What the equations of docs/sensors.md add normals to; more would be drawn for nothing, and other ones be used.
+    # What the equations of docs/explanation/models/sensors.md add normals to; more would be drawn for nothing, and
+    # other ones be used.
     [
         (Accelerometer, 0, 3),
         (AttitudeEstimator, 0, 3),
@@ -58,7 +59,7 @@ def test_normals_that_are_drawn(sensor: Any, first: int, step: int) -> None:
 
 
 def test_codes_of_a_reading_are_the_published_ones() -> None:
-    """docs/sensors.md has them."""
+    """docs/explanation/models/sensors.md has them."""
     flow = [getattr(optical_flow, name) for name in ("MEASURED", "TOO_NEAR", "NOTHING", "TOO_DARK", "TOO_FAST")]
     assert flow == [0.0, 1.0, 2.0, 3.0, 4.0]
     beam = [getattr(rangefinder, name) for name in ("MEASURED", "TOO_NEAR", "NOTHING", "LOST")]

@@ -80,7 +80,7 @@ def test_golden_trajectory(golden: Path, name: str, precision: str, tolerance: f
 
 
 class TestRecordings:
-    """Every number of docs/models/vehicle.md on recordings, and the specific forces, to the digits there."""
+    """Every number of docs/explanation/paper.md on recordings, and the specific forces, to the digits there."""
 
     STATED = (
         ("rotation.phi", "6.563e-4"),

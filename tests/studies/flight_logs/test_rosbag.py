@@ -186,7 +186,10 @@ def test_a_bag_that_was_cut_off_is_refused_in_one_line(kept: int, signals: dict[
 
 @pytest.mark.long
 def test_a_flown_vehicle_is_found_in_the_bag_of_its_run(tmp_path: Path) -> None:
-    """With a roll and pitch spring 30 % above that of the published Pelican, 179.8 (docs/models/vehicle.md)."""
+    """With a roll and pitch spring 30 % above that of the published Pelican, 179.8.
+
+    See docs/explanation/models/vehicle.md.
+    """
     import yaml
 
     from qrsim import cli

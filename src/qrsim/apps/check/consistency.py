@@ -22,8 +22,9 @@ ROWS = {
 
 # From this ratio of squared errors to the stated variance on, an explanation is printed.
 MUCH = 2.0
-EXPLAINED = """  Above 1 the estimate errs by more than it states: GNSS errors last for minutes, and the filter takes
-  them for white noise. The flights above had these errors; what is stated is too small (docs/estimators.md)."""
+EXPLAINED = """\
+  Above 1 the estimate errs by more than it states: GNSS errors last for minutes, and the filter takes them for white
+  noise. The flights above had these errors; what is stated is too small (docs/explanation/consistency.md)."""
 
 
 @dataclass(frozen=True)
@@ -96,4 +97,4 @@ def print_consistency(rows: list[Row]) -> None:
     if "position" in much:
         print(EXPLAINED)
     elif much:
-        print("  Above 1 the estimate errs by more than it states (docs/estimators.md).")
+        print("  Above 1 the estimate errs by more than it states (docs/explanation/consistency.md).")

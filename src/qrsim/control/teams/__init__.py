@@ -1,4 +1,4 @@
-"""Guidance of teams: what each vehicle does by what it knows of those near it (docs/teams.md).
+"""Guidance of teams: what each vehicle does by what it knows of those near it (docs/explanation/models/teams.md).
 
 ``mates`` says what a vehicle knows of the others; each behaviour is one file with its literature.
 """

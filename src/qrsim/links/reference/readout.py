@@ -26,7 +26,7 @@ from qrsim.world.state import FleetState, World
 STATE_SIZE, MEASURED_SIZE = 13, 20
 # Of the state vector, before the thrust.
 POSE = ("position_ned", "attitude", "velocity_body", "rates_body")
-# Columns of the measured vector that no sensor fills (docs/serve.md).
+# Columns of the measured vector that no sensor fills (docs/reference/tcp_protocol.md).
 UNUSED = (6, 7, 8, 12)
 # Bytes before the numbers of each vehicle: the tags and lengths of X or eX, and of the Arrayd in it.
 _X_HEAD = bytes([0x12, 106, 0x0A, 104])

@@ -1,4 +1,7 @@
-"""Wakes behind buildings: reversed flow in a cavity and slower air after it (Röckle 1990; docs/models/air.md)."""
+"""Wakes behind buildings: reversed flow in a cavity and slower air after it (Röckle 1990).
+
+See docs/explanation/models/air.md.
+"""
 
 from __future__ import annotations
 

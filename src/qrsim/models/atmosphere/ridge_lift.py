@@ -1,4 +1,4 @@
-"""Lift at slopes: wind that follows the ground, less with height (docs/models/air.md)."""
+"""Lift at slopes: wind that follows the ground, less with height (docs/explanation/models/air.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The International Standard Atmosphere below 11 km (ISO 2533:1975; docs/models/sensors.md, S25).
+"""The International Standard Atmosphere below 11 km (ISO 2533:1975; docs/explanation/models/sensors.md, S25).
 
 Heights are geopotential ones above mean sea level; that of a site is taken for one, though it is above the ellipsoid.
 """

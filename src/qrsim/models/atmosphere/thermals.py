@@ -1,4 +1,4 @@
-"""Thermals: columns of rising air, and the sink around them (Allen 2006; docs/models/air.md)."""
+"""Thermals: columns of rising air, and the sink around them (Allen 2006; docs/explanation/models/air.md)."""
 
 from __future__ import annotations
 

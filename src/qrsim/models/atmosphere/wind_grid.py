@@ -1,4 +1,4 @@
-"""Mean wind of a grid of places: the result of a flow solver or of a weather model (docs/models/air.md)."""
+"""Mean wind of a grid of places: the result of a flow solver or of a weather model (docs/explanation/models/air.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Common errors that each receiver has for itself, for studies that need independent ones (docs/gnss.md)."""
+"""Common errors that each receiver has for itself, for studies that need independent ones.
+
+See docs/explanation/gnss_errors.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A base station, whose corrections take away what receivers near it have in common with it (docs/gnss.md)."""
+"""A base station, whose corrections take away what receivers near it have in common with it.
+
+See docs/howto/corrections.md.
+"""
 
 from __future__ import annotations
 

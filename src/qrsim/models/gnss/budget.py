@@ -1,4 +1,4 @@
-"""Range errors by their causes: satellites, ionosphere and troposphere (docs/gnss.md)."""
+"""Range errors by their causes: satellites, ionosphere and troposphere (docs/explanation/gnss_errors.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The nominal constellations of GPS, Galileo, GLONASS and BeiDou, which need no file (docs/gnss.md)."""
+"""The nominal constellations of GPS, Galileo, GLONASS and BeiDou, which need no file.
+
+See docs/explanation/models/gnss.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""GNSS range errors of second order, and presets for ordinary receivers (docs/models/gnss.md)."""
+"""GNSS range errors of second order, and presets for ordinary receivers (docs/explanation/models/gnss.md)."""
 
 from __future__ import annotations
 

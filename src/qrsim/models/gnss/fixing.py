@@ -1,4 +1,6 @@
-"""Fixes with the corrections of a base station: by code, and by carrier phase, float and fixed (docs/gnss.md).
+"""Fixes with the corrections of a base station: by code, and by carrier phase, float and fixed.
+
+See docs/howto/corrections.md.
 
 All errors here are relative to the base until ``said`` puts its own on top.
 """

@@ -1,4 +1,6 @@
-"""What the satellites in view are to receivers: weights, solution, and what it makes of each error (docs/gnss.md).
+"""What the satellites in view are to receivers: weights, solution, and what it makes of each error.
+
+See docs/explanation/models/gnss.md.
 
 Between two knots of the sky all of it stays as it is. Where receivers see the same satellites it is computed once for
 all of them; a last axis m is 1 there, and n where each sees its own.

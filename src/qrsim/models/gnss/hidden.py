@@ -1,4 +1,6 @@
-"""Signals of satellites that obstacles hide or reflect, as receivers track and weigh them (docs/models/gnss.md).
+"""Signals of satellites that obstacles hide or reflect, as receivers track and weigh them.
+
+See docs/explanation/models/gnss.md.
 
 A signal is seen, seen with a reflection, reflected only (NLOS), or blocked. Receivers for which none is hidden or
 reflected have the solution of the open sky, to the bit.

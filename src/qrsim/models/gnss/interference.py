@@ -1,4 +1,7 @@
-"""What keeps satellites from receivers or lies to them: jammers, discs, spoofers, outages, storms (docs/gnss.md)."""
+"""What keeps satellites from receivers or lies to them: jammers, discs, spoofers, outages, storms.
+
+See docs/howto/jam_and_spoof.md.
+"""
 
 from __future__ import annotations
 

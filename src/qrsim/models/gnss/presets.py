@@ -1,4 +1,7 @@
-"""Presets of the sensor ``gnss``: full sets of its parameters, each of which a scenario may override (docs/gnss.md)."""
+"""Presets of the sensor ``gnss``: full sets of its parameters, each of which a scenario may override.
+
+See docs/howto/choose_a_receiver.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""GNSS: a sky shared by all vehicles of a world, receivers, and the navigation solution (docs/models/gnss.md).
+"""GNSS: a sky shared by all vehicles of a world, receivers, and the navigation solution.
+
+See docs/explanation/models/gnss.md.
 
 The receivers of a world see the same satellites with the same time-correlated range errors, so vehicles
 near each other share most of their position error, as they do outdoors.

@@ -1,4 +1,4 @@
-"""The sensor ``gnss``: a receiver whose errors have a part of its own, and a filter (docs/gnss.md).
+"""The sensor ``gnss``: a receiver whose errors have a part of its own, and a filter (docs/howto/choose_a_receiver.md).
 
 What it measures is truth plus error, and the error is what is computed: a weighted solution of range errors goes
 through two lags that carrier phase carries along. With the place it differs by the ionosphere's slope only.

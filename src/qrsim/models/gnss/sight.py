@@ -1,4 +1,4 @@
-"""How satellites are seen from a site, and the errors that ranges to them share (docs/gnss.md).
+"""How satellites are seen from a site, and the errors that ranges to them share (docs/explanation/models/gnss.md).
 
 Directions and mappings hold for a whole world: 10 km from the site they change a fix by less than a millimetre.
 """

@@ -1,4 +1,4 @@
-"""Weighted navigation solutions, linear in the errors of the ranges (docs/gnss.md).
+"""Weighted navigation solutions, linear in the errors of the ranges (docs/explanation/models/gnss.md).
 
 All sums run over slots, axis 0. What is the same for all receivers has a last axis of length 1: where nothing is a
 receiver's own, geometry, weights and accuracies are computed once for a world.

@@ -1,4 +1,7 @@
-"""The channel that all radios of a world share, and what fleets have of their own (docs/radio.md)."""
+"""The channel that all radios of a world share, and what fleets have of their own.
+
+See docs/explanation/models/radio.md.
+"""
 
 from __future__ import annotations
 

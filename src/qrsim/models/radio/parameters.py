@@ -1,4 +1,4 @@
-"""What a scenario says of the radio between vehicles, and presets (docs/radio.md)."""
+"""What a scenario says of the radio between vehicles, and presets (docs/explanation/models/radio.md)."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class InboxSize:
     )
 
 
-# What a preset says is a default; its sources are in docs/radio.md.
+# What a preset says is a default; its sources are in docs/explanation/models/radio.md.
 PRESETS: dict[str, dict[str, Any]] = {
     "sik_915": {
         "frequency_mhz": 915.0, "power_dbm": 20.0, "bandwidth_khz": 250.0, "rate_kbps": 64.0, "noise_figure_db": 6.0,

@@ -1,4 +1,4 @@
-"""From a link's length to the chance that a packet is lost on it (docs/radio.md).
+"""From a link's length to the chance that a packet is lost on it (docs/explanation/models/radio.md).
 
 All shapes of links are allowed. Written without what one of the two compilers does not take, and with the elementary
 functions that both compute in vectors.

@@ -1,4 +1,4 @@
-"""Limits of the area, and the conditions that end a vehicle's flight (docs/scenarios.md)."""
+"""Limits of the area, and the conditions that end a vehicle's flight (docs/howto/write_a_scenario.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground that vehicles stand on, and heights are counted from (docs/models/scene.md)."""
+"""The ground that vehicles stand on, and heights are counted from (docs/explanation/models/scene.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solid things in an area: boxes, upright cylinders, and prisms (docs/scenarios.md)."""
+"""Solid things in an area: boxes, upright cylinders, and prisms (docs/howto/write_a_scenario.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Persons on the ground, and when one is found (docs/models/scene.md)."""
+"""Persons on the ground, and when one is found (docs/explanation/models/scene.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Concentration of a substance released into the air (docs/models/scene.md).
+"""Concentration of a substance released into the air (docs/explanation/models/scene.md).
 
 Three fields: a Gaussian in space that nothing moves, the plume of steady releases in a wind, and single puffs that the
 wind carries away. The last two spread as in Symington et al. (IROS 2014): s = 2 a x'^b, with x' the distance downwind

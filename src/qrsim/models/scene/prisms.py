@@ -1,4 +1,6 @@
-"""Upright prisms over polygons, such as buildings: one of a scenario, and all of a world (docs/models/scene.md).
+"""Upright prisms over polygons, such as buildings: one of a scenario, and all of a world.
+
+See docs/explanation/models/scene.md.
 
 A world holds them as upright pieces over trapezoids with two sides along east, convex whatever the polygon is.
 """

@@ -1,4 +1,6 @@
-"""Where rays meet obstacles: for radio, scans and whatever else a wall is in the way of (docs/models/scene.md).
+"""Where rays meet obstacles: for radio, scans and whatever else a wall is in the way of.
+
+See docs/explanation/models/scene.md.
 
 All shapes of rays are allowed; every obstacle is looked at for every ray, exactly.
 """

@@ -1,4 +1,4 @@
-"""Ground cover of the search area (docs/models/scene.md)."""
+"""Ground cover of the search area (docs/explanation/models/scene.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Presets of the sensors ``pressure_altimeter`` and ``airspeed`` (docs/sensors.md)."""
+"""Presets of the sensors ``pressure_altimeter`` and ``airspeed`` (docs/howto/sensors_heading_and_height.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Barometric altitude (Symington et al. 2014, eqs. 9-10; docs/models/sensors.md)."""
+"""Barometric altitude (Symington et al. 2014, eqs. 9-10; docs/explanation/models/sensors.md)."""
 
 from __future__ import annotations
 

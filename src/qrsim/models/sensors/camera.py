@@ -1,4 +1,4 @@
-"""Downward camera with a person classifier (docs/models/sensors.md).
+"""Downward camera with a person classifier (docs/explanation/models/sensors.md).
 
 A reading is only where and when a picture was taken. The picture itself, some thousand windows, is a function of that,
 of the persons and the ground, and of the noise of its tick; ``develop`` computes it for whoever looks at it, so that

@@ -1,4 +1,4 @@
-"""Concentration sensor (docs/models/sensors.md)."""
+"""Concentration sensor (docs/explanation/models/sensors.md)."""
 
 from __future__ import annotations
 

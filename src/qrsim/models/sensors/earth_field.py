@@ -1,4 +1,6 @@
-"""Earth's magnetic field by the World Magnetic Model, and the heading of a compass (docs/sensors.md).
+"""Earth's magnetic field by the World Magnetic Model, and the heading of a compass.
+
+See docs/howto/sensors_heading_and_height.md.
 
 The model's coefficients are those of pygeomag, which is imported when it is asked: once, while a world is built.
 """

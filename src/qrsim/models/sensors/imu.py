@@ -1,4 +1,6 @@
-"""The sensor ``imu``: gyroscope and accelerometer of one chip, with the errors of IEEE Std 952 (docs/sensors.md).
+"""The sensor ``imu``: gyroscope and accelerometer of one chip, with the errors of IEEE Std 952.
+
+See docs/howto/sensors_inertial.md.
 
     y = sat_q( LP( (I + E)(x + vibration) + G a + b + n ) )
 

@@ -1,4 +1,6 @@
-"""Presets of the sensor ``imu``: full sets of its parameters, each of which a scenario may override (docs/sensors.md).
+"""Presets of the sensor ``imu``: full sets of its parameters, each of which a scenario may override.
+
+See docs/howto/sensors_inertial.md.
 
 Noise of data sheets is a one-sided density [unit/sqrt(Hz)], from which the rms in a bandwidth follows; the N of IEEE
 Std 952 is two-sided and therefore smaller by sqrt(2). The data sheet of the ADIS16470 has both: 0.008 deg/s/sqrt(Hz)

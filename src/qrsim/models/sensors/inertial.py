@@ -1,4 +1,4 @@
-"""Gyroscope and accelerometer (docs/models/sensors.md)."""
+"""Gyroscope and accelerometer (docs/explanation/models/sensors.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Presets of the sensor ``magnetometer``: full sets of a chip's parameters (docs/sensors.md).
+"""Presets of the sensor ``magnetometer``: full sets of a chip's parameters (docs/howto/sensors_heading_and_height.md).
 
 A data sheet's noise is the rms of single samples; with the rate of the samples it is a density N = rms/sqrt(rate), as
 that of IEEE Std 952, by which a reading that is the mean of more samples has less of it.

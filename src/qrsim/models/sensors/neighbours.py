@@ -1,4 +1,7 @@
-"""The sensor ``neighbours``: where others are, as seen by a camera or a radar (docs/models/perception.md)."""
+"""The sensor ``neighbours``: where others are, as seen by a camera or a radar.
+
+See docs/explanation/models/perception.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The sensor ``optical_flow``: a camera downwards that tells how the ground moves (docs/models/perception.md).
+"""The sensor ``optical_flow``: a camera downwards that tells how the ground moves.
+
+See docs/explanation/models/perception.md.
 
 Signs are those of MAVLink's OPTICAL_FLOW_RAD: a right-handed turn about an axis is positive flow about it.
 """

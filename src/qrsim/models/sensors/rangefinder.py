@@ -1,4 +1,4 @@
-"""The sensor ``rangefinder``: one beam along an axis of the body (docs/models/perception.md)."""
+"""The sensor ``rangefinder``: one beam along an axis of the body (docs/explanation/models/perception.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Presets of the sensors ``rangefinder`` and ``scan``; where their numbers come from stands in docs/sensors.md.
+"""Presets of the sensors ``rangefinder`` and ``scan``.
+
+Their sources are in docs/howto/sensors_looking_around.md.
 
 An accuracy that a data sheet gives as +-x is taken for one standard deviation, and half way between two of them for the
 range at which each holds.

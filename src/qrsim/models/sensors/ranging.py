@@ -1,4 +1,7 @@
-"""The sensor ``ranging``: two-way ranges to beacons and to other vehicles, as by UWB (docs/models/perception.md)."""
+"""The sensor ``ranging``: two-way ranges to beacons and to other vehicles, as by UWB.
+
+See docs/explanation/models/perception.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Presets of the sensor ``ranging``; where their numbers come from stands in docs/sensors.md."""
+"""Presets of the sensor ``ranging``; where their numbers come from stands in docs/howto/sensors_looking_around.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The sensor ``scan``: a planar lidar, rays in the plane of the body's x and y axes (docs/models/perception.md)."""
+"""The sensor ``scan``: a planar lidar, rays in the plane of the body's x and y axes.
+
+See docs/explanation/models/perception.md.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Symington, De Nardi, Julier, Hailes, "Simulating Quadrotor UAVs in Outdoor Scenarios", IROS 2014, eqs. 1-6;
 the defaults are the constants identified there for an AscTec Pelican. Where the paper and its reference
-implementation differ or err, docs/models.md says what is built here and why.
+implementation differ or err, docs/explanation/differences.md says what is built here and why.
 """
 
 from __future__ import annotations
@@ -301,7 +301,7 @@ class Quadrotor(Vehicle):
 
 
 def raw_to_command(pitch: Array, roll: Array, throttle: Array, yaw: Array, battery: Array) -> Command:
-    """Convert recorded raw units (docs/identify.md) to SI."""
+    """Convert recorded raw units (docs/howto/identify_from_logs.md) to SI."""
     return Command(
         pitch * PITCH_ROLL_RAD_PER_RAW,
         roll * PITCH_ROLL_RAD_PER_RAW,

@@ -1,4 +1,4 @@
-"""Readers of flight logs of autopilots, test rigs and plain tables (docs/identify.md).
+"""Readers of flight logs of autopilots, test rigs and plain tables (docs/howto/identify_from_logs.md).
 
 ``read_log`` returns a ``FlightLog`` whichever program wrote the file: named signals in SI units.
 It may import the layers below ``studies``, and no study.

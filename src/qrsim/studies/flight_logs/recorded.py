@@ -1,4 +1,4 @@
-"""The layouts of the public recordings: tables of numbers without a header (docs/models/vehicle.md)."""
+"""The layouts of the public recordings: tables of numbers without a header (docs/explanation/paper.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Range-only SLAM on recorded flights, and the consistency of its covariances (docs/slam.md).
+"""Range-only SLAM on recorded flights, and the consistency of its covariances (docs/explanation/slam.md).
 
 One vehicle or several, with GNSS errors taken as white or as coloured.
 It may import ``flight_logs``, and the layers below ``studies``.

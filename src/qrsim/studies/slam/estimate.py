@@ -31,7 +31,8 @@ from qrsim.studies.slam.solve import DAMPINGS, Point, Problem, Solution, solve
 
 MOST_ITERATIONS = 100
 FIXED_BYTES = 200 * 2**20
-# Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]; equation (G8) of docs/models/gnss.md.
+# Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]: (G8),
+# docs/explanation/models/gnss.md.
 BIAS_TIME_CONSTANT = 44.3
 
 
@@ -160,7 +161,7 @@ def from_run(
     damping: Literal["metres", "diagonal"] = "metres",
     keep: tuple[int, ...] = (),
 ) -> Slam:
-    """Smooth the trajectory of a recorded flight and estimate landmarks from ranges; see docs/slam.md.
+    """Smooth the trajectory of a recorded flight and estimate landmarks from ranges; see docs/explanation/slam.md.
 
     Args:
         run: a run folder, or what ``qrsim.open_run`` returned.
@@ -367,7 +368,8 @@ def bytes_needed(states: int, size: int, landmarks: int) -> int:
     """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` numbers, and landmarks.
 
     Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
-    its ranges. The factors are above those of measured problems (docs/slam.md); compiled programs take FIXED_BYTES.
+    its ranges. The factors are above those of measured problems (docs/explanation/slam.md); compiled
+    programs take FIXED_BYTES.
     """
     blocks, rows, ranges = 16 * size * size, 5 * size * (1 + 3 * landmarks), 40 * landmarks
     return FIXED_BYTES + 8 * states * (blocks + rows + ranges)

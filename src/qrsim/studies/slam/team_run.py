@@ -44,7 +44,7 @@ def cooperative_from_run(
 ) -> CooperativeSlam:
     """Smooth the trajectories of several vehicles of a run together, and estimate landmarks that they share.
 
-    The vehicles are coupled by the landmarks and by ranges to each other; see docs/slam.md.
+    The vehicles are coupled by the landmarks and by ranges to each other; see docs/explanation/slam_together.md.
 
     Args:
         run: a run folder, or what ``qrsim.open_run`` returned.

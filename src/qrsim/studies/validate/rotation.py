@@ -17,7 +17,7 @@ RECORDING = "rotation_rig.csv"
 THROTTLE_RAW = 0.615 * THROTTLE_RAW_PER_UNIT
 NAMES = ("phi", "theta", "psi", "p", "q", "r")
 WORDS = ("roll", "pitch", "yaw", "roll rate", "pitch rate", "yaw rate")
-# docs/models/vehicle.md: held against recordings.
+# docs/explanation/paper.md: held against recordings.
 REFERENCE = ("6.563e-4", "8.355e-4", "1.755e-2", "2.478e-2", "1.872e-2", "2.867e-2")
 
 

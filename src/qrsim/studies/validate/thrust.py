@@ -17,7 +17,7 @@ from qrsim.studies.validate.report import Finding, Outcome, Part, reference_chec
 
 RECORDING = "thrust_rig.csv"
 START_N = 15.4
-# docs/models/vehicle.md: held against recordings.
+# docs/explanation/paper.md: held against recordings.
 REFERENCE_MEAN_SQUARE, REFERENCE_VARIANCE = "0.9817", "73.9"
 
 

@@ -23,7 +23,7 @@ from qrsim.studies.validate.outdoor import (
 from qrsim.studies.validate.recorded import DT, Match, Table
 from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 
-# docs/models/vehicle.md: held against recordings.
+# docs/explanation/paper.md: held against recordings.
 REFERENCE_VELOCITY = {"north": "3.736", "east": "2.389", "down": "1.547"}
 REFERENCE_FORCE = {
     "ours": {"x": "0.63", "y": "0.36", "z": "3.05"},

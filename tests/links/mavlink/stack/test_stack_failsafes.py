@@ -311,7 +311,7 @@ def test_a_reset_is_a_boot_that_keeps_plans_and_parameters():
 
 
 def test_the_docs_list_all_parameters():
-    page = Path(__file__).resolve().parents[4] / "docs" / "mavlink_flight.md"
+    page = Path(__file__).resolve().parents[4] / "docs" / "reference" / "mavlink_parameters.md"
     rows = [line for line in page.read_text(encoding="utf-8").splitlines() if "INT32 |" in line or "REAL32 |" in line]
     names = {INT32: "INT32", REAL32: "REAL32"}
     expected = []

@@ -1,4 +1,4 @@
-"""Numbers of the fixed wing at an instant, against (W1) to (W10) of docs/models/fixed_wing.md by hand."""
+"""Numbers of the fixed wing at an instant, against (W1) to (W10) of docs/explanation/models/fixed_wing.md by hand."""
 
 from __future__ import annotations
 

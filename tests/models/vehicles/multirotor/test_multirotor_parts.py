@@ -1,6 +1,6 @@
 """Rotors over the ground, contact points and the loops of the stabiliser, one equation at a time, by hand.
 
-The equations have the numbers of docs/models/vehicle.md.
+The equations have the numbers of docs/explanation/models/multirotor.md.
 """
 
 from __future__ import annotations

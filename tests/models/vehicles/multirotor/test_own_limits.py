@@ -1,4 +1,7 @@
-"""Ranges and rules of a multirotor of one's own at their edges, by hand from the rules in docs/scenarios.md."""
+"""Ranges and rules of a multirotor of one's own at their edges.
+
+By hand from the rules in docs/start/your_vehicle.md.
+"""
 
 from __future__ import annotations
 

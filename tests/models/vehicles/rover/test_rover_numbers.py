@@ -1,4 +1,7 @@
-"""Numbers of the rovers at an instant, against the equations (D1) to (D6) of docs/models/rover.md by hand."""
+"""Numbers of the rovers at an instant.
+
+Against the equations (D1) to (D6) of docs/explanation/models/rover.md by hand.
+"""
 
 from __future__ import annotations
 
