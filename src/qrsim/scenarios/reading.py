@@ -264,8 +264,13 @@ def _without_a_space(value: object) -> str | None:
 
 
 _UNITS = (("_rad", "_deg"), ("_deg", "_rad"))
-# The speed of a wind by the height it is given at.
-_OF_ONE_WIND = {"speed": ("speed_20ft",), "speed_20ft": ("speed", "at_height", "gust")}
+# What a number of a wind replaces: the speed at another height, the gust in another form.
+_OF_ONE_WIND = {
+    "speed": ("speed_20ft",),
+    "speed_20ft": ("speed", "at_height", "gust", "gust_factor"),
+    "gust": ("gust_factor",),
+    "gust_factor": ("gust",),
+}
 
 
 def _drop_twin(target: dict[str, Any], name: str, kept: Container[str] = ()) -> None:
