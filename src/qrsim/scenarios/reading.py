@@ -142,9 +142,11 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
     if isinstance(overrides, str):
         raise UsageError(f"overrides: expected a list such as ['path=value'], found the text {overrides!r:.200}")
     try:
-        found = list(overrides)
+        found = None if isinstance(overrides, dict) else list(overrides)
     except TypeError:
-        raise UsageError(f"overrides: expected a list such as ['path=value'], found {overrides!r:.200}") from None
+        found = None
+    if found is None:
+        raise UsageError(f"overrides: expected a list such as ['path=value'], found {shortened(repr(overrides), 200)}")
     for override in found:
         if not isinstance(override, str):
             raise UsageError(f"overrides: expected texts such as 'path=value', found {override!r:.200}")
