@@ -31,6 +31,18 @@ def test_a_line_of_an_error_is_one_line() -> None:
         assert (str(again), vars(again)) == (str(error), vars(error))
 
 
+def test_faults_that_differ_in_numbers_only_have_a_few_lines() -> None:
+    faults = ["a.0: -1.5e-3 m", "b: x", "a.1: 2 m", "a.2: +3 m", "a.3: 4 m", "a.4: 5 s", "b: y"]
+    assert str(ScenarioError("s", faults[:4])).splitlines()[1:] == [f"  {faults[i]}" for i in (0, 2, 3, 1)]
+    lines = ["  a.0: -1.5e-3 m", "  a.1: 2 m", "  ... and 2 more like it", "  b: x", "  a.4: 5 s", "  b: y"]
+    assert str(ScenarioError("s", faults)).splitlines() == ["s: 7 problems", *lines]
+    assert ScenarioError("s", faults).problems == faults
+    # 400 of a hundred kinds have two lines and a count each; of 300 lines the first 200 are printed.
+    kinds = [f"{chr(0x4E00 + kind)}.{i}" for kind in range(100) for i in range(4)]
+    *_, last = str(ScenarioError("s", kinds)).splitlines()
+    assert last == "  ... and 134 more"
+
+
 def test_a_warning_is_one_line() -> None:
     with pytest.warns(UserWarning, match=f"^{re.escape(SHOWN)}$"):
         warn_user(NASTY)

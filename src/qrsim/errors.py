@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 # To look for similar names takes the square of their lengths; messages are to be read.
 LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
+# Faults that differ in their numbers only, as those of all waypoints of a plan, have at most so many lines.
+MOST_ALIKE = 3
+_NUMBER = re.compile(r"[-+]?[0-9]+(?:[.][0-9]+)?(?:e[-+]?[0-9]+)?")
 # What others call it, by words that look unlike it.
 SYNONYMS: dict[str, str] = {
     "alt": "height", "altitude": "height", "bearing": "wind_from_deg", "compass": "magnetometer",
@@ -58,13 +62,26 @@ class ScenarioError(UsageError):
         self.problems = [visible(problem) for problem in problems]
         count = len(self.problems)
         head = f"{source}: {count} problem{'s' if count != 1 else ''}"
-        lines = [f"  {shortened(problem)}" for problem in self.problems[:MOST_PROBLEMS]]
-        more = [f"  ... and {count - MOST_PROBLEMS} more"] if count > MOST_PROBLEMS else []
+        told = list(_told(self.problems))
+        lines = [f"  {shortened(line)}" for line, _ in told[:MOST_PROBLEMS]]
+        more = [f"  ... and {sum(each for _, each in told[MOST_PROBLEMS:])} more"] if len(told) > MOST_PROBLEMS else []
         super().__init__(head, *lines, *more)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # By its own arguments, which are not those of Exception; notes and the like are in the dict.
         return type(self), (self.source, self.problems), self.__dict__
+
+
+def _told(problems: list[str]) -> Iterator[tuple[str, int]]:
+    """Yield the lines for some faults, each with how many it is of: of those that differ in numbers only, a few."""
+    groups: dict[str, list[str]] = {}
+    for problem in problems:
+        groups.setdefault(_NUMBER.sub("0", problem), []).append(problem)
+    for alike in groups.values():
+        shown = len(alike) if len(alike) <= MOST_ALIKE else MOST_ALIKE - 1
+        yield from ((problem, 1) for problem in alike[:shown])
+        if shown < len(alike):
+            yield f"... and {len(alike) - shown} more like it", len(alike) - shown
 
 
 class LogError(UsageError):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from qrsim import cli
+from qrsim.runs import open_run
+from qrsim.runs.summary import summarise
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +31,18 @@ def test_the_same_run_twice_is_bit_identical(flown, flown_again, capsys):
 
 
 def test_another_run_in_words(flown, windier, capsys):
-    assert cli.main(["compare", str(flown.folder), str(windier)]) == 1
+    folders = (flown.folder, windier)
+    assert cli.main(["compare", *map(str, folders)]) == 1
     printed = capsys.readouterr().out
     rows = [line.split() for line in printed.splitlines()]
     for row in (["seed", "3", "4"], ["scenario.world.wind.speed_20ft", "5.0", "7.0"], ["ticks", "500", "250"]):
         assert row in rows
+    assert ["ended", "finished", "finished", "-"] in rows
+    assert ["simulated", "time", "s", "10", "5", "-5"] in rows
+    assert ["vehicles", "stopped", "0", "0", "0"] in rows
+    [tracking] = [row for row in rows if row[:2] == ["tracking", "error,"]]
+    errors = [math.sqrt(np.mean([row.tracking_error_rms_m**2 for row in summarise(open_run(f))])) for f in folders]
+    assert [float(number) for number in tracking[4:6]] == pytest.approx(errors, rel=1e-3)
     assert "truth: 51 common ticks, 450 only in A; 1 of 17 quantities equal" in printed
     assert "wind: 251 common ticks, 250 only in A; 1 of 9 quantities equal" in printed
     [wind] = [row for row in rows if row[:1] == ["wind.mean_ned.x"]]
@@ -46,6 +57,8 @@ def test_another_run_as_json_and_in_a_picture(flown, windier, tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert (result["same"], result["bit_identical"], result["figure"]) == (False, False, str(target))
     assert {"path": "seed", "values": [3, 4]} in result["settings"]
+    assert {"name": "simulated time", "unit": "s", "values": [10.0, 5.0]} in result["summary"]
+    assert {"name": "energy", "unit": "Wh", "values": [None, None]} in result["summary"]
     by_name = {stream["stream"]: stream for stream in result["streams"]}
     assert (by_name["truth"]["ticks"], by_name["truth"]["ticks_only"]) == (51, [450, 0])
     times = [item["first"]["time_s"] for item in result["differences"]]

@@ -221,6 +221,10 @@ def test_the_table_has_the_numbers_of_the_json(flown, flown_again):
     height, of = f"{worst['height_error_rms_m']:.2f}", worst["vehicle"]
     assert f"height: RMS {height} m from that of the waypoint, at most, of {of}" in lines
     assert f"run folder: {flown_again.folder}" in lines
+    nearest = flown.json["separation"]
+    one, other = nearest["vehicles"]
+    told = f"separation: {nearest['distance_m']:.2f} m at least, of {one} and {other} at {nearest['time_s']:.2f} s"
+    assert told in lines
     assert any(re.fullmatch(r"10 s flown in \S+ s \(\d+ times real time\), start-up \S+ s", line) for line in lines)
     assert "figure" not in flown_again.printed
     assert not (flown_again.folder / "figure.png").exists()

@@ -10,7 +10,8 @@ import pytest
 from tests.small_worlds import pair
 
 from qrsim import cli
-from qrsim.runs import open_run
+from qrsim.runs import open_run, recorder
+from qrsim.runs.streams import values
 
 TICKS = 150
 POLICIES = '''
@@ -114,6 +115,26 @@ class TestFlights:
         roll = column(run.folder, "commands", "roll")[1:, 0].reshape(-1, 10)
         np.testing.assert_array_equal(roll, np.tile(roll[:, :1], 10))
         assert len(np.unique(roll[:, 0])) > 3
+
+    def test_ticks_are_logged_fifty_at_a_time(self, flown, monkeypatch):
+        """Not one by one: that takes ten times as long as to fly a tick."""
+        lengths = []
+
+        def counted(world, history, wanted):
+            lengths.append(len(history.ticks))
+            return values(world, history, wanted)
+
+        monkeypatch.setattr(recorder, "values", counted)
+        monkeypatch.setattr(recorder, "CHUNK_S", 60.0)
+        run = flown("--policy", "FILE:lean")
+        # The start, and the first tick.
+        assert lengths == [1, 1, 50, 50, 49]
+        # Those of a slow function are not kept waiting.
+        monkeypatch.setattr(recorder, "CHUNK_S", 0.0)
+        lengths.clear()
+        flown("--policy", "FILE:lean", "--duration", "0.2")
+        assert lengths == [1] * 11
+        assert open_run(run.folder)["truth"].tick.tolist() == list(range(TICKS + 1))
 
     @pytest.mark.long
     def test_set_points_and_estimators(self, flown):

@@ -77,6 +77,7 @@ def test_a_batch_restarts_what_has_ended_in_the_same_step() -> None:
     actions, returned = np.stack([HOVER, HOVER, DIVE, HOVER]), np.zeros(2)
     for _ in range(300):
         seen, rewards, terminated, truncated, infos = batch.step(actions)
+        before = own
         own, reward, ended, _, info = alone.step(DIVE)
         returned += reward, rewards[2]
         assert terminated[2] == ended
@@ -84,6 +85,9 @@ def test_a_batch_restarts_what_has_ended_in_the_same_step() -> None:
             break
         np.testing.assert_allclose(seen[2], own, rtol=1e-4, atol=1e-4)
     assert ended, "a dive ends in the ground or out of the area"
+    np.testing.assert_array_equal(own, before, "its sensors report nothing any more, so it sees what it saw last")
+    np.testing.assert_allclose(own[:3], info["position_ned"], atol=3.0)
+    assert np.linalg.norm(own[3:6]) > 3.0
     # A minute of the command that costs most, and the corner (20, 10, 10) m from the start.
     np.testing.assert_allclose(returned, -1859.615, rtol=1e-5)
     assert list(terminated) == [False, False, True, False]

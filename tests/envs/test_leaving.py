@@ -65,6 +65,11 @@ def test_the_others_fly_on() -> None:
     assert ends[SECOND][1:] == ends[THIRD][1:] == (-50.0, False)
     assert ends[FIRST][0] == 11
     assert ends[FIRST][2] is True
+    # What it sees last is what it saw in flight.
+    last, before = (steps[ends[SECOND][0] - i][1][SECOND] for i in (0, 1))
+    assert before["grid"].all()
+    for name, numbers in last.items():
+        np.testing.assert_array_equal(numbers, before[name])
     for agents, seen, rewards, *_, infos in steps:
         assert list(seen) == list(rewards) == list(infos) == agents
         # A person that somebody finds is 1 for all who fly, and a step without one costs a twelfth.

@@ -1,4 +1,4 @@
-"""Wrong seeds, actions and policies, in every form of an environment: one line each."""
+"""Wrong arguments, seeds, actions and policies, in every form of an environment: one line each."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from qrsim import cli
-from qrsim.envs import Functional, parallel_env
+from qrsim.envs import Functional, parallel_env, vector_parallel_env
 from qrsim.envs.single import SingleTask
 from qrsim.envs.vector import VectorTask
 from qrsim.errors import UsageError
@@ -154,3 +155,37 @@ def test_a_policy_of_score(
     said = capsys.readouterr().err.strip()
     assert said.startswith(f"error: {message}")
     assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"duration": 2}, "{}; a value of the scenario is set by overrides=['duration=2']"),
+        ({"durration": "2"}, "{}; a value of the scenario is set by overrides=['duration=2']"),
+        ({"overides": []}, "{}; did you mean 'overrides'?"),
+        ({"seed": 3}, "{}; a seed is that of reset(seed=...)"),
+        ({"wind": [1.0]}, "{}; a value of the scenario is set by overrides=['duration=20']"),
+        ({"overrides": {"duration": 2}}, "overrides: expected a list such as ['path=value'], found {'duration': 2}"),
+        ({"precision": "f32"}, "precision: 'f32' is not known; did you mean 'float32'?"),
+        ({"precision": None}, "precision: 'None' is not known; known: float32, float64"),
+    ],
+)
+def test_arguments_of_environments(given: dict[str, Any], message: str) -> None:
+    several = "scenario, num_envs, overrides, precision, render_mode, autoreset_mode"
+    makers: list[tuple[Any, str]] = [
+        (lambda: gymnasium.make("qrsim/keep_spot-v0", **given), "scenario, overrides, precision, render_mode"),
+        (lambda: gymnasium.make_vec("qrsim/keep_spot-v0", num_envs=2, **given), several),
+        (lambda: parallel_env("cats_and_mouse/1A", **given), "scenario, overrides, precision, render_mode"),
+        (lambda: vector_parallel_env("cats_and_mouse/1A", **given), several),
+        (lambda: Functional.of("keep_spot", **given), "scenario, overrides, precision"),
+    ]
+    [name] = given
+    for make, allowed in makers:
+        refused(make, message.replace("{}", f"{name}: no such argument of an environment; allowed: {allowed}"))
+
+
+def test_an_environment_of_no_scenario() -> None:
+    words = "scenario: missing; expected a name, the path of a .yaml file or a dict"
+    makers = (lambda: gymnasium.make("qrsim/task-v0"), lambda: gymnasium.make_vec("qrsim/task-v0"), parallel_env)
+    for make in makers:
+        refused(make, words)

@@ -15,6 +15,7 @@ import qrsim
 from qrsim.core.vectors import Vec3
 from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _distance_from_circle, _nearest
 from qrsim.runs import open_run
+from qrsim.runs.separation import smallest_separation
 from qrsim.runs.summary import summarise, tracking_error
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.rollout import Rollout, rollout
@@ -173,7 +174,12 @@ class TestAgainstTheSummaryOfARun:
         found = request.getfixturevalue(name)
         scenario = leaving() if name == "stopped" else experiment()
         qrsim.fly(scenario, tmp_path / "run", seed=SEEDS[1], precision="float64")
-        for i, row in enumerate(summarise(open_run(tmp_path / "run"))):
+        run = open_run(tmp_path / "run")
+        nearest = smallest_separation(run)
+        assert nearest is not None
+        assert nearest.distance_m == pytest.approx(found["separation_min_m"][1].min(), rel=1e-6)
+        assert nearest.time_s == pytest.approx(found["separation_min_at_s"][1].min())
+        for i, row in enumerate(summarise(run)):
             assert row.vehicle == found.vehicles[i]
             expected = {
                 "distance_m": row.distance_m,

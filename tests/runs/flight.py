@@ -54,7 +54,7 @@ def write_flight(
         every: decimation of the streams.
         seed, scenario_yaml: what is noted in the run folder.
         names: of the vehicles; v0, v1, ... by default.
-        change: is given stream -> column -> (T, n) values before they are recorded.
+        change: is given stream -> column -> (T, n) values before they are recorded; it may add and remove columns.
     """
     names = tuple(names or (f"v{i}" for i in range(vehicles)))
     info = RunInfo.collect(
@@ -77,6 +77,9 @@ def write_flight(
         "commands": vector_columns("setpoint.position_ned", "m"),
         "wind": [*vector_columns("mean_ned", "m/s"), *vector_columns("gust_ned", "m/s")],
     }
+    for stream, known in columns.items():
+        named = {column.name: column for column in known}
+        columns[stream] = [named.get(name) or Column(name, "", "", "float64") for name in parts[stream]]
     writer = RunWriter.create(
         folder, info=info, scenario_yaml=scenario_yaml, columns=columns, flush_rows=10**9, flush_seconds=1e9
     )

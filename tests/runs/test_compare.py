@@ -15,6 +15,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.runs import open_run
 from qrsim.runs.compare import Comparison, compare_runs
 from qrsim.runs.compare_figure import draw_comparison
+from qrsim.runs.headlines import headlines
 from qrsim.runs.settings import ABSENT, Setting
 
 Values = dict[str, dict[str, np.ndarray]]
@@ -227,6 +228,44 @@ def test_a_run_without_ticks(compared):
     found = compared(ticks=0)
     assert not found.same
     assert found.streams[0].ticks_only == (60, 0)
+
+
+# ---------------------------------------------------------------- the headline numbers
+
+
+def with_power(values: Values) -> None:
+    """180 W each, and estimates that are 1, 2 and 2 m off."""
+    values["truth"]["power"] = np.full((60, 2), 180.0)
+    for axis, off in zip(AXES, (1.0, 2.0, 2.0), strict=True):
+        values["commands"][f"estimate.position_ned.{axis}"] = values["truth"][f"position_ned.{axis}"] + off
+
+
+def test_headlines_of_a_made_up_flight(tmp_path):
+    run = open_run(write_flight(tmp_path / "run", stops={1: 20}, change=with_power))
+    found = {item.name: (item.value, item.unit) for item in headlines(run)}
+    assert found["ended"] == ("finished", "")
+    assert found["vehicles stopped"] == (1.0, "")
+    assert found["waypoints reached"] == (1.0, "")
+    assert found["estimate error, RMS"] == (pytest.approx(3.0), "m")
+    assert found["GNSS error vertical, RMS"] == (pytest.approx(3.0), "m")
+    assert found["wind, largest"] == (pytest.approx(13.0), "m/s")
+    # v1 hangs in the air, and v0 comes 29 steps of 4 cm nearer on its second leg, 10 steps to the north.
+    assert found["separation, smallest"] == (pytest.approx(math.hypot(10 * 0.04, 30.0 - 29 * 0.04)), "m")
+    # 59 steps of 20 ms of one, and 20 of the other.
+    assert found["energy"] == (pytest.approx(180.0 * 79 * STEP / 3600.0), "Wh")
+
+
+def test_headlines_are_nan_where_nothing_was_recorded(tmp_path):
+    found = {item.name: item.value for item in headlines(open_run(write_flight(tmp_path / "run", vehicles=1)))}
+    for name in ("energy", "estimate error, RMS", "separation, smallest", "battery left, least", "score"):
+        assert math.isnan(found[name])
+
+
+def test_no_headlines_of_a_log_without_a_column_that_they_need(tmp_path):
+    def change(values: Values) -> None:
+        values["wind"].pop("gust_ned.z")
+
+    assert headlines(open_run(write_flight(tmp_path / "run", change=change))) == []
 
 
 # ---------------------------------------------------------------- the picture

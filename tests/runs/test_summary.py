@@ -11,6 +11,7 @@ import pytest
 from flight import FIX_TICKS, GNSS_ERROR, SPEED, STEP, write_flight
 
 from qrsim.runs import open_run
+from qrsim.runs.separation import Separation, _nearer, smallest_separation
 from qrsim.runs.summary import _battery, gnss_error, gnss_sensor, summarise, tracking_error, vectors
 
 
@@ -187,3 +188,49 @@ def test_time_on_the_ground_is_no_endurance() -> None:
     # Who never flies has none.
     run.truth["on_ground"][:] = True
     assert np.isnan(_battery(run, place, np.ones((7, 2), bool))[1]).all()
+
+
+# ---------------------------------------------------------------- the smallest separation
+
+
+def drawn_together(values: dict[str, dict[str, np.ndarray]]) -> None:
+    """At tick 40, v2 is 3 m east and 4 m below v0."""
+    truth = values["truth"]
+    for axis, aside in zip("xyz", (0.0, 3.0, 4.0), strict=True):
+        truth[f"position_ned.{axis}"][40, 2] = truth[f"position_ned.{axis}"][40, 0] + aside
+
+
+def test_the_smallest_separation_has_its_time_and_pair(tmp_path):
+    run = open_run(write_flight(tmp_path / "run", vehicles=3, change=drawn_together))
+    found = smallest_separation(run)
+    assert found == Separation(pytest.approx(5.0), pytest.approx(40 * STEP), ("v0", "v2"))
+    assert found.text == "separation: 5.00 m at least, of v0 and v2 at 0.80 s"
+
+
+def test_a_stopped_vehicle_is_near_for_one_that_flies_and_not_for_another(tmp_path):
+    folders = (
+        write_flight(tmp_path / name, vehicles=3, stops=stops, change=drawn_together)
+        for name, stops in (("one", {0: 30}), ("both", {0: 30, 2: 30}))
+    )
+    one, both = (smallest_separation(open_run(folder)) for folder in folders)
+    assert (one.distance_m, one.vehicles) == (pytest.approx(5.0), ("v0", "v2"))
+    # v1 flies on, 10 ticks to the east of its line.
+    assert (both.distance_m, both.vehicles) == (pytest.approx(math.hypot(30.4 - 3.0, 4.0)), ("v1", "v2"))
+
+
+@pytest.mark.parametrize("changes", [{"vehicles": 1}, {"ticks": 0}, {"stops": {0: 0, 1: 0}}])
+def test_no_separation_where_nobody_can_meet(tmp_path, changes):
+    assert smallest_separation(open_run(write_flight(tmp_path / "run", **changes))) is None
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_smallest_separation_is_that_of_all_pairs(axis):
+    rng = np.random.default_rng(axis)
+    position = rng.uniform(0, np.roll([100.0, 5.0, 2.0], axis), size=(50, 20, 3))
+    active = rng.random((50, 20)) < 0.5
+    position[rng.random((50, 20)) < 0.1, 0] = np.nan
+    apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
+    counts = (active[:, :, None] | active[:, None]) & ~np.eye(20, dtype=bool) & np.isfinite(apart)
+    distance, row, pair = list(_nearer(position, active, math.inf))[-1]
+    assert distance == apart[counts].min()
+    assert apart[row, pair[0], pair[1]] == distance

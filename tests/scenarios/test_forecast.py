@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from qrsim.errors import ScenarioError
 from qrsim.scenarios.making import make_scenario
+from qrsim.scenarios.scenario import load_scenario
 
 FORECAST: dict[str, Any] = {
     "type": "log_shear",
@@ -41,6 +43,23 @@ def test_gusts_are_two_and_a_half_deviations() -> None:
     assert forecast(gust=None).turbulence.type == "still"
 
 
+@pytest.mark.parametrize(("speed", "at_20_ft"), [(6.0, 8.4718), (12.0, 16.9436), (0.0, 0.0)])
+def test_a_gust_factor_follows_the_speed(speed: float, at_20_ft: float) -> None:
+    """10/6 times 6 m/s is the gust of 10 m/s above; at twice the speed the gusts are twice as large."""
+    assert forecast(gust=None, gust_factor=10.0 / 6.0, speed=speed).turbulence.speed_20ft == pytest.approx(
+        at_20_ft, abs=1e-4
+    )
+
+
+def test_one_form_of_the_gust_replaces_the_other() -> None:
+    """(9 - 6)/2.5 = 1.2 m/s: 8.4718 x 1.2/1.6 = 6.3539 m/s."""
+    given = [f"world.wind={json.dumps(FORECAST)}", "world.wind.gust_factor=1.5"]
+    found = load_scenario("hover_ideal", given).spec.world.turbulence
+    assert found.speed_20ft == pytest.approx(6.3539, abs=1e-4)
+    again = load_scenario("hover_ideal", [*given, "world.wind.gust=10"]).spec.world.turbulence
+    assert again.speed_20ft == pytest.approx(8.4718, abs=1e-4)
+
+
 def test_a_wind_at_20_ft_stays_what_it_was() -> None:
     plain = make_scenario([[0, 0, -10]], wind={"type": "log_shear", "speed_20ft": 5.0, "wind_from_rad": 0.0})
     assert plain.spec.world.wind.roughness == pytest.approx(0.15 * 0.3048)
@@ -49,7 +68,17 @@ def test_a_wind_at_20_ft_stays_what_it_was() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"gust": 5.0}, "world.wind.gust: 5 m/s; allowed: the mean speed, 6, to 75"),
+        (
+            {"gust": 5.0},
+            "world.wind.gust: 5 m/s; allowed: the mean speed, 6, to 75; gust_factor, a multiple of the speed, may take",
+        ),
+        ({"gust_factor": 1.6}, "world.wind.gust: gives both 'gust' and 'gust_factor'; give one"),
+        ({"gust": None, "gust_factor": 0.9}, "world.wind.gust_factor: 0.9; allowed: 1 to 10"),
+        ({"gust": None, "gust_factor": "1.6x"}, "world.wind.gust_factor: expected a number, found '1.6x'"),
+        (
+            {"gust": None, "speed": 40.0, "gust_factor": 2.0},
+            "world.wind.gust_factor: 2 times 40 m/s is 80 m/s; allowed: to 75",
+        ),
         ({"at_height": 0.0}, "world.wind.at_height: 0 m; allowed: above 0.2 (twice the roughness), at most 300"),
         ({"speed": None}, "world.wind.speed: missing; expected the mean speed [m/s] beside at_height and gust"),
         ({"speed_20ft": 5.0}, "world.wind.speed: gives both 'speed' and 'speed_20ft'; give one"),

@@ -153,3 +153,20 @@ def test_a_plan_far_from_its_home_and_one_for_two_vehicles_are_told(tmp_path: Pa
     assert words == "item 1 is 2 km from the plan's home; is the home where it was planned?"
     (words,) = told(47.0, 2)
     assert words.startswith("2 vehicles fly it, on one path and to one place, where they may collide")
+
+
+def test_a_plan_in_feet_is_told_in_a_few_lines(tmp_path: Path) -> None:
+    """Eighteen waypoints of 60 m and more, written in feet, below a ceiling of 120 m."""
+    items = [item(16, 47.0, 8.0 + 1e-5 * i, (60.0 + i) / 0.3048) for i in range(18)]
+    mission = {"version": 2, "plannedHomePosition": [47.0, 8.0, 450.0], "items": items}
+    path = tmp_path / "feet.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}), "utf-8")
+    box = {"type": "box", "x_min": -100, "x_max": 100, "y_min": -100, "y_max": 100, "z_min": -120}
+    with pytest.warns(UserWarning, match="item 18 is 253 m above home, .* are the heights in feet?"):
+        found = problems_of(scenario({"plan": {"file": str(path)}}, area=box))
+    assert len(found) == 19
+    head, start, first, second, more = str(ScenarioError("x", found)).splitlines()
+    assert (head, more) == ("x: 19 problems", "  ... and 16 more like it")
+    assert "above home: z = -196.85 m" in start
+    assert "item 1: z = -196.85 m is outside world.area; allowed: -120 to 0" in first
+    assert "item 2: z = -200.131 m is outside world.area; allowed: -120 to 0" in second

@@ -12,6 +12,7 @@ from tests.small_worlds import pair
 
 from qrsim import Estimate, WaypointSetpoint
 from qrsim.errors import RunError, UsageError
+from qrsim.simulation.history import History
 from qrsim.simulation.pilot import Pilot
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
@@ -92,6 +93,14 @@ class TestPolicies:
         pilot = Pilot(simulation(world), Counting(), policy_ticks=25)
         assert [len(pilot.record(ticks).ticks) for ticks in (10, 50, 50)] == [10, 15, 25]
         assert int(pilot.memories["policy"]) == 2
+
+    def test_histories_are_joined(self, world):
+        once = simulation(world).record(25, lean(simulation(world).reading))
+        flying, command = simulation(world), lean(simulation(world).reading)
+        joined = History.joined([flying.record(count, command) for count in (1, 20, 4)])
+        np.testing.assert_array_equal(joined.ticks, np.arange(1, 26))
+        np.testing.assert_array_equal(joined.time, once.time)
+        jax.tree.map(np.testing.assert_array_equal, joined.state, once.state)
 
     def test_readings_only(self, world):
         seen = []

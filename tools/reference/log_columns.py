@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import re
 from collections.abc import Mapping
@@ -11,7 +12,6 @@ import qrsim
 from qrsim.core.tree import field_info
 from qrsim.runs.layout import EVENT_COLUMNS, INDEX, Column
 from qrsim.runs.streams import STREAMS, columns
-from qrsim.simulation.simulation import History
 from tools.reference.schema import kinds
 from tools.reference.tables import code, page, sentence, table
 
@@ -61,7 +61,8 @@ def pages() -> Mapping[str, str]:
     for i, fleet in enumerate(simulation.world.fleets):
         state = history.state.fleets[i]
         alone = dataclasses.replace(simulation.world, fleets=(fleet,))
-        part = History(history.ticks, alone.time_step, dataclasses.replace(history.state, fleets=(state,)))
+        part = copy.copy(history)
+        part.state = dataclasses.replace(history.state, fleets=(state,))
         own = columns(alone, part)
         for record in (state.vehicle, state.command, fleet.vehicle.pose(state.vehicle)):
             docs |= _vectors(record, "")

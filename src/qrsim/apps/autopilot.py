@@ -227,9 +227,11 @@ def _check(options: Betaflight | Ardupilot) -> None:
 
 def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
     from qrsim.runs import open_run
+    from qrsim.runs.separation import smallest_separation
     from qrsim.runs.summary import summarise
 
     recorded = open_run(folder)
+    nearest = smallest_separation(recorded)
     stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
     rows: list[dict[str, Any]] = [
         {
@@ -243,7 +245,8 @@ def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tup
     ]
     if options.json:
         result = {"run": str(folder), "fleets": fleets, "simulated_s": pace.simulated_s, "wall_s": pace.wall_s}
-        print(json.dumps(result | {"vehicles": rows}, indent=2))
+        separation = None if nearest is None else nearest.to_json()
+        print(json.dumps(result | {"separation": separation, "vehicles": rows}, indent=2))
         return
     print(f"{recorded.info.scenario}, seed {options.seed}, flown by {who}: {', '.join(fleets)}")
     for row in rows:
@@ -252,6 +255,8 @@ def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tup
             f"{row['vehicle']}: {row['distance_m']:.1f} m flown, {row['tracking_rms_m']:.2f} m RMS from its legs, "
             f"{row['waypoints']} waypoints{ends}"
         )
+    if nearest is not None:
+        print(nearest.text)
     print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({pace.real_time_factor:.1f} times real time)")
     print(f"run folder: {folder}")
 

@@ -14,13 +14,15 @@ from qrsim.errors import UsageError
 
 @dataclass(frozen=True)
 class Compare:
-    """Say in what two recorded runs differ: settings, and the logs quantity by quantity.
+    """Say in what two recorded runs differ: settings, headline numbers, and the logs quantity by quantity.
 
     Exit code: 0 where the logs are the same within the tolerance, 1 where they differ (or cannot be read), 2 for wrong
     usage. Settings (seed, versions, scenario) are told but do not count. Ticks are matched by their time.
 
-    Of each quantity that differs, the table has where it does for the first time, the values there in A and B, and the
-    largest and the RMS difference over all vehicles and common ticks; what differs first, then most, comes first.
+    One table has the headline numbers of A and B side by side: how each ended, tracking and estimate errors over all
+    vehicles, the smallest separation, energy. Of each quantity that differs, the last table has where it does for the
+    first time, the values there in A and B, and the largest and the RMS difference over all vehicles and common ticks;
+    what differs first, then most, comes first.
 
     Example:
       qrsim compare runs/first runs/second

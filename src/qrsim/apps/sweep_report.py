@@ -29,7 +29,8 @@ class SweepReport:
     metric: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the study's first)")] = (
         None
     )
-    """Metric of the map, of the Sobol indices and of the worst episodes."""
+    """Metric of the map, of the Sobol indices and of the worst episodes. Without it, the worst are
+    those by the metric of the study's failure."""
     map: Annotated[
         tyro.conf.UseAppendAction[list[str]],
         tyro.conf.arg(metavar="PARAMETER", help_behavior_hint="(default: the first two)"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.functional import Functional
 from qrsim.extras import require
 
@@ -78,6 +79,7 @@ def register() -> None:
             )
 
 
+@checked_arguments
 def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
     """Return the PettingZoo environment of a scenario; see ``ParallelTask``.
 
@@ -90,6 +92,7 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
     return ParallelTask(scenario, **options)
 
 
+@checked_arguments
 def vector_parallel_env(scenario: Any, num_envs: int = 1, **options: Any) -> VectorParallelTask:
     """Return many PettingZoo environments of a scenario side by side; see ``VectorParallelTask``.
 

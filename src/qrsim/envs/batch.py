@@ -74,7 +74,8 @@ class Batch:
         axes: the numbers of an action of each agent (n,).
         width: how many numbers an action has in an array of all agents (W), the largest number of axes.
         episodes: what computes them.
-        seen: what the agents see now, arrays (B, n, ...); of several fleets by fleet.
+        seen: what the agents see now, arrays (B, n, ...); of several fleets by fleet. Agents that have stopped see what
+            they saw last.
         truth: what is really the case, by name, (B, n, ...).
         gone: after a step (B, n) which agents have stopped, where these leave (``task.leave``); else None.
     """
@@ -180,7 +181,8 @@ class Batch:
             checked = np.concatenate([checked, np.asarray(said, self.dtype)], axis=2)
         with self._precision():
             step, self.truth = self.episodes.step(checked)
-        self.seen, self.gone = step.observation, step.gone
+        before, self.seen, self.gone = self.seen, step.observation, step.gone
+        self._keep_last_seen(before)
         self._steps += 1
         wrong = ~np.isfinite(step.reward) & ~self._ended[:, None]
         if wrong.any():
@@ -188,6 +190,14 @@ class Batch:
             raise RunError(f"{self._place(row, agent)}: the reward is {step.reward[row, agent]:g}")
         self._ended |= step.terminated | step.truncated
         return step.reward, step.terminated, step.truncated  # type: ignore[return-value]
+
+    def _keep_last_seen(self, before: Any) -> None:
+        """Let agents that have stopped observe what they did before: their sensors report nothing any more."""
+        stopped = self.truth["reason"] != 0
+        for side in self.sides if stopped.any() else ():
+            which = np.nonzero(stopped[:, side.rows])
+            last, now = (seen if len(self.sides) == 1 else seen[side.fleet] for seen in (before, self.seen))
+            jax.tree.map(lambda new, old, which=which: _set(new, which, old[which]), now, last)
 
     def _place(self, row: int, agent: int) -> str:
         """Describe where a task's number comes from: its class, and which agent of which episode at which step."""
@@ -318,5 +328,5 @@ def _empty(tree: object, size: int) -> Any:
     return jax.tree.map(lambda leaf: np.zeros((size, *leaf.shape[1:]), leaf.dtype), tree)
 
 
-def _set(old: Floats, rows: Floats, new: object) -> None:
+def _set(old: Floats, rows: Any, new: object) -> None:
     old[rows] = new

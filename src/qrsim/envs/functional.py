@@ -13,8 +13,10 @@ from jax import Array
 
 from qrsim.core.noise import Key
 from qrsim.core.tree import cast
+from qrsim.envs.arguments import checked_arguments
 from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.arguments import check_precision
 from qrsim.tasks import Episode, Play, Step
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.play import EpisodeKeys
@@ -38,6 +40,7 @@ class Functional:
     name: str
 
     @staticmethod
+    @checked_arguments
     def of(
         scenario: str | Path | dict[str, Any], overrides: Iterable[str] = (), precision: str = "float32"
     ) -> Functional:
@@ -51,6 +54,7 @@ class Functional:
         Raises:
             UsageError, ScenarioError: there is no such scenario, it is wrong, or it has no task.
         """
+        check_precision(precision)
         loaded = load_scenario(scenario, overrides)
         if not loaded.steps:
             raise UsageError(f"scenario {loaded.name}: it has no task, and nothing to be rewarded for")
@@ -122,6 +126,9 @@ class Functional:
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
         """Advance an episode by the actions of n agents; results after its end have no meaning.
+
+        The sensors of an agent that has stopped report nothing, so what it observes then is not what it saw last; the
+        other forms of an environment repeat that.
 
         Args:
             episode: before.

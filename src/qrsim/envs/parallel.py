@@ -12,6 +12,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import STATE, Batch
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.single import shaped
@@ -41,6 +42,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
+    @checked_arguments
     def __init__(
         self,
         scenario: str | Path | dict[str, Any],

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import Batch, checked_seed, numbers
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
@@ -51,7 +52,8 @@ class SingleTask(gymnasium.Env[Any, Any]):
 
     An action is numbers in [-1, 1], which the task scales to its units; an observation what the vehicle's sensors say;
     what is really the case is in ``info`` only. An episode is terminated when a vehicle has stopped, and truncated
-    after its last step. A seed starts a series of episodes; without one the next episode of the series begins.
+    after its last step. The last observation of a vehicle that has stopped is the one of the step before, its last in
+    flight. A seed starts a series of episodes; without one the next episode of the series begins.
 
     Args:
         scenario: as ``qrsim.load`` takes it.
@@ -66,6 +68,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
+    @checked_arguments
     def __init__(
         self,
         scenario: str | Path | dict[str, Any],

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.series import Series
@@ -47,6 +48,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
+    @checked_arguments
     def __init__(
         self,
         scenario: str | Path | dict[str, Any],

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.series import Series
@@ -48,6 +49,7 @@ class VectorParallelTask:
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
+    @checked_arguments
     def __init__(
         self,
         scenario: str | Path | dict[str, Any],

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import array
-import csv
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
-from qrsim.files.csv_rows import CsvRows, name_and_unit
-from qrsim.files.user_files import LARGEST_TABLE, open_text
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.csv_file import CsvFile, open_csv
+from qrsim.files.csv_rows import name_and_unit
+from qrsim.files.user_files import LARGEST_TABLE
 
 TIME = "time"
+HINTS = {TIME: "; give seconds since the start"}
 # A row every simulation step at the smallest step; in single precision rows much closer would coincide.
 SHORTEST_INTERVAL_S = 1e-4
 # Whole seconds are kept as int32.
@@ -46,27 +46,17 @@ def read_series(
             do not increase, a gap; names the line and the column.
     """
     rows, before = array.array("d"), None
-    reader: CsvRows | None = None
-    names: list[str] = []
-    try:
-        with open_text(path, LARGEST_TABLE) as file:
-            reader = CsvRows(file)
-            header = _without_units(path, reader.header, {TIME: "s", **columns, **optional, **instead})
-            if instead.keys() & set(header) and not columns.keys() & set(header):
-                columns = instead
-            names = [TIME, *columns, *(name for name in optional if name in header)]
-            places = _places(path, header, names)
-            for fields in reader:
-                row = _numbers(path, reader.line_num, header, places, fields)
-                _check_time(path, reader.line_num, before, row[0], max_gap)
-                rows.extend(row)
-                before = row[0]
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from error
-    except csv.Error as error:
-        _fail(path, reader.line_num if reader else 1, f"not CSV: {error}")
+    with open_csv(path, LARGEST_TABLE) as file:
+        header = _without_units(file, {TIME: "s", **columns, **optional, **instead})
+        if instead.keys() & set(header) and not columns.keys() & set(header):
+            columns = instead
+        names = [TIME, *columns, *(name for name in optional if name in header)]
+        places = _places(file, header, names)
+        for fields in file:
+            row = [file.number(name, fields[place], HINTS.get(name, "")) for name, place in places.items()]
+            _check_time(file, before, row[0], max_gap)
+            rows.extend(row)
+            before = row[0]
     table = np.array(rows).reshape(-1, len(names))
     if len(table) < 2:
         raise UsageError(f"{path}: {len(table)} rows under the header; at least 2 are needed to interpolate")
@@ -90,65 +80,39 @@ def check_covers(what: str, times: np.ndarray[Any, Any], duration: float) -> Non
         )
 
 
-def _without_units(path: Path, header: list[str], units: Mapping[str, str]) -> list[str]:
-    """Return the names of a header; of the columns of ``units`` without ``[unit]``."""
+def _without_units(file: CsvFile, units: Mapping[str, str]) -> list[str]:
+    """Return the names of the header; of the columns of ``units`` without ``[unit]``."""
     names = []
-    for written in header:
+    for written in file.header:
         name, unit = name_and_unit(written)
         if unit is None or name not in units:
             names.append(written)
         elif unit == units[name]:
             names.append(name)
         else:
-            _fail(path, 1, f"column '{name}' is in {unit}; expected {units[name]}")
+            file.fail(f"column '{name}' is in {unit}; expected {units[name]}")
     return names
 
 
-def _places(path: Path, header: list[str], names: Sequence[str]) -> dict[str, int]:
+def _places(file: CsvFile, header: list[str], names: Sequence[str]) -> dict[str, int]:
     """Return where the columns are."""
     for name in names:
         if name not in header:
-            _fail(path, 1, f"no column '{name}'{did_you_mean(name, [other for other in header if other])}")
+            file.fail(f"no column '{name}'{did_you_mean(name, [other for other in header if other])}")
         if header.count(name) > 1:
-            _fail(path, 1, f"the column '{name}' is there {header.count(name)} times")
+            file.fail(f"the column '{name}' is there {header.count(name)} times")
     return {name: header.index(name) for name in names}
 
 
-def _numbers(path: Path, line: int, header: list[str], places: dict[str, int], fields: list[str]) -> list[float]:
-    """Return the numbers of a row."""
-    if len(fields) != len(header):
-        _fail(path, line, f"{len(fields)} fields, the header has {len(header)}")
-    numbers = []
-    for name, place in places.items():
-        text = fields[place].strip()
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number) or "_" in text:
-            hint = "; give seconds since the start" if name == TIME else ""
-            _fail(path, line, f"column '{name}': {text[:40]!r} is not a finite number{hint}")
-        numbers.append(number)
-    return numbers
-
-
-def _check_time(path: Path, line: int, before: float | None, time: float, max_gap: float) -> None:
+def _check_time(file: CsvFile, before: float | None, time: float, max_gap: float) -> None:
     """Check one time against the one of the row before."""
     if abs(time) > LARGEST_TIME_S:
-        _fail(path, line, f"column 'time': {time:g} s is beyond {LARGEST_TIME_S:g} s; give seconds since the start")
+        file.fail(f"column 'time': {time:g} s is beyond {LARGEST_TIME_S:g} s; give seconds since the start")
     if before is None:
         return
     if time <= before:
-        _fail(path, line, f"column 'time': {time:g} s does not come after {before:g} s; times must increase")
+        file.fail(f"column 'time': {time:g} s does not come after {before:g} s; times must increase")
     if time - before < SHORTEST_INTERVAL_S:
-        _fail(path, line, f"column 'time': {time:.9g} s follows within {SHORTEST_INTERVAL_S:g} s of {before:.9g} s")
+        file.fail(f"column 'time': {time:.9g} s follows within {SHORTEST_INTERVAL_S:g} s of {before:.9g} s")
     if time - before > max_gap:
-        _fail(
-            path,
-            line,
-            f"column 'time': a gap of {time - before:g} s after {before:g} s; allowed: {max_gap:g} s (max_gap)",
-        )
-
-
-def _fail(path: Path, line: int, problem: str) -> NoReturn:
-    raise UsageError(f"{path}: line {line}: {problem}")
+        file.fail(f"column 'time': a gap of {time - before:g} s after {before:g} s; allowed: {max_gap:g} s (max_gap)")

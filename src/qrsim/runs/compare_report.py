@@ -14,6 +14,7 @@ from rich.text import Text
 
 from qrsim.runs import Event, Run
 from qrsim.runs.compare import Comparison, Difference, EventComparison, Moment, StreamComparison
+from qrsim.runs.headlines import headlines
 
 MOST_SETTINGS, LONGEST_VALUE = 30, 60
 RUNS = "AB"
@@ -25,6 +26,7 @@ def print_report(first: Run, second: Run, found: Comparison) -> None:
         count = f"{len(run.vehicles)} vehicle{'s' if len(run.vehicles) > 1 else ''}"
         print(f"{letter}: {run.folder}  ({run.info.scenario}, seed {run.info.seed}, {count})")
     _print_settings(found)
+    _print_headlines(first, second)
     print()
     _print_missing("vehicles", found.vehicles_only)
     _print_missing("streams", found.streams_only)
@@ -47,6 +49,22 @@ def _print_settings(found: Comparison) -> None:
     _print_table(table)
     if len(found.settings) > MOST_SETTINGS:
         print(f"... and {len(found.settings) - MOST_SETTINGS} more settings, see --json")
+
+
+def _print_headlines(first: Run, second: Run) -> None:
+    """Print the headline numbers that at least one run has."""
+    table = _table(("", "unit", *RUNS, "B - A"), numbers=3)
+    for one, other in zip(headlines(first), headlines(second), strict=False):
+        values = (one.value, other.value)
+        known = [value for value in values if isinstance(value, str) or math.isfinite(value)]
+        if known:
+            words = [value if isinstance(value, str) else _number(value, 4) for value in values]
+            a, b = values
+            change = math.nan if isinstance(a, str) or isinstance(b, str) else b - a
+            table.add_row(*map(Text, (one.name, one.unit, *words, _number(change, 4))))
+    if table.row_count:
+        print()
+        _print_table(table)
 
 
 def _short(value: object) -> str:
@@ -145,6 +163,10 @@ def to_json(first: Run, second: Run, found: Comparison) -> dict[str, Any]:
         "bit_identical": found.bit_identical,
         "tolerance": found.tolerance,
         "settings": [{"path": item.path, "values": _plain(list(item.values))} for item in found.settings],
+        "summary": [
+            {"name": one.name, "unit": one.unit, "values": _plain([one.value, other.value])}
+            for one, other in zip(headlines(first), headlines(second), strict=False)
+        ],
         "vehicles": list(found.vehicles),
         "vehicles_only": _plain(found.vehicles_only),
         "streams_only": _plain(found.streams_only),

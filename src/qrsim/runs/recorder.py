@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 CHUNK_TICKS = 50
 LONG_CHUNK_TICKS = 500
 REALTIME_CHUNK_S = 0.1
+# Ticks of user's functions that take longer than this together are kept at once [s].
+CHUNK_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ def fly(
     # The first tick alone, so that compiling does not count as flying.
     if view is not None:
         view.note("The vehicles stand still until their programs are compiled.")
-    first = _record(simulation, 1, pilot)
+    [first] = _record(simulation, 1, pilot)
     if view is not None:
         view.note("")
     start_up, first_tick = time.perf_counter() - begun, time.time()
@@ -224,9 +226,17 @@ def _pilot(simulation: Simulation, policy: object, estimator: object, policy_tic
     return Pilot(simulation, policy, estimator, policy_ticks)
 
 
-def _record(simulation: Simulation, ticks: int, pilot: Flyer | None) -> History:
+def _record(simulation: Simulation, ticks: int, pilot: Flyer | None, once: bool = False) -> Iterator[History]:
+    """Fly so many ticks, or fewer where user's functions are slow, and yield their states; ``once`` for one call."""
     capacity = max(ticks, CHUNK_TICKS)
-    return pilot.record(ticks, capacity) if pilot else simulation.record(ticks, capacity=capacity)
+    if pilot is None:
+        yield simulation.record(ticks, capacity=capacity)
+        return
+    end, until = simulation.tick + ticks, time.perf_counter() + (0.0 if once else CHUNK_S)
+    while simulation.tick < end:
+        yield pilot.record(end - simulation.tick, capacity)
+        if time.perf_counter() > until:
+            return
 
 
 def make_parent(folder: Path) -> None:
@@ -266,7 +276,15 @@ def _loop(
     overruns = 0
     while simulation.tick < ticks:
         count = min(chunk, ticks - simulation.tick)
-        keep(_record(simulation, count if view is None else view.wait(count), pilot))
+        # Kept together, because what is done once a chunk takes longer than most policies.
+        histories: list[History] = []
+        try:
+            for history in _record(simulation, count if view is None else view.wait(count), pilot, once=realtime):
+                histories.append(history)
+        finally:
+            # Also where a user's function has failed.
+            if histories:
+                keep(History.joined(histories))
         flown, wall = simulation.time - first, time.perf_counter() - start
         if realtime and flown > wall:
             time.sleep(flown - wall)

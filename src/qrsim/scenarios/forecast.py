@@ -8,7 +8,7 @@ from typing import Any
 from qrsim.errors import ScenarioError, did_you_mean, nearest
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
 
-FORECAST = ("speed", "at_height", "gust")
+FORECAST = ("speed", "at_height", "gust", "gust_factor")
 # Height of the anemometers of the WMO [m].
 USUAL_HEIGHT = 10.0
 # Where a wind that is a number alone comes from.
@@ -16,11 +16,13 @@ USUAL_FROM_DEG = 0.0
 # Standard deviations between the mean of ten minutes and its largest mean of 3 s, of gusts that are correlated over 4
 # to 12 s, as at 10 m in 5 to 15 m/s.
 GUST_SIGMAS = 2.5
+# Largest gust [m/s], and largest ratio of a gust to the mean speed.
+LARGEST_GUST, LARGEST_FACTOR = 75.0, 10.0
 TURBULENT = ("dryden", "dryden_field", "dryden_first_order")
 
 
 def insert_forecast(content: dict[str, Any], source: str) -> None:
-    """Replace, in place, ``speed``, ``at_height`` and ``gust`` of a log_shear by its ``speed_20ft`` and a turbulence.
+    """Replace, in place, the ``FORECAST`` of a log_shear by its ``speed_20ft`` and a turbulence.
 
     A wind that is a number is a ``log_shear`` with that ``speed`` [m/s] from the north.
 
@@ -42,9 +44,10 @@ def insert_forecast(content: dict[str, Any], source: str) -> None:
     height, roughness = float(given.get("at_height", USUAL_HEIGHT)), float(wind.get("roughness", ROUGHNESS_M))
     share = math.log(REFERENCE_FT / FEET_PER_METRE / roughness) / math.log(height / roughness)
     wind["speed_20ft"] = float(given["speed"]) * share
-    if "gust" in given:
+    if "gust" in given or "gust_factor" in given:
         turbulence = world.setdefault("turbulence", {"type": "dryden_field"})
-        sigma = (float(given["gust"]) - float(given["speed"])) / GUST_SIGMAS
+        gust = given["gust"] if "gust" in given else given["gust_factor"] * given["speed"]
+        sigma = (float(gust) - float(given["speed"])) / GUST_SIGMAS
         if isinstance(turbulence, dict) and turbulence.get("type") in TURBULENT:
             turbulence.setdefault("speed_20ft", turbulence_speed(sigma, height))
 
@@ -89,6 +92,18 @@ def _problem(given: dict[str, Any], wind: dict[str, Any]) -> str:
         return f"roughness: {roughness:g} m; allowed: above 0, at most 2"
     if not 2.0 * roughness < height <= 300.0:
         return f"at_height: {height:g} m; allowed: above {2.0 * roughness:.3g} (twice the roughness), at most 300"
-    if "gust" in given and not speed <= given["gust"] <= 75.0:
-        return f"gust: {given['gust']:g} m/s; allowed: the mean speed, {speed:g}, to 75"
+    return _gust_problem(given, speed)
+
+
+def _gust_problem(given: dict[str, Any], speed: float) -> str:
+    gust, factor = given.get("gust"), given.get("gust_factor")
+    if gust is not None and factor is not None:
+        return "gust: gives both 'gust' and 'gust_factor'; give one"
+    if gust is not None and not speed <= gust <= LARGEST_GUST:
+        other = "; gust_factor, a multiple of the speed, may take its place" if gust < speed else ""
+        return f"gust: {gust:g} m/s; allowed: the mean speed, {speed:g}, to {LARGEST_GUST:g}{other}"
+    if factor is not None and not 1.0 <= factor <= LARGEST_FACTOR:
+        return f"gust_factor: {factor:g}; allowed: 1 to {LARGEST_FACTOR:g}"
+    if factor is not None and factor * speed > LARGEST_GUST:
+        return f"gust_factor: {factor:g} times {speed:g} m/s is {factor * speed:g} m/s; allowed: to {LARGEST_GUST:g}"
     return ""

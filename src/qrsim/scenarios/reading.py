@@ -142,9 +142,11 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
     if isinstance(overrides, str):
         raise UsageError(f"overrides: expected a list such as ['path=value'], found the text {overrides!r:.200}")
     try:
-        found = list(overrides)
+        found = None if isinstance(overrides, dict) else list(overrides)
     except TypeError:
-        raise UsageError(f"overrides: expected a list such as ['path=value'], found {overrides!r:.200}") from None
+        found = None
+    if found is None:
+        raise UsageError(f"overrides: expected a list such as ['path=value'], found {shortened(repr(overrides), 200)}")
     for override in found:
         if not isinstance(override, str):
             raise UsageError(f"overrides: expected texts such as 'path=value', found {override!r:.200}")
@@ -264,8 +266,13 @@ def _without_a_space(value: object) -> str | None:
 
 
 _UNITS = (("_rad", "_deg"), ("_deg", "_rad"))
-# The speed of a wind by the height it is given at.
-_OF_ONE_WIND = {"speed": ("speed_20ft",), "speed_20ft": ("speed", "at_height", "gust")}
+# What a number of a wind replaces: the speed at another height, the gust in another form.
+_OF_ONE_WIND = {
+    "speed": ("speed_20ft",),
+    "speed_20ft": ("speed", "at_height", "gust", "gust_factor"),
+    "gust": ("gust_factor",),
+    "gust_factor": ("gust",),
+}
 
 
 def _drop_twin(target: dict[str, Any], name: str, kept: Container[str] = ()) -> None:

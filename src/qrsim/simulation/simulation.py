@@ -232,7 +232,7 @@ class Simulation(Radios, Tabled):
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
             numbers = np.arange(self.tick + 1, self.tick + count + 1)
             self.tick += count
-        return History(numbers, self.world.time_step, layout.unpack(rows))
+        return History(numbers, self.world.time_step, layout, rows)
 
     @alone
     def set_state(self, state: object, new_battery: bool = False) -> Reading:
@@ -360,7 +360,7 @@ class Simulation(Radios, Tabled):
         with self._lock:
             layout, state = self._running()
             ticks, (floats, integers) = np.array([self.tick]), (np.array(buffer)[None] for buffer in state)
-        return History(ticks, self.world.time_step, layout.unpack((floats, integers)))
+        return History(ticks, self.world.time_step, layout, (floats, integers))
 
     @property
     def reading(self) -> Reading:

@@ -29,7 +29,10 @@ class Ticks(Protocol):
     """States of consecutive ticks, as ``Simulation.record`` returns them: ``ticks`` (T,), leaves (T, ...)."""
 
     ticks: Floats
-    state: Any
+
+    @property
+    def state(self) -> Any:
+        """The states."""
 
 
 @dataclass(frozen=True)

@@ -103,3 +103,26 @@ def test_a_million_points_are_planned_without_being_listed(tmp_path: Path, kind:
     tracemalloc.stop()
     # A number of every point would take 8 MB.
     assert peak < 4e6
+
+
+FIXED = "small: vary.world.wind.speed: the gust stays at 10 m/s"
+FORECAST = {"type": "log_shear", "speed": 6.0, "gust": 10.0, "wind_from_deg": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("gust", "vary", "words"),
+    [
+        ({}, {"world.wind.speed": {"values": [0.0, 9.0]}}, [FIXED]),
+        ({}, {"world.wind.speed": {"low": 0.0, "high": 9.0, "count": 2}}, [FIXED]),
+        ({}, {"air": {"conditions": {"calm": {"world.wind.speed": 1.0}}}}, [FIXED]),
+        ({}, {"air": {"conditions": {"calm": {"world.wind.speed": 1.0, "world.wind.gust": 2.0}}}}, []),
+        ({"gust": None, "gust_factor": 1.6}, {"world.wind.speed": {"values": [0.0, 9.0]}}, []),
+        ({}, {"world.wind.speed_20ft": {"values": [0.0, 9.0]}}, []),
+    ],
+)
+def test_a_gust_that_stays_while_the_speed_varies(
+    tmp_path: Path, recwarn: Any, gust: dict[str, Any], vary: dict[str, Any], words: list[str]
+) -> None:
+    wind = {name: value for name, value in {**FORECAST, **gust}.items() if value is not None}
+    planned(tmp_path, set={"world.wind": wind}, vary=vary)
+    assert [str(warning.message).partition(",")[0] for warning in recwarn] == words

@@ -15,7 +15,7 @@ from qrsim.cli import main
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.studies.sweep import analysis
 from qrsim.studies.sweep.figures import edges
-from qrsim.studies.sweep.report import find, replay, write
+from qrsim.studies.sweep.report import find, print_report, replay, to_json, write
 from qrsim.studies.sweep.results import Results
 from qrsim.studies.sweep.store import Store
 
@@ -195,6 +195,70 @@ def test_the_command_writes_pictures_and_tables(tmp_path: Path, capsys: Any) -> 
     assert largest == sorted(largest, reverse=True)
     assert found["worst"][0]["values"][WIND] == 4.0
     assert len(found["responses"]["wind_max_m_s"]["mass"]["mean"]) == 4
+
+
+def ranked(folder: Path, **changes: Any) -> Path:
+    """Return a store whose largest RMS error is in another episode than its largest error."""
+    plan = planned(folder, vary={WIND: {"values": [0.0, 2.0, 4.0], "name": "wind"}}, seeds=1, **changes)
+    store = Store(folder / "made.zarr", plan)
+    numbers = {"tracking_error_rms_m": [1.0, 2.0, 3.0], "tracking_error_max_m": [4.0, 9.0, 4.0]}
+    for index in range(plan.batches):
+        batch = plan.batch(index)
+        at = (batch.numbers[WIND] / 2.0).astype(int)
+        found = {name: np.float32(values)[at] for name, values in numbers.items()}
+        store.write(batch, {name: found.get(name, np.zeros(len(at), np.float32)) for name in store.metrics})
+    store.close()
+    return folder / "made.zarr"
+
+
+@pytest.mark.parametrize(
+    ("metric", "failure", "winds", "said"),
+    [
+        (
+            None,
+            {"metric": "tracking_error_max_m", "above": 5.0},
+            [2.0, 4.0, 0.0],
+            "worst episodes (largest tracking_error_max_m [m], by which episodes fail; then largest track",
+        ),
+        # What fails below a limit is worst where it is small, whatever the metric is of.
+        (
+            None,
+            {"metric": "tracking_error_max_m", "below": 5.0},
+            [4.0, 0.0, 2.0],
+            "worst episodes (smallest tracking_error_max_m [m], by which episodes fail; then largest track",
+        ),
+        # Nobody has stopped.
+        (
+            None,
+            None,
+            [4.0, 2.0, 0.0],
+            "worst episodes (largest stopped, by which episodes fail; then largest tracking_err",
+        ),
+        (
+            "tracking_error_rms_m",
+            {"metric": "tracking_error_max_m", "above": 5.0},
+            [4.0, 2.0, 0.0],
+            "worst episodes (largest tracking_error_rms_m [m]):",
+        ),
+    ],
+)
+def test_the_worst_episodes_are_those_by_what_failed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Any,
+    metric: str | None,
+    failure: Any,
+    winds: list[float],
+    said: str,
+) -> None:
+    monkeypatch.setattr(analysis, "boundary", lambda results: "not asked for")
+    report = find(ranked(tmp_path, failure=failure), metric, [])
+    print_report(report, tmp_path)
+    assert said in capsys.readouterr().out
+    found = to_json(report, tmp_path)
+    assert [item["values"][WIND] for item in found["worst"]] == winds
+    assert found["worst"][0]["tracking_error_rms_m"] == winds[0] / 2.0 + 1.0
+    assert found["worst_by"][0] == (metric or (failure or {"metric": "stopped"})["metric"])
 
 
 @pytest.mark.parametrize(

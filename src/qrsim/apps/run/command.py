@@ -37,7 +37,8 @@ class Run:
 
     Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table:
     distance flown, tracking error (from the leg being flown), GNSS error (reported minus true position at the time
-    of the fix), worst wind, waypoints reached, and why a vehicle stopped; of a task the score, as 'qrsim score' counts.
+    of the fix), worst wind, waypoints reached, and why a vehicle stopped; then the smallest separation of two vehicles,
+    and of a task the score, as 'qrsim score' counts.
 
     Example:
       qrsim run
@@ -270,6 +271,7 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
     from rich.table import Table
     from rich.text import Text
 
+    from qrsim.runs.separation import smallest_separation
     from qrsim.runs.summary import NOT_A_STOP
 
     stops = [event for event in recorded.events if event.kind not in NOT_A_STOP]
@@ -292,6 +294,9 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
     print(f"{captured.get()}\n{LEGEND}")
     for line in _worst(summaries):
         print(line)
+    nearest = smallest_separation(recorded)
+    if nearest is not None:
+        print(nearest.text)
     _print_events(recorded)
 
 
@@ -327,6 +332,9 @@ def _print_json(
     import json
     from dataclasses import asdict
 
+    from qrsim.runs.separation import smallest_separation
+
+    nearest = smallest_separation(recorded)
     result: dict[str, Any] = {
         "scenario": recorded.info.scenario,
         "seed": recorded.info.seed,
@@ -341,6 +349,7 @@ def _print_json(
         "real_time_factor": round(pace.real_time_factor, 3),
         "overruns": pace.overruns,
         "score": recorded.info.score,
+        "separation": None if nearest is None else nearest.to_json(),
         "vehicles": [summary.to_json() for summary in summaries],
         "events": [asdict(event) for event in recorded.events],
     }

@@ -36,7 +36,7 @@ def flown_history(simulation: Simulation, advance: Callable[[], None], ticks: in
         rows.append([np.array(part) for part in simulation.packed[1]])
     stacked: Any = tuple(np.stack(part) for part in zip(*rows, strict=True))
     numbers = np.arange(first + 1, first + ticks + 1)
-    return History(numbers, simulation.world.time_step, layout.unpack(stacked))
+    return History(numbers, simulation.world.time_step, layout, stacked)
 
 
 class FlownFleet:

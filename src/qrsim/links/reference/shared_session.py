@@ -143,7 +143,7 @@ class SharedSession(Session):
     def _keep_ticks(self, layout: Packer, ticks: list[tuple[int, list[NumpyArray], Flown]]) -> None:
         numbers, states, flown = zip(*ticks, strict=True)
         floats, integers = (np.stack(parts) for parts in zip(*states, strict=True))
-        history = History(np.array(numbers), self.time_step, layout.unpack((floats, integers)))
+        history = History(np.array(numbers), self.time_step, layout, (floats, integers))
         self._keep_history(history, list(flown))
 
     def _keep_history(self, history: History, flown: list[Flown]) -> None:

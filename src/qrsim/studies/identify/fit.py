@@ -14,6 +14,7 @@ from qrsim.errors import LogError
 from qrsim.studies.flight_logs.signals import Floats
 from qrsim.studies.identify.constants import NUISANCES, bounds_of, vehicle_of
 from qrsim.studies.identify.intervals import Covariance, covariance
+from qrsim.studies.identify.pace import Pace
 from qrsim.studies.identify.problem import ROBUST_AT, Misfit, Piece, Shooting, weights
 
 Progress = Callable[[str], None]
@@ -107,6 +108,7 @@ class _Sum:
         self.scale = np.array([scales.get(name) or NUISANCES[name.partition("@")[0]].scale for name in self.names])
         self.robust = question.robust
         self.evaluations = 0
+        self.pace: Pace | None = None
         self._last: tuple[Any, list[Misfit]] | None = None
 
     def be_robust(self, robust: bool) -> None:
@@ -163,6 +165,8 @@ class _Sum:
                 misfit._replace(by_value=spread(misfit.by_value), gust_by_value=spread(misfit.gust_by_value))
             )
         self.evaluations += 1
+        if self.pace is not None:
+            self.pace.step()
         self._last = now, misfits
         return misfits
 
@@ -201,6 +205,8 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
         LogError: no constant at all shows in the logs.
     """
     total = _Sum(question, pieces)
+    seconds = sum(float(piece.used.sum()) * piece.log.dt for piece in pieces)
+    total.pace = Pace(seconds, len(total.names), progress, first=not question.held)
     unknowns, noise = total.first(), [_first_noise(piece, question.ignored) for piece in pieces]
     if question.delay is None:
         unknowns = _search_delays(total, unknowns, noise)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -312,9 +313,14 @@ def sensitivity(results: Results, values: NumpyArray) -> Sensitivity | str:
     return Sensitivity(tuple(sampled), *(np.asarray(found[name]) for name in ("S1", "S1_conf", "ST", "ST_conf")))
 
 
-def worst(results: Results, metric: str, count: int) -> list[int]:
-    """Return the indices of the worst episodes, failed ones without a value last."""
-    values = results.metric(metric)
-    badness = -values if results.low_is_bad(metric) else values
-    order = np.argsort(np.where(np.isfinite(badness), -badness, np.inf), kind="stable")
-    return [int(i) for i in order[:count] if np.isfinite(badness[i])]
+def worst(results: Results, ranking: Mapping[str, bool], count: int) -> list[int]:
+    """Return the indices of the worst episodes; those without a value are left out.
+
+    Args:
+        results: of the store.
+        ranking: metrics, the first of which counts most, each with whether small values are the bad ones.
+        count: how many at most.
+    """
+    goodness = [results.metric(metric) * (1.0 if low_is_bad else -1.0) for metric, low_is_bad in ranking.items()]
+    order = np.lexsort(goodness[::-1])  # NaN last
+    return [int(i) for i in order[:count] if not all(np.isnan(values[i]) for values in goodness)]

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
 
-from qrsim.errors import ScenarioError, UsageError
+from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.studies.sweep.axes import COUNT, Axis, apply, axes_of
 from qrsim.studies.sweep.groups import Group, faults, make_group, same_structure, scenario_at
 from qrsim.studies.sweep.plan import Plan, choices
 from qrsim.studies.sweep.study import BASELINE, Content, Study
 
 MOST_LISTED = 5
+SPEED, GUST = "world.wind.speed", "world.wind.gust"
 # Beyond this number of corners they are taken two parameters at a time.
 MOST_CORNERS = 64
 # Of more values than these not each is tried: first so many parts of them, to find one that is allowed.
@@ -31,6 +32,7 @@ def plan_of(study: Study) -> Plan:
     axes = axes_of(study.spec)
     _refuse_unknown(study, axes)
     _refuse_outside(study, axes)
+    _warn_of_fixed_gust(study, axes)
     structural = tuple(axis for axis in axes if _is_structural(study, axis, axes))
     for axis in structural:
         if axis.values is None:
@@ -44,6 +46,20 @@ def plan_of(study: Study) -> Plan:
     if plan.listed:
         _refuse_listed(plan)
     return plan
+
+
+def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
+    """Warn of a forecast whose speed varies while its gust, and so the sum of both, stays."""
+    varied = {
+        path for axis in axes for value in axis.values or (None,) for path in getattr(value, "settings", (axis.path,))
+    }
+    wind = study.content.get("world", {}).get("wind")
+    gust = wind.get("gust") if isinstance(wind, dict) else None
+    if SPEED in varied and GUST not in varied and gust is not None:
+        warn_user(
+            f"{study.spec.name}: vary.{SPEED}: the gust stays at {gust:g} m/s, so turbulence falls where the speed "
+            f"rises; {GUST}_factor in place of the gust is a multiple of the speed"
+        )
 
 
 def _first(axes: Sequence[Axis]) -> dict[str, Any]:

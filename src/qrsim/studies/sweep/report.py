@@ -30,13 +30,14 @@ class Report:
 
     Attributes:
         results: of the store.
-        metric: whose map, sensitivity and worst episodes these are.
+        metric: whose map and sensitivity these are.
         metrics: all that the study keeps.
         responses: of each metric, for each parameter.
         pair: the two parameters of the map, None where there is only one.
         boundary: of failure, or why there is none.
         sensitivity: Sobol indices, or why there are none.
         worst: numbers of the worst episodes.
+        ranking: the metrics by which they are the worst, each with whether small values are the bad ones.
     """
 
     results: Results
@@ -47,6 +48,7 @@ class Report:
     boundary: analysis.Boundary | str
     sensitivity: analysis.Sensitivity | str
     worst: list[int]
+    ranking: dict[str, bool]
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
@@ -54,7 +56,7 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
 
     Args:
         path: of the store.
-        metric: the one to look at; None: the first of the study.
+        metric: the one to look at; None: the first of the study, and for the worst episodes that of its failure.
         pair: names of two parameters for the maps; empty: the first two.
 
     Raises:
@@ -73,6 +75,11 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         ]
         for name in metrics
     }
+    ranking = {chosen: results.low_is_bad(chosen)}
+    if metric is None:
+        failure = results.spec.failure
+        ranking = {**ranking, failure.metric: failure.below is not None}
+        ranking = dict(sorted(ranking.items(), key=lambda item: item[0] != failure.metric))
     return Report(
         results,
         chosen,
@@ -81,7 +88,8 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         _pair(results, pair),
         analysis.boundary(results),
         analysis.sensitivity(results, values),
-        analysis.worst(results, chosen, WORST),
+        analysis.worst(results, ranking, WORST),
+        ranking,
     )
 
 
@@ -176,6 +184,7 @@ def to_json(report: Report, folder: Path) -> dict[str, Any]:
     }
     found["boundary"] = boundary if isinstance(boundary, str) else _boundary_json(boundary)
     found["sensitivity"] = indices if isinstance(indices, str) else _sensitivity_json(indices)
+    found["worst_by"] = list(report.ranking)
     found["worst"] = [_worst_json(report, episode, folder) for episode in report.worst]
     return found
 
@@ -211,7 +220,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> dict[str, Any]:
     return {
         "seed": int(results.seeds[episode]),
         "values": results.values_at(episode),
-        report.metric: float(results.metric(report.metric)[episode]),
+        **{metric: _plain([results.metric(metric)[episode]])[0] for metric in (report.metric, *report.ranking)},
         "failed": bool(results.failed[episode]),
         "command": replay(results, episode, folder),
     }
@@ -237,14 +246,25 @@ def print_report(report: Report, folder: Path) -> None:
     _print_boundary(report.boundary)
     print("\nSobol indices (part of the variance, alone and with others):")
     _print_sensitivity(report.sensitivity)
-    side = "smallest" if results.low_is_bad(report.metric) else "largest"
-    print(f"\nworst episodes ({side} {report.metric}{'' if unit == '1' else f' [{unit}]'})")
-    values = results.metric(report.metric)
+    print(f"\nworst episodes ({_ranked_by(report)}):")
+    columns = [results.metric(metric) for metric in report.ranking]
     for episode in report.worst:
         where = ", ".join(f"{name} {_value(value)}" for name, value in _named(results, episode).items())
-        print(f"  {values[episode]:9.4g}  seed {results.seeds[episode]}, {where}")
+        numbers = " ".join(f"{values[episode]:9.4g}" for values in columns)
+        print(f"  {numbers}  seed {results.seeds[episode]}, {where}")
     if report.worst:
         print(f"\nto look at the first: {replay(results, report.worst[0], folder)}")
+
+
+def _ranked_by(report: Report) -> str:
+    """Return by what the worst episodes are the worst."""
+    parts = []
+    for metric, low_is_bad in report.ranking.items():
+        unit = report.results.unit(metric)
+        parts.append(f"{'smallest' if low_is_bad else 'largest'} {metric}{'' if unit == '1' else f' [{unit}]'}")
+    if report.ranking.keys() != {report.metric}:
+        parts[0] += ", by which episodes fail"
+    return "; then ".join(parts)
 
 
 def _named(results: Results, episode: int) -> dict[str, Any]:

@@ -168,7 +168,7 @@ def test_the_power_of_a_motor_may_be_voltage_and_current(tmp_path: Path) -> None
     [
         (
             "throttle,thrust_N,rpm,power_W\n0.5,5,4000,60\n1,x,6000,200\n",
-            "line 3: thrust_N: 'x' is not a finite number",
+            "line 3: column 'thrust_N': 'x' is not a finite number",
         ),
         ("throttle,thrust_N,rpm,power_W\n0.5,5,4000\n", "line 2: 3 fields, the header has 4"),
         ("throttle,thrust [kg],rpm,power_W\n0.5,5,4000,60\n1,9,6000,200\n", "has no column thrust_N or thrust_g"),

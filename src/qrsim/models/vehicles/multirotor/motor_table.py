@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from qrsim.core.arrays import Floats
-from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
-from qrsim.files.csv_rows import CsvRows, name_and_unit
-from qrsim.files.user_files import LARGEST_TEXT, open_text
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.csv_file import open_csv
+from qrsim.files.csv_rows import name_and_unit
+from qrsim.files.user_files import LARGEST_TEXT
 
 STANDARD_GRAVITY = 9.80665
 # Column -> quantity, and the factor to its unit: throttle 0 to 1, N, rad/s, W.
@@ -183,33 +183,20 @@ def _columns_of(path: Path) -> dict[str, list[float]]:
     Raises:
         UsageError: the file cannot be read, or a field is no number; names the line and the column.
     """
-    try:
-        with open_text(path, LARGEST_TEXT) as file:
-            reader = CsvRows(file)
-            names = [_name_of(column) for column in reader.header]
-            if "power_W" in names:
-                names = ["" if name in ("voltage_V", "current_A") else name for name in names]
-            twice = next((name for name in COLUMNS if names.count(name) > 1), None)
-            if twice:
-                raise UsageError(f"{path}: line 1: the column '{twice}' is there {names.count(twice)} times")
-            if not set(names) & set(COLUMNS):
-                there = ", ".join(reader.header)[:80]
-                raise UsageError(f"{path}: line 1: no column is called {', '.join(COLUMNS)}; found {there}")
-            found: dict[str, list[float]] = {name: [] for name in names if name in COLUMNS}
-            for fields in reader:
-                if len(fields) != len(names):
-                    raise UsageError(
-                        f"{path}: line {reader.line_num}: {len(fields)} fields, the header has {len(names)}"
-                    )
-                for name, field in zip(names, fields, strict=True):
-                    if name in found:
-                        found[name].append(_number(f"{path}: line {reader.line_num}: {name}", field))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from None
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from None
-    except csv.Error as error:
-        raise UsageError(f"{path}: not CSV: {error}") from None
+    with open_csv(path, LARGEST_TEXT) as file:
+        names = [_name_of(column) for column in file.header]
+        if "power_W" in names:
+            names = ["" if name in ("voltage_V", "current_A") else name for name in names]
+        twice = next((name for name in COLUMNS if names.count(name) > 1), None)
+        if twice:
+            file.fail(f"the column '{twice}' is there {names.count(twice)} times")
+        if not set(names) & set(COLUMNS):
+            file.fail(f"no column is called {', '.join(COLUMNS)}; found {', '.join(file.header)[:80]}")
+        found: dict[str, list[float]] = {name: [] for name in names if name in COLUMNS}
+        for fields in file:
+            for name, field in zip(names, fields, strict=True):
+                if name in found:
+                    found[name].append(file.number(name, field))
     return found
 
 
@@ -219,16 +206,6 @@ def _name_of(column: str) -> str:
     whole = name if unit in (None, "1", "1/min") else f"{name}_{'percent' if unit == '%' else unit}"
     known = {each.casefold(): each for each in COLUMNS}
     return known.get(whole.casefold(), column)
-
-
-def _number(where: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or "_" in text:
-        raise UsageError(f"{where}: {text.strip()[:40]!r} is not a finite number")
-    return value
 
 
 def _numbers(name: str, values: object) -> Floats:
