@@ -19,7 +19,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.contracts import RangeErrors, Sky
 from qrsim.models.gnss.orbits import Orbits
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 
 # Position and clock are four unknowns.
 FEWEST_SATELLITES = 4
@@ -337,7 +337,7 @@ def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tu
 
 
 @record
-class IdealGnss(Sensor):
+class IdealGnss(Memoryless):
     """The truth at the same period, without delay."""
 
     period: float = setting(
@@ -351,9 +351,3 @@ class IdealGnss(Sensor):
         zero = jnp.zeros_like(position_ned.x)
         count = jnp.full_like(zero, sky.range_error.shape[0])
         return None, GnssReading(position_ned, velocity_ned, count, zero, zero)
-
-    def step(
-        self, state: None, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
-    ) -> tuple[None, GnssReading]:
-        """Return the true position and velocity."""
-        return self.init(draw, position_ned, velocity_ned, sky)

@@ -147,7 +147,6 @@ class Camera(Sensor):
         default=1.0, unit="s", doc="interval between pictures, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude")
-    normals: ClassVar[int] = 0
     noisy: ClassVar[bool] = True
     takes_pictures: ClassVar[bool] = True
 

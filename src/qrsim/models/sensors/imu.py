@@ -325,7 +325,6 @@ class IdealImu(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[Vec3, ImuReading]:
         """Return the true rates, and the first reading."""

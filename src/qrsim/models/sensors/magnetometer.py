@@ -19,7 +19,7 @@ from jax import Array
 from qrsim.core.noise import Noise, ou_step
 from qrsim.core.tree import derived, parameter, quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 from qrsim.models.sensors.magnetometer_presets import PRESETS, default
 from qrsim.models.sensors.quantization import quantized
 from qrsim.models.vehicles.contracts import Load
@@ -200,7 +200,7 @@ class Magnetometer(Sensor):
 
 
 @record
-class IdealMagnetometer(Sensor):
+class IdealMagnetometer(Memoryless):
     """The truth at the same period: Earth's field and that of steel obstacles, in body axes."""
 
     period: float = setting(
@@ -209,17 +209,10 @@ class IdealMagnetometer(Sensor):
     earth_field_ned: Vec3 = derived(default=USUAL_FIELD, doc="field of the site and date [uT], in NED")
     steel: Any = derived(default=None, doc="steel obstacles (Steel); None without any")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load) -> tuple[None, MagnetometerReading]:
         """Return the true field."""
         return None, MagnetometerReading(true_field_body(self.earth_field_ned, self.steel, position_ned, attitude))
-
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
-    ) -> tuple[None, MagnetometerReading]:
-        """Return the true field."""
-        return self.init(draw, position_ned, attitude, load)
 
 
 def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitude: Euler) -> Vec3:

@@ -187,7 +187,6 @@ class IdealNeighbours(Looking):
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
-    normals: ClassVar[int] = 0
     identity: ClassVar[bool] = True  # type: ignore[misc]
 
     def look(

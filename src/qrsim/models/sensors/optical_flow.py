@@ -164,7 +164,6 @@ class IdealOpticalFlow(Sensor):
         "obstacles",
         "ground",
     )
-    normals: ClassVar[int] = 0
 
     def init(
         self,

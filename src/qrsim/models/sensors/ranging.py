@@ -17,7 +17,7 @@ from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.rays import can_hide, first_hit
 from qrsim.models.scene.traffic import Traffic
-from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.contracts import Explained, Memoryless, Sensor
 from qrsim.models.sensors.ranging_presets import PRESETS, default
 from qrsim.models.sensors.uniforms import along_rows, uniforms
 
@@ -171,7 +171,7 @@ class Ranging(Sensor):
 
 
 @record
-class IdealRanging(Sensor):
+class IdealRanging(Memoryless):
     """The true distances to beacons and to other vehicles, however far and whatever is in between."""
 
     beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons, of world.beacons; 'all': every one")
@@ -181,7 +181,6 @@ class IdealRanging(Sensor):
     )
     beacon_ned: Any = derived(default=None, doc="(B,) positions of the beacons")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "obstacles", "ground", "traffic")
-    normals: ClassVar[int] = 0
 
     @property
     def wants_traffic(self) -> bool:
@@ -195,12 +194,6 @@ class IdealRanging(Sensor):
         partners = _partners(self, position_ned, traffic)
         ranges = jnp.where(partners.there | partners.itself, partners.distance, jnp.nan)
         return None, partners.reading(ranges)
-
-    def step(
-        self, state: None, draw: Any, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
-    ) -> tuple[None, RangingReading]:
-        """Return the true distances."""
-        return self.init(draw, position_ned, obstacles, ground, traffic)
 
 
 def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
