@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.reference.connection import MOST_WAITING, Connection
@@ -26,9 +26,6 @@ from qrsim.links.reference.shared_requests import has_no_owner
 from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.sharing import Sharing
 from qrsim.links.reference.tasks import Tasks
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T")
 S = TypeVar("S", Session, EpisodeSession)

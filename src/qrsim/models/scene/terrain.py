@@ -16,7 +16,6 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import GroundCover
 
 CLEAR, CLUTTER, OCCLUSION = 0, 1, 2
-CLASSES = ("clear", "clutter", "occlusion")
 _STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 

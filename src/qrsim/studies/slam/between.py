@@ -95,9 +95,3 @@ def checked_between(between: Between, vehicles: int, states: int) -> Between:
     if not (np.isfinite(between.std) and between.std > 0.0):
         raise UsageError(f"between: a standard deviation of {between.std!r} m is not a positive number")
     return between
-
-
-def part_of(between: Between, vehicles: int) -> Between:
-    """Return the ranges among the first N of the vehicles only."""
-    kept = np.all(between.pairs < vehicles, axis=1)
-    return Between(between.pairs[kept], between.ranges[:, kept], between.counts[:, kept], between.std)
