@@ -205,8 +205,8 @@ class Server:
 
     # ---- requests ----
 
-    async def answer(self, connection: Connection, message: Message) -> bool:
-        """Answer a request; return whether the connection goes on.
+    async def answer(self, connection: Connection, message: Message) -> None:
+        """Answer a request.
 
         Raises:
             QrsimError: it was wrong; nothing was sent.
@@ -226,7 +226,7 @@ class Server:
                 )
         elif message.type in OWNED:
             raise has_no_owner(self, name)
-        return await handler(connection, message)
+        await handler(connection, message)
 
     async def open(self, connection: Connection, make: Callable[[int], S]) -> S:
         """Start a session for a connection, in place of the one it has.
@@ -348,10 +348,6 @@ class Server:
             session = next(iter(self.sessions))
         self._watching[connection] = Watching(session, period)
 
-    def watched(self, session: Session | EpisodeSession) -> bool:
-        """Return whether a session has watchers."""
-        return any(watching.session in (None, session.number) for watching in self._watching.values())
-
     def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
         """Send the state of a session to its watchers; slow ones miss it.
 
@@ -359,8 +355,6 @@ class Server:
             session: whose state.
             states: its frames with and without reasons, as far as they are there already.
         """
-        if not self._watching:
-            return
         states = states or {}
         for connection, watching in self._watching.items():
             if watching.session not in (None, session.number):
