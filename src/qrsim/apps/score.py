@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
 
 MOST_SEEDS = 10_000
@@ -189,20 +190,12 @@ def _span(row: dict[str, Any]) -> str:
 @contextmanager
 def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
     """Show how far the flights are, unless nobody looks."""
-    if not sys.stderr.isatty():
-        yield lambda name, step: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        flown = bar.add_task("", total=policies * steps)
+    with progress_bar("", policies * steps) as update:
         names: list[str] = []
 
         def told(name: str, step: int) -> None:
             if name not in names:
                 names.append(name)
-            bar.update(flown, description=name, completed=(len(names) - 1) * steps + step)
+            update(description=name, completed=(len(names) - 1) * steps + step)
 
         yield told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import SECONDS
+from qrsim.apps import SECONDS, progress_bar
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -317,13 +316,5 @@ def _print_json(result: dict[str, Any]) -> None:
 @contextmanager
 def _progress(solves: int) -> Iterator[Callable[[], None]]:
     """Show a bar while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} of {task.total:.0f}"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("flights solved", total=solves)
-        yield lambda: bar.advance(task)
+    with progress_bar("flights solved", solves, "{task.completed:.0f} of {task.total:.0f}") as update:
+        yield lambda: update(advance=1)

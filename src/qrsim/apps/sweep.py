@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -183,29 +183,15 @@ def _simulated(plan: Plan) -> float:
 @contextmanager
 def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
     """Show a bar with episodes and the real-time factor while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield lambda batch: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f} of {task.total:.0f} episodes"),
-        TextColumn("{task.fields[factor]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(plan.study.spec.name, total=plan.episodes, completed=before, factor="starting")
-        begun = time.perf_counter()
-        simulated = 0.0
+    begun, simulated = time.perf_counter(), 0.0
+    texts = "{task.completed:.0f} of {task.total:.0f} episodes", "{task.fields[factor]}"
+    with progress_bar(plan.study.spec.name, plan.episodes, *texts, completed=before, factor="starting") as update:
 
         def show(batch: Batch) -> None:
             nonlocal simulated
             group = plan.groups[batch.group]
             simulated += batch.episodes * group.ticks * group.time_step
             factor = simulated / max(time.perf_counter() - begun, 1e-9)
-            bar.update(task, advance=batch.episodes, factor=f"{factor:.0f} x real time")
+            update(advance=batch.episodes, factor=f"{factor:.0f} x real time")
 
         yield show
