@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +148,25 @@ def did_you_mean_file(path: Path) -> str:
         return ""
     match = nearest(path.name, known)
     return f"; did you mean '{match}'?" if match and match != path.name else ""
+
+
+@contextmanager
+def os_error_as(kind: type[QrsimError], what: str) -> Iterator[None]:
+    """Raise an ``OSError`` of the context as an error of a kind: what failed, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror or error}") from None
+
+
+@contextmanager
+def readable(path: str | Path) -> Iterator[None]:
+    """Raise an ``OSError`` of the context, which reads a user's file, as a ``UsageError`` with the nearest name."""
+    try:
+        yield
+    except OSError as error:
+        hint = did_you_mean_file(Path(path).expanduser())
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{hint}") from None
 
 
 def warn_user(message: str) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS
-from qrsim.errors import LogError, RunError, UsageError
+from qrsim.errors import LogError, RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
     from qrsim.studies.discover.discovery import Discovery
@@ -80,10 +80,8 @@ class Discover:
             raise
         content = dump_yaml({"vehicle": found.vehicle(self.mass), "discovered": _summary(found)})
         head = f"# Discovered by 'qrsim discover' from {self.log.name}, seed {self.seed}.\n"
-        try:
+        with os_error_as(RunError, f"cannot write {self.out}"):
             write_atomically(self.out, (head + content).encode())
-        except OSError as error:
-            raise RunError(f"cannot write {self.out}: {error.strerror or error}") from None
         save_picture(lambda: draw(found), self.out.with_suffix(".png"))
         if self.json:
             import json

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.apps import SECONDS, progress_bar
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
     from qrsim.studies.slam.estimate import Slam
@@ -84,10 +84,8 @@ class SlamCommand:
         """Make the folder, so that what cannot be written is known before anything is flown."""
         if self.out is None:
             return
-        try:
+        with os_error_as(RunError, f"--out {self.out}"):
             self.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunError(f"--out {self.out}: {error.strerror or error}") from None
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -301,10 +299,8 @@ def _write(path: Path, result: dict[str, Any]) -> None:
 
     from qrsim.files.atomic import write_atomically
 
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def _print_json(result: dict[str, Any]) -> None:

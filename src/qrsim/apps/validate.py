@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.errors import RunError
+from qrsim.errors import RunError, os_error_as
 from qrsim.extras import require
 
 if TYPE_CHECKING:
@@ -74,11 +74,9 @@ class Validate:
         files |= {f"{FIGURES}/{name}": content for name, content in figures(results).items()}
         for name, content in files.items():
             path = self.out / name
-            try:
+            with os_error_as(RunError, f"cannot write {path}"):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(path, content)
-            except OSError as error:
-                raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
     def _print(self, results: list[Result], report: dict[str, Any]) -> None:
         if self.json:
@@ -144,12 +142,10 @@ def _check_folder(folder: Path) -> None:
     """
     import tempfile
 
-    try:
+    with os_error_as(RunError, f"--out {folder}: cannot write there"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".qrsim-"):
             pass
-    except OSError as error:
-        raise RunError(f"--out {folder}: cannot write there: {error.strerror or error}") from None
 
 
 @contextmanager

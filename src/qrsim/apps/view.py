@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS, progress_bar
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files.interruptions import calling
 
 if TYPE_CHECKING:
@@ -135,10 +135,8 @@ class View:
             picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s", size)
         finally:
             server.stop()
-        try:
+        with os_error_as(RunError, f"--screenshot {path}"):
             write_atomically(path, picture)
-        except OSError as error:
-            raise RunError(f"--screenshot {path}: {error.strerror or error}") from None
         print(path)
 
     def _serve(self, recording: Recording) -> None:

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from qrsim.core.arrays import Floats
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import RunError, UsageError, did_you_mean, os_error_as
 from qrsim.files.atomic import write_atomically
 from qrsim.runs.colours import VEHICLES
 from qrsim.runs.reader import Run
@@ -51,10 +51,8 @@ def save_picture(draw: Callable[[], Figure], path: Path) -> None:
         raise UsageError(f"{path}: {found}{did_you_mean(ending, FORMATS)}")
     picture = io.BytesIO()
     draw().savefig(picture, dpi=110, format=ending)
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         write_atomically(path, picture.getvalue())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def colours_of(count: int) -> Floats:

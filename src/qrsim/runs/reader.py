@@ -16,7 +16,7 @@ import pyarrow as pa
 from pydantic import TypeAdapter, ValidationError
 
 from qrsim.core.tables import Table, Tabled
-from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, shortened
+from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, os_error_as, shortened
 from qrsim.files.user_files import LARGEST_DATA, read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.runs.arrow import to_numpy
@@ -63,10 +63,8 @@ def open_run(path: Path | str, *, skip_damaged: bool = False, code: bool = False
         raise UsageError(_not_a_run(folder))
     # Before the parts are listed: these are then at least as many as the counts in it.
     info = _read_info(folder / RUN_FILE)
-    try:
+    with os_error_as(RunError, f"cannot read {folder / SCENARIO_FILE}"):
         scenario_yaml = read_text(folder / SCENARIO_FILE, LARGEST_DATA)
-    except OSError as error:
-        raise RunError(f"cannot read {folder / SCENARIO_FILE}: {error.strerror or error}") from error
     return Run(folder, info, scenario_yaml, skip_damaged, code)
 
 

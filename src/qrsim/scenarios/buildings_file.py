@@ -7,12 +7,11 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
+from qrsim.errors import ScenarioError, UsageError, did_you_mean, readable
 from qrsim.extras import load
 from qrsim.files.user_files import LARGEST_TABLE, read_text
 from qrsim.models.scene.fence import polygon_problems
@@ -127,11 +126,8 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
 
 
 def _content(file: str) -> dict[str, Any]:
-    path = Path(file)
-    try:
+    with readable(file):
         text = read_text(file, LARGEST_TABLE)
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from None
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

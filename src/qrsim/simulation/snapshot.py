@@ -16,7 +16,7 @@ import numpy as np
 from qrsim.control import MissionState, RouteState
 from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, Packer
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files.atomic import write_atomically
 from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.gnss.slots import SlottedSky
@@ -283,10 +283,8 @@ def write(path: str | Path, data: bytes) -> None:
     Raises:
         RunError: it cannot be written.
     """
-    try:
+    with os_error_as(RunError, f"cannot write the saved state {path}"):
         write_atomically(Path(path), data)
-    except OSError as error:
-        raise RunError(f"cannot write the saved state {path}: {error.strerror or error}") from None
 
 
 def fingerprint(layout: Packer, buffers: Buffers) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from qrsim.errors import RunError
+from qrsim.errors import RunError, os_error_as
 from qrsim.files.atomic import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.flight_logs.excitation import Excitation
@@ -186,8 +186,6 @@ def write_text(path: Path, content: str | bytes) -> None:
     Raises:
         RunError: it cannot be written.
     """
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content if isinstance(content, bytes) else content.encode())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None

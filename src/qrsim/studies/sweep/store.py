@@ -21,7 +21,7 @@ import numpy as np
 import zarr
 
 from qrsim.core.arrays import NumpyArray
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
@@ -48,7 +48,7 @@ class Store:
         self.path, self.plan = path, plan
         self.metrics = _metrics(plan)
         self._open = ExitStack()
-        try:
+        with os_error_as(RunError, f"{path}: the store cannot be written"):
             if path.exists():
                 _refuse_other(path, plan)
                 self._lock()
@@ -59,8 +59,6 @@ class Store:
                 self._lock()
             self._group: Any = zarr.open_group(path, mode="r+")
             self.done = self._done()
-        except OSError as error:
-            raise RunError(f"{path}: the store cannot be written: {error.strerror or error}") from None
 
     def close(self) -> None:
         """Release the store for other writers."""
