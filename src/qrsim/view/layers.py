@@ -112,21 +112,31 @@ class Layer:
 
     def batch(self, name: str, mesh: shapes.Mesh, colours: Any, members: Any = slice(None), **options: Any) -> Any:
         """Add one instance of a mesh for each vehicle, or for the members (k,) of all, at its start."""
-        start = self.stage.cast.start_ned[members]
-        count = len(start)
+        return self.several(name, mesh, self.stage.cast.start_ned[members], shapes.linear(colours), **options)
+
+    def several(
+        self, name: str, mesh: shapes.Mesh, places: Floats, colours: Any, scales: Floats | None = None, **options: Any
+    ) -> Any:
+        """Add one instance of a mesh at each place (k, 3) [m].
+
+        Args:
+            name: of the node.
+            mesh: corners and faces.
+            places: where they are.
+            colours: (k, 3) or one for all, as viser takes them.
+            scales: (k, 3); default: 0, so that none is seen.
+            options: of viser's ``add_batched_meshes_simple``.
+        """
+        usual: dict[str, Any] = {"lod": "off", "flat_shading": True, "side": "double"}
+        usual |= {"cast_shadow": False, "receive_shadow": False}
         return self.stage.scene.add_batched_meshes_simple(
             f"{self.path}/{name}",
             *mesh,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-            batched_positions=start,
-            batched_scales=np.zeros((count, 3), np.float32),
-            batched_colors=shapes.linear(colours),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-            **options,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)),
+            batched_positions=places,
+            batched_scales=np.zeros((len(places), 3), np.float32) if scales is None else scales,
+            batched_colors=colours,
+            **usual | options,
         )
 
 
