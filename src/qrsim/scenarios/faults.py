@@ -17,7 +17,8 @@ from qrsim.models.sensors.faults import Fault
 from qrsim.models.vehicles.faults import RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.schema import FaultSpec, FleetSpec, RotorFaultSpec, ScenarioSpec
+from qrsim.scenarios.fault_schema import FaultSpec, RotorFaultSpec
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.spans import moment_problems, span_problems
 from qrsim.scenarios.timing import is_multiple
 

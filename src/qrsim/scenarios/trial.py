@@ -243,7 +243,7 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]
             where = f" ({place})" if place else ""
             raise FaultError(_blamed(component, name, advice) + where, component) from None
         if check is not None:
-            for problem in check(self, args, kwargs, result):
+            for problem in check(self, args, result):
                 raise FaultError(_blamed(component, name, problem), component)
         return result
 

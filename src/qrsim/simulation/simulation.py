@@ -291,9 +291,7 @@ class Simulation(Radios, Tabled):
         saved.check(self.name, self._fingerprint())
         with self.precision_context():
             keys = self._keys(saved.seed, saved.number)
-            layout, own = (self._layout, self._state) if self._layout is not None else self._ticks.reset(keys)
-            assert layout is not None
-            assert own is not None
+            layout, own = self._running() if self._layout is not None else self._ticks.reset(keys)
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._state = self._ticks.adopt(buffers)

@@ -12,7 +12,8 @@ from qrsim.runs.picture import new_figure
 from qrsim.studies.slam import example
 from qrsim.studies.slam.estimate import Slam
 from qrsim.studies.slam.flight import Flight, Floats
-from qrsim.studies.slam.study import ARMS, Study, Sweep, allan, interval
+from qrsim.studies.slam.intervals import allan, interval
+from qrsim.studies.slam.study import ARMS, Study, Sweep
 
 # Of ellipses; in a plan of a trajectory so many of them.
 CONFIDENCE, ELLIPSES = 0.95, 30

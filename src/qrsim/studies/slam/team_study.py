@@ -16,8 +16,9 @@ from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
 from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, available_bytes, check_memory, state_size
 from qrsim.studies.slam.example import MEMORY, STATE_PERIOD, base_world
 from qrsim.studies.slam.flight import Flight, ticks_between
+from qrsim.studies.slam.intervals import interval, paired
 from qrsim.studies.slam.ranging import LANDMARKS
-from qrsim.studies.slam.study import BYTES_PER_TICK, interval, paired
+from qrsim.studies.slam.study import BYTES_PER_TICK
 
 # Whose errors, whether they are modelled as states, and which part of these is common to all vehicles.
 CASES: dict[str, tuple[str, bool, float]] = {
