@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -183,7 +183,7 @@ def _told(interval: Any) -> dict[str, float | None]:
     return {name: value if value == value else None for name, value in numbers.items()}
 
 
-def _span(row: dict[str, Any]) -> str:
+def _span(row: Mapping[str, object]) -> str:
     return "" if row["low"] is None else f"({row['low']:.4g} to {row['high']:.4g})"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -166,7 +166,7 @@ class SlamCommand:
             save_picture(lambda: draw_gain(found), self.out / "gain.png")
         self._report(result, text_of_study(result))
 
-    def _report(self, result: dict[str, Any], text: str) -> None:
+    def _report(self, result: Mapping[str, object], text: str) -> None:
         """Write the numbers beside the figures, and print them."""
         if self.out is not None:
             _write(self.out / "result.json", result)
@@ -294,7 +294,7 @@ def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) ->
     return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"
 
 
-def _write(path: Path, result: dict[str, Any]) -> None:
+def _write(path: Path, result: Mapping[str, object]) -> None:
     import json
 
     from qrsim.files.atomic import write_atomically
@@ -303,7 +303,7 @@ def _write(path: Path, result: dict[str, Any]) -> None:
         write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
 
 
-def _print_json(result: dict[str, Any]) -> None:
+def _print_json(result: Mapping[str, object]) -> None:
     import json
 
     print(json.dumps(result, indent=2, allow_nan=False))

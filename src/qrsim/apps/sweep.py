@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -139,7 +139,7 @@ class Sweep:
             f"{_sentence(plan)}{was}: {flown} flown{fast}\nstore: {out}\nto look at it: qrsim sweep-report {out}",
         )
 
-    def _tell(self, result: dict[str, Any], text: str) -> None:
+    def _tell(self, result: Mapping[str, object], text: str) -> None:
         if self.json:
             import json
 

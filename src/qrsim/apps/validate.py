@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,7 +63,7 @@ class Validate:
         self._print(results, report)
         return 0 if report["passed"] else 1
 
-    def _write(self, results: list[Result], report: dict[str, Any]) -> None:
+    def _write(self, results: list[Result], report: Mapping[str, object]) -> None:
         from qrsim.files.atomic import write_atomically
         from qrsim.studies.validate.page import write_page
         from qrsim.studies.validate.pdf import figures, write_pdf
@@ -78,7 +78,7 @@ class Validate:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(path, content)
 
-    def _print(self, results: list[Result], report: dict[str, Any]) -> None:
+    def _print(self, results: list[Result], report: Mapping[str, object]) -> None:
         if self.json:
             print(_dump(report), end="")
             return
@@ -108,7 +108,7 @@ def to_json(results: list[Result]) -> dict[str, Any]:
     }
 
 
-def _dump(report: dict[str, Any]) -> str:
+def _dump(report: Mapping[str, object]) -> str:
     import json
 
     return json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

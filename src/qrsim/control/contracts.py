@@ -130,7 +130,7 @@ class Estimator(Protocol):
         return self
 
     @abstractmethod
-    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[Any, Estimate]:
+    def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[Any, Estimate]:
         """Return the state and the estimate (n,) at the start.
 
         Args:
@@ -138,7 +138,7 @@ class Estimator(Protocol):
             start: what is known of the start of each vehicle (n,).
         """
 
-    def begin(self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
+    def begin(self, readings: Mapping[str, object], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
         """Return the state and the estimate (n,) at the start, of an estimator with ``first_normals``."""
         return self.init(readings, start)
 

@@ -67,7 +67,7 @@ class FixedWingController(Controller):
     gives: ClassVar[type[Any]] = AttitudeCommand
     reads_airspeed: ClassVar[bool] = True
 
-    def fitted(self, vehicle: Any) -> FixedWingController:
+    def fitted(self, vehicle: object) -> FixedWingController:
         """Return the controller that knows the trim of a vehicle.
 
         Raises:
@@ -92,7 +92,7 @@ class FixedWingController(Controller):
         return TrackSetpoint(place, place, zero + self.loiter_radius, zero, zero)
 
     def step(
-        self, state: FixedWingControllerState, estimate: Estimate, setpoint: Any, dt: float
+        self, state: FixedWingControllerState, estimate: Estimate, setpoint: object, dt: float
     ) -> tuple[FixedWingControllerState, AttitudeCommand]:
         """Return the new state and the command (n,)."""
         track = self.shown(setpoint)

@@ -103,13 +103,13 @@ def _kernel(name: str) -> Any:
 # Programs inside programs
 
 
-def _called(parameters: Any, *inputs: Any) -> list[Any]:
+def _called(parameters: Any, *inputs: object) -> list[Any]:
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
-def _cond(parameters: Any, index: Any, *inputs: Any) -> list[Any]:
+def _cond(parameters: Any, index: Any, *inputs: object) -> list[Any]:
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
@@ -152,7 +152,7 @@ def _slice(parameters: Any, x: Any) -> Any:
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
-def _select(parameters: Any, which: Any, *cases: Any) -> Any:
+def _select(parameters: object, which: Any, *cases: Any) -> Any:
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
 
 
@@ -171,13 +171,13 @@ def _rounded(parameters: Any, x: Any) -> Any:
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
-def _power(parameters: Any, x: Any) -> Any:
+def _power(parameters: Any, x: object) -> Any:
     exponent = parameters["y"]
     found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
     return found if exponent >= 0 else np.reciprocal(found)
 
 
-def _quotient(parameters: Any, a: Any, b: Any) -> Any:
+def _quotient(parameters: object, a: Any, b: Any) -> Any:
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
@@ -205,7 +205,7 @@ def _iota(parameters: Any) -> Any:
 
 
 def _shifted(function: Rule) -> Rule:
-    def rule(parameters: Any, a: Any, b: Any) -> Any:
+    def rule(parameters: object, a: Any, b: Any) -> Any:
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)

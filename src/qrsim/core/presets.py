@@ -30,7 +30,7 @@ def with_presets(cls: Any) -> Any:
     plain, usual = cls.__init__, fields["preset"].default
 
     @functools.wraps(plain)
-    def completed(self: Any, *args: Any, **given: Any) -> None:
+    def completed(self: object, *args: Any, **given: Any) -> None:
         # All are given where JAX or dataclasses make one anew.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
@@ -48,7 +48,7 @@ def with_presets(cls: Any) -> Any:
     return cls
 
 
-def filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is given by name, filled with what is usual; nested mappings too."""
     both = {**usual, **given}
     for name, part in usual.items():

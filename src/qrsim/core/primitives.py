@@ -31,12 +31,12 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
     primitive.def_abstract_eval(lambda *avals: avals[0].update(weak_type=False))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
 
-    def batched(arguments: Any, axes: Any, **parameters: Any) -> tuple[Any, int]:
+    def batched(arguments: Any, axes: Any, **parameters: object) -> tuple[Any, int]:
         if elementwise:
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(function, in_axes=tuple(axes))(*arguments), 0
 
-    def differentiated(primals: Any, tangents: Any, **parameters: Any) -> Any:
+    def differentiated(primals: Any, tangents: Any, **parameters: object) -> Any:
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         return primitive.bind(*primals), jax.jvp(function, tuple(primals), given)[1]
 

@@ -99,7 +99,12 @@ def setting(
 
 
 def quantity(
-    default: Any = MISSING, *, unit: str = "", doc: str = "", minimum: float | None = None, maximum: float | None = None
+    default: object = MISSING,
+    *,
+    unit: str = "",
+    doc: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> Any:
     """Declare an array, or a record of arrays, of a state, a reading or a command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
@@ -183,7 +188,7 @@ def record_of(kind: Callable[..., T], *parts: object, **named: object) -> T:
     return kind(*parts, **named)
 
 
-def replace(item: T, **changes: Any) -> T:
+def replace(item: T, **changes: object) -> T:
     """Return a copy of a record with some fields changed."""
     original: Any = item
     return dataclasses.replace(original, **changes)
@@ -192,7 +197,7 @@ def replace(item: T, **changes: Any) -> T:
 def cast(item: T, dtype: Any) -> T:
     """Convert every floating-point leaf of a tree (Python floats included) to an array of ``dtype``."""
 
-    def convert(leaf: Any) -> Any:
+    def convert(leaf: object) -> Any:
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 

@@ -31,7 +31,7 @@ class Packer:
         template: a tree of arrays or of jax.ShapeDtypeStruct. Floating-point leaves share one dtype.
     """
 
-    def __init__(self, template: Any):
+    def __init__(self, template: object):
         leaves, self.structure = jax.tree.flatten(template)
         self.shapes = [tuple(leaf.shape) for leaf in leaves]
         self.dtypes = [np.dtype(leaf.dtype) for leaf in leaves]

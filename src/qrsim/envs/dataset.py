@@ -6,7 +6,7 @@ import copy
 import importlib.metadata
 import shutil
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -179,5 +179,5 @@ def write(dataset: str, recording: Recording, policy: str, scenario: str, overri
     return place
 
 
-def _stacked(parts: list[Any]) -> Any:
+def _stacked(parts: Sequence[object]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)

@@ -91,7 +91,7 @@ class Drawing:
 class _Scene:
     """A figure with what stands in an episode, in which vehicles move."""
 
-    def __init__(self, batch: Batch, episode: Any, start: Floats):
+    def __init__(self, batch: Batch, episode: object, start: Floats):
         self._play, self._name, self._dtype = batch.functional.play, batch.functional.name, batch.dtype
         self._figure = new_figure(WIDTH_IN, HEIGHT_IN)
         self._figure.set_dpi(DPI)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +95,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return self._seen(), self._truth()
 
     def step(
-        self, actions: dict[str, Any]
+        self, actions: Mapping[str, object]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Advance by a step.
 
@@ -165,7 +165,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             raise UsageError("nothing has begun: call reset()")
         return self.batch.state(0)
 
-    def hand_in(self, samples: dict[str, Any]) -> None:
+    def hand_in(self, samples: Mapping[str, object]) -> None:
         """Hand in answers of agents, by name; see ``SingleTask.hand_in``.
 
         Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +128,6 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self.tasks.close()
 
 
-def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
+def _row(infos: Mapping[str, object], i: int) -> dict[str, Any]:
     """Return what is really the case in an environment."""
     return {name: leaf[i] for name, leaf in infos.items() if isinstance(leaf, np.ndarray) and name[0] != "_"}

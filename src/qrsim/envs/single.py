@@ -108,7 +108,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
             self._drawing.begin()
         return self._seen(), self._truth()
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by a step.
 
         Raises:

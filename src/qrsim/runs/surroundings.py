@@ -189,7 +189,7 @@ class _Beginning(NamedTuple):
     contents: Any
 
 
-def _begin(world: Any, task: Any, keys: Any, stream: Any, places: Any) -> tuple[Any, Any, Any]:
+def _begin(world: Any, task: Any, keys: object, stream: Any, places: Any) -> tuple[Any, Any, Any]:
     """Return contents at the start, the places of a task, and the mean concentration at some places (or None)."""
     import jax.numpy as jnp
 

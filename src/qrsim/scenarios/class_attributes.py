@@ -81,5 +81,5 @@ def _command_problems(component: Any) -> Iterator[str]:
         yield _wrong(component, "actions", actions, f"{own.__name__}, its command_type, among them")
 
 
-def _wrong(component: type, name: str, value: Any, words: str) -> str:
+def _wrong(component: type, name: str, value: object, words: str) -> str:
     return f"{component.__name__}.{name} is {value!r:.80}; expected {words}"

@@ -48,7 +48,7 @@ def _radians(degrees: object) -> Any:
         return math.inf
 
 
-def with_default_types(model: type[BaseModel], data: dict[str, Any]) -> dict[str, Any]:
+def with_default_types(model: type[BaseModel], data: Mapping[str, object]) -> dict[str, Any]:
     """Return a copy in which components without a type have the type of the field's default, if it has parameters."""
     found = dict(data)
     for name, field in model.model_fields.items():

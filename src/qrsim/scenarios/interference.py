@@ -60,7 +60,7 @@ def _model(kind: str) -> type[Strict]:
 InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PLACES}, key="kind")
 
 
-def interference(scenario: Any, ephemeris: Any) -> Interference | None:
+def interference(scenario: object, ephemeris: object) -> Interference | None:
     """Build what interferes; a jammer without power does not, and None is nothing."""
     kept = _kept(scenario)
     if not kept:
@@ -81,7 +81,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
     ]
 
 
-def _built(spec: Any, ephemeris: Any) -> Any:
+def _built(spec: Any, ephemeris: object) -> Any:
     cls = _CLASSES[spec.kind]
     values: dict[str, Any] = {}
     for field in dataclasses.fields(cls):
@@ -121,7 +121,7 @@ def spoofed(scenario: object, names: Sequence[str]) -> tuple[Any, ...] | None:
     return chosen or None
 
 
-def interference_problems(scenario: Any, ephemeris: Any, names: Sequence[str], heard: bool) -> Iterator[str]:
+def interference_problems(scenario: Any, ephemeris: object, names: Sequence[str], heard: bool) -> Iterator[str]:
     """Yield what is wrong with it; ``names`` are those of all vehicles, ``heard``: a receiver of type gnss is there."""
     if scenario.world.interference and not heard:
         yield "world.interference: there is no sensor of type gnss, which alone feels it"

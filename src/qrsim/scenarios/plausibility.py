@@ -144,7 +144,7 @@ class _Constants:
         return np.broadcast_to(np.asarray(getattr(self._spec, name), np.float64), (self.size,))
 
 
-def _worst(path: str, name: str, value: Any, score: Any) -> tuple[int, str]:
+def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
     """Return the vehicle with the largest score, and the path of its number."""
     i = int(np.argmax(score))
     return i, f"{path}.{name}" + (f".{i}" if isinstance(value, list) else "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from datetime import date
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -69,7 +70,7 @@ def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
 class _Fault:
     """One fault, with its place found again in the data and in the schema."""
 
-    def __init__(self, details: ErrorDetails, model: type[BaseModel], data: Any):
+    def __init__(self, details: ErrorDetails, model: type[BaseModel], data: object):
         self.details = details
         self.path: list[str] = []
         self.owner: type[BaseModel] | None = None
@@ -171,7 +172,7 @@ class _Fault:
             hint = "; write the number alone, without a unit"
         return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
-    def _fault(self, kind: str, context: dict[str, Any]) -> str:
+    def _fault(self, kind: str, context: Mapping[str, object]) -> str:
         if kind in _RANGES:
             return f"is out of range; allowed: {self._range()}{self._swapped()}"
         if kind == "string_pattern_mismatch":

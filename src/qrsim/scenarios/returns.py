@@ -114,7 +114,7 @@ RETURNED = "it returned"
 Check = Callable[[Any, tuple[Any, ...], Any], Iterator[str]]
 
 
-def _size(args: tuple[Any, ...]) -> tuple[int, ...] | None:
+def _size(args: tuple[object, ...]) -> tuple[int, ...] | None:
     """Return (n,) of the first vector, angles or array with one number for each vehicle among some arguments."""
     shapes = (tuple(np.shape(leaf)) for leaf in jax.tree.leaves(args))
     return next((shape for shape in shapes if len(shape) == 1), None)
@@ -125,7 +125,7 @@ def _own(self: Any) -> tuple[int, ...]:
     return () if self._size is None else (self._size,)
 
 
-def _reading(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _reading(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new state and the reading")
     yield from _each("the reading", result[1], _own(self))
     for field in dataclasses.fields(result[1]):
@@ -134,7 +134,7 @@ def _reading(self: Any, args: Any, result: Any) -> Iterator[str]:
             yield f"{name} has no unit; expected {field.name}: ... = qrsim.quantity(unit=..., doc=...)"
 
 
-def _next_reading(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _next_reading(self: object, args: Any, result: Any) -> Iterator[str]:
     yield from _reading(self, args, result)
     yield from unchanged("the state", args[0], result[0])
 
@@ -142,7 +142,7 @@ def _next_reading(self: Any, args: Any, result: Any) -> Iterator[str]:
 def _alike(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position: int) -> Check:
     """Return the check of a result that has as many numbers as an argument."""
 
-    def checked(self: Any, args: Any, result: Any) -> Iterator[str]:
+    def checked(self: object, args: Any, result: object) -> Iterator[str]:
         shape = _size(args[position : position + 1])
         if shape is not None:
             yield from check("the result", result, shape)
@@ -150,11 +150,11 @@ def _alike(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position
     return checked
 
 
-def _state_only(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _state_only(self: object, args: Any, result: Any) -> Iterator[str]:
     yield from unchanged("the state", args[0], result)
 
 
-def _commanding(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _commanding(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _state_and_given(self, "the command", args, result)
     yield from _each("the command", result[1], _own(self))
 
@@ -198,7 +198,7 @@ def _pose(self: object, args: object, result: object) -> Iterator[str]:
     yield from _posed("the pose", result, _own(self))
 
 
-def _load(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _load(self: Any, args: object, result: Any) -> Iterator[str]:
     if not isinstance(result, Load):
         yield f"it returned {_name(result)}; expected a Load (qrsim.models.vehicles.contracts)"
     yield from _number("the load.thrust", result.thrust, _own(self))
@@ -211,14 +211,14 @@ def _force(self: object, args: object, result: object) -> Iterator[str]:
     yield from _vector("the specific force", result, _own(self))
 
 
-def _charged(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _charged(self: Any, args: object, result: Any) -> Iterator[str]:
     if self.drains and not hasattr(result, "charge"):
         yield f"the state is {_name(result)}; expected a record with the field charge, since drains is True"
     elif self.drains:
         yield from _array("the state.charge", result.charge, _own(self))
 
 
-def _voltage(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _voltage(self: object, args: Any, result: object) -> Iterator[str]:
     if result is not None:
         yield from _array("the voltage", result, _own(self))
     elif args[0] is None:
@@ -229,7 +229,7 @@ def _voltage(self: Any, args: Any, result: Any) -> Iterator[str]:
         )
 
 
-def _checks(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _checks(self: object, args: Any, result: object) -> Iterator[str]:
     shape = _size(args[:1])
     assert shape is not None
     if not isinstance(result, list | tuple):
@@ -247,7 +247,7 @@ def _checks(self: Any, args: Any, result: Any) -> Iterator[str]:
             yield f"broken of check {number} is {_name(broken)}; expected an array of bool of shape {shape}"
 
 
-def _placed(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _placed(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _pair(result, "the start and whether a place was found")
     if not isinstance(result[0], Start):
         yield f"the start is {_name(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
@@ -330,7 +330,7 @@ def _named_as(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
             yield f"{what} has {count} numbers, but {type(self).__name__}.sees names {len(axes)}; expected as many"
 
 
-def _commanded(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _commanded(self: object, args: Any, result: object) -> Iterator[str]:
     fleets = args[1].fleets
     if not isinstance(result, tuple) or len(result) != len(fleets):
         yield f"it returned {_name(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
@@ -254,7 +255,7 @@ class FleetSpec(Strict):
         return {**data, "guidance": {"type": name if fits else "route", **guidance}}
 
 
-def _has_legs(fleet: dict[str, Any]) -> bool:
+def _has_legs(fleet: Mapping[str, object]) -> bool:
     """Return whether a vehicle of a fleet has legs, or a plan."""
     vehicles = fleet.get("vehicles")
     each = vehicles if isinstance(vehicles, list) else []

@@ -108,7 +108,7 @@ def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
         if key in _PASSED:
             return
 
-    def watched(part: Any, size: int | None) -> Any:
+    def watched(part: object, size: int | None) -> Any:
         def watch(item: Any) -> Any:
             own: Any = type(item)
             if own not in kinds:
@@ -178,7 +178,7 @@ class _Counted:
         return getattr(self._noise, name)
 
 
-def _tick(world: Any, key: Any) -> None:
+def _tick(world: Any, key: object) -> None:
     state = jax.eval_shape(ticks.reset, world, key)
     actions = (None,) * len(world.fleets)
     after = jax.eval_shape(

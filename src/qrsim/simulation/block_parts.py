@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -93,7 +93,7 @@ class Setup:
         asks_nobody = self.policy is None and self.estimator is None
         return asks_nobody and self.metrics is FLIGHT_METRICS and own
 
-    def world(self, fixed: list[Any], own: list[Any]) -> World:
+    def world(self, fixed: Sequence[object], own: Sequence[object]) -> World:
         """Rebuild a world from shared leaves and its own leaves."""
         shares, owns = iter(fixed), iter(own)
         world: World = jax.tree.unflatten(self.structure, [next(owns if v else shares) for v in self.varied])
@@ -111,7 +111,7 @@ class Carry(NamedTuple):
     wrong_tick: Any  # (n,) int32 first tick at which the policy's answer for a vehicle was not finite, or -1
 
 
-def begin_world(setup: Setup, fixed: list[Any], keys: WorldKeys, own: list[Any]) -> Carry:
+def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Sequence[object]) -> Carry:
     """Start one world."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
@@ -192,7 +192,7 @@ def _check_memory(before: object, after: object) -> None:
 
 
 def tick_of_world(
-    setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, given: tuple[Any, Any]
+    setup: Setup, fixed: Sequence[object], own: Sequence[object], carry: Carry, tick: Any, given: tuple[Any, Any]
 ) -> Carry:
     """Advance one world by one tick; ``given`` holds the actions and estimates computed in lock-step."""
     world = setup.world(fixed, own)
@@ -215,7 +215,7 @@ def tick_of_world(
     return Carry(state, memory, believed_memory, held, flight, wrong)
 
 
-def _finite(world: World, actions: tuple[Any, ...]) -> Any:
+def _finite(world: World, actions: tuple[object, ...]) -> Any:
     """Return whether all that is asked of each vehicle (n,) is finite."""
     found = []
     for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
@@ -165,7 +165,7 @@ class LateRadio:
 class _Told:
     """What a reading takes of a world's state."""
 
-    def __init__(self, sky: Any, sky_keys: Any, fleets: list[Any], radios: LateRadio, world: int):
+    def __init__(self, sky: object, sky_keys: object, fleets: Sequence[object], radios: LateRadio, world: int):
         self.sky, self.sky_keys, self.fleets = sky, sky_keys, fleets
         self._radios, self._world = radios, world
 

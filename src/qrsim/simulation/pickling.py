@@ -11,7 +11,7 @@ from qrsim.core.structure import kinds
 from qrsim.files.code import FileModules, files_of, load_files
 
 
-def with_files(item: Any, tree: Any, protocol: Any) -> tuple[Any, ...] | None:
+def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None:
     """Return how an object is pickled, None where no class of its tree is in a file.
 
     Args:

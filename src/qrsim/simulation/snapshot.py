@@ -245,7 +245,7 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, An
         yield "controller", (state.controller, state.setpoint)
 
 
-def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
+def _floats(where: str, tree: object, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]

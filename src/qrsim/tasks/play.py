@@ -149,7 +149,7 @@ class Play:
         begun = episode.step * self.ticks
         commands = self._commands(episode, action)
 
-        def tick(number: Any, now: tuple[State, Any]) -> tuple[State, Any]:
+        def tick(number: object, now: tuple[State, Any]) -> tuple[State, Any]:
             return self._tick(*now, commands, begun, number)
 
         carry = (episode.state, episode.memory)
@@ -198,7 +198,7 @@ class Play:
             commands = spoken(self.world, side.fleet, commands, action[side.rows, acts:])
         return commands
 
-    def observed(self, memory: Any, state: State, tick: Any) -> Any:
+    def observed(self, memory: object, state: State, tick: Any) -> Any:
         """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
         seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
         if not self.message:
@@ -207,7 +207,7 @@ class Play:
             return overheard(self.world, state, fleets[0], seen, tick)
         return {fleet: overheard(self.world, state, fleet, seen[fleet], tick) for fleet in fleets}
 
-    def _tick(self, state: State, memory: Any, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
+    def _tick(self, state: State, memory: object, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         tick, before = (number, begun) if self.in_step else (begun + number, None)
         commands = at_first_period(self.world, commands, tick, number)

@@ -115,7 +115,13 @@ class Layer:
         return self.several(name, mesh, self.stage.cast.start_ned[members], shapes.linear(colours), **options)
 
     def several(
-        self, name: str, mesh: shapes.Mesh, places: Floats, colours: Any, scales: Floats | None = None, **options: Any
+        self,
+        name: str,
+        mesh: shapes.Mesh,
+        places: Floats,
+        colours: Any,
+        scales: Floats | None = None,
+        **options: object,
     ) -> Any:
         """Add one instance of a mesh at each place (k, 3) [m].
 
@@ -151,7 +157,7 @@ class Bodies:
         batches: numbers (k,) of vehicles of one kind, and their node.
     """
 
-    def __init__(self, layer: Layer, colours: Any, **options: Any):
+    def __init__(self, layer: Layer, colours: Any, **options: object):
         every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
         self._start = layer.stage.cast.start_ned
         self.batches = [

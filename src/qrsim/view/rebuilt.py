@@ -106,7 +106,7 @@ def _drawn_again(world: World, keys: Any) -> tuple[Any, Any, object]:
     return drawn, contents, draw_field(world.with_drawn(drawn), episode_draws(world, keys, like))
 
 
-def _blown(world: World, keys: Any, puffs: Any, done: Any, wanted: Any) -> Any:
+def _blown(world: World, keys: Any, puffs: Any, done: object, wanted: object) -> Any:
     """Return the puffs after ``wanted`` of their periods, from those after ``done``."""
     plume = world.contents.plume
     stream = keys.stream(0, jnp.arange(plume.ids, dtype=jnp.uint32))

@@ -119,7 +119,7 @@ def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[A
     return command, ticks
 
 
-async def step(connection: Client, command: Any, ticks: int) -> None:
+async def step(connection: Client, command: object, ticks: int) -> None:
     """Advance the session; in real time, reply no earlier than the wall clock.
 
     Raises:

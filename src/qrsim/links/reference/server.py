@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.reference.connection import MOST_WAITING, Connection
@@ -312,7 +312,7 @@ class Server:
         """Run slow work on a session in a thread."""
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
-    async def advance(self, connection: Connection, session: Session, command: Any, ticks: int) -> None:
+    async def advance(self, connection: Connection, session: Session, command: object, ticks: int) -> None:
         """Advance a session in its own thread.
 
         Raises:

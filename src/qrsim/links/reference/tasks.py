@@ -156,7 +156,7 @@ def _refuse_aliases(text: str) -> None:
         return  # the parser says what is wrong
 
 
-def _upload_problems(content: Any) -> Iterator[str]:
+def _upload_problems(content: object) -> Iterator[str]:
     if not isinstance(content, dict):
         yield "expected keys and values such as name: hover"
         return
@@ -185,11 +185,11 @@ def _upload_problems(content: Any) -> Iterator[str]:
         yield f"fleets: {vehicles} vehicles; allowed: up to {MOST_VEHICLES}"
 
 
-def _count(value: Any) -> int:
+def _count(value: object) -> int:
     return len(value) if isinstance(value, list | dict) else 0
 
 
-def _entries(part: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+def _entries(part: object, path: str) -> Iterator[tuple[str, str, Any]]:
     """Return path, key and value of everything that has a key."""
     for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
         where = f"{path}.{key}" if path else str(key)

@@ -42,7 +42,7 @@ class WindGrid(Wind):
     reads: ClassVar[tuple[str, ...]] = ("position_ned",)
 
     def velocity_ned(
-        self, height_agl: Array, seconds: Array, fraction: Array, *, position_ned: Vec3, **reads: Any
+        self, height_agl: Array, seconds: Array, fraction: Array, *, position_ned: Vec3, **reads: object
     ) -> Vec3:
         """Return the air's velocity (n,) [m/s], linear in place and time.
 

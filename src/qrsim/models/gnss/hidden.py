@@ -78,7 +78,7 @@ def solved(
     slots: Slots,
     whole: Geometry,
     before: Tracking | None,
-    same: Any,
+    same: object,
     position_ned: Vec3,
     fast: Array,
     slow: Array,
@@ -126,7 +126,7 @@ def _as_seen(receiver: object, slots: Slots, whole: Geometry, tracking: Tracking
 
 
 def _looked(
-    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
+    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: object,
     position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
 ) -> Tracking:  # fmt: skip
     """Return solutions that are new, ``passed`` () [s] after the last ones."""

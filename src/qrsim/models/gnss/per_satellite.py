@@ -23,13 +23,13 @@ _SPOOFED_CN0, _SPOOFED_SPREAD = 45.0, 1.0
 
 
 def with_satellites(
-    receiver: Any,
+    receiver: object,
     reading: GnssFix,
     now: Geometry,
     slots: Slots,
     effect: Effect | None,
     position_ned: Vec3,
-    ground: Any,
+    ground: object,
     skyline: Any,
     slow: Array,
 ) -> GnssFix:

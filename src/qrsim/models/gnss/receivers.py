@@ -224,7 +224,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix, as if reported for some time already; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
@@ -242,7 +242,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
@@ -261,7 +261,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)

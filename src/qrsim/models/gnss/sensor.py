@@ -144,8 +144,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
-        skyline: Any = None,
+        ground: object = None,
+        skyline: object = None,
     ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers that have long been running."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
@@ -159,8 +159,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
-        skyline: Any = None,
+        ground: object = None,
+        skyline: object = None,
     ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         shared = state.geometry
@@ -185,7 +185,7 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
         skyline: Any = None,
     ) -> tuple[GnssState, GnssFix]:
         """Compute a fix of receivers at position_ned (n,), and report the one of ``delay`` periods ago."""

@@ -122,7 +122,7 @@ class Network(Channel, Radio):
         """Return the links of the last period."""
         return state.links
 
-    def handed(self, state: NetworkState, vehicle: int, payload: Any, to: int, tick: int) -> NetworkState:
+    def handed(self, state: NetworkState, vehicle: int, payload: object, to: int, tick: int) -> NetworkState:
         """Return a state, of arrays on the host, with a message of a vehicle behind those that wait."""
         words, receivers, since = (
             np.array(part) for part in (state.waiting.payload, state.waiting.to, state.waiting.since)

@@ -25,7 +25,7 @@ class ClearGround(GroundCover):
 
     random: ClassVar[bool] = False
 
-    def class_at(self, state: None, position_ned: Vec3, area: Any) -> Array:
+    def class_at(self, state: None, position_ned: Vec3, area: object) -> Array:
         """Return the class (int32) of the ground below positions of any shape."""
         return jnp.full(position_ned.x.shape, CLEAR, jnp.int32)
 

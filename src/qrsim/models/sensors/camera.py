@@ -29,7 +29,7 @@ _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
 class TakesPictures(Protocol):
     """What a sensor that ``takes_pictures`` has beside its contract."""
 
-    def develop(self, reading: Any, around: Surroundings, stream: Stream, size: Array) -> Picture:
+    def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
         """Return the last picture of each vehicle (n,), see ``Camera.develop``."""
         ...
 

@@ -114,6 +114,6 @@ class Sensor(Protocol):
 class Memoryless(Sensor):
     """Base of sensors without a state, whose readings are all made as the first one is."""
 
-    def step(self, state: Any, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:
+    def step(self, state: object, draw: object, *args: Any, **reads: Any) -> tuple[object, Record]:
         """Return the reading (n,) of now, as ``init`` does."""
         return self.init(draw, *args, **reads)

@@ -188,7 +188,7 @@ class IdealRanging(Memoryless):
         return self.vehicles != "none"
 
     def init(
-        self, draw: Any, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
+        self, draw: object, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[None, RangingReading]:
         """Return the true distances."""
         partners = _partners(self, position_ned, traffic)

@@ -128,7 +128,7 @@ class IdealScan(Memoryless):
 
     def init(
         self,
-        draw: Any,
+        draw: object,
         position_ned: Vec3,
         attitude: Euler,
         obstacles: Obstacles,

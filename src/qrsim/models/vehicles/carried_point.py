@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -60,7 +60,7 @@ class CarriedPoint(Uncommanded):
         state: CarriedPointState,
         command: NoCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[CarriedPointState, Vec3]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -59,7 +59,7 @@ class FixedPoint(Uncommanded):
         state: FixedPointState,
         command: NoCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedPointState, Vec3]:

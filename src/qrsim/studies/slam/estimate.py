@@ -341,7 +341,7 @@ def spread_of(covariances: Floats, ranging: Ranging, enough: Any) -> tuple[Float
 
 
 def _ranging(
-    flight: Flight, true_ned: Any, guess_ned: Any, ranges: Any, std: float, limit: float, seed: int
+    flight: Flight, true_ned: object, guess_ned: object, ranges: Any, std: float, limit: float, seed: int
 ) -> Ranging:
     """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)

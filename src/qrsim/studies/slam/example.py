@@ -54,14 +54,14 @@ class CorrelatedGnss(Sensor):
     normals: ClassVar[int] = 2
 
     def init(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
+        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
     ) -> tuple[tuple[Array, Array], GnssReading]:
         """Draw stationary initial errors, and report the first fix."""
         north, east = draw.normals(2)
         return self._read((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
 
     def step(
-        self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
+        self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
     ) -> tuple[tuple[Array, Array], GnssReading]:
         """Advance the errors by one period and return the fix of vehicles at position_ned (n,)."""
         north, east = draw.normals(2)

@@ -119,7 +119,7 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]
     return {value: text for value in ordered if (text := wrong(value))}
 
 
-def _by_halving(ordered: list[Any], wrong: Callable[[Any], str]) -> dict[Any, str]:
+def _by_halving(ordered: Sequence[object], wrong: Callable[[Any], str]) -> dict[Any, str]:
     """Return the bad ones of many ordered values, looking at some of them only."""
     tried = [round(part * (len(ordered) - 1) / TRIED) for part in range(TRIED + 1)]
     good = next((i for i in tried if not wrong(ordered[i])), None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -120,7 +121,7 @@ def replay(results: Results, episode: int, folder: Path) -> str:
     return shlex.join([*words, "--out", str(run)]) + f" && qrsim view {shlex.quote(str(run))}"
 
 
-def _scenario_name(values: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+def _scenario_name(values: Mapping[str, object]) -> tuple[str, dict[str, Any]]:
     """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
     counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
     return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts

@@ -140,7 +140,7 @@ class Store:
             for path, values in plan.rows(start, stop).items():
                 arrays[path][start:stop] = values
 
-    def _array(self, group: Any, name: str, dtype: str, fill: Any, attributes: dict[str, Any]) -> None:
+    def _array(self, group: Any, name: str, dtype: str, fill: object, attributes: Mapping[str, object]) -> None:
         group.create_array(
             name,
             shape=self.plan.shape,
@@ -196,7 +196,7 @@ def _metrics(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*spec.metrics, spec.failure.metric]))
 
 
-def _without(about: dict[str, Any], name: str) -> dict[str, Any]:
+def _without(about: Mapping[str, object], name: str) -> dict[str, Any]:
     return {key: value for key, value in about.items() if key != name}
 
 

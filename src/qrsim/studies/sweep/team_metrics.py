@@ -47,7 +47,7 @@ class TeamErrors:
         "missed_share": {"unit": "1", "doc": "part of the strip between the outer vehicles that none came near enough"},
     }
 
-    def init(self, world: Any, state: Any) -> TeamMemory:
+    def init(self, world: object, state: Any) -> TeamMemory:
         """Start with nothing."""
         place = state.fleets[0].vehicle.position_ned
         zero = jnp.zeros_like(place.x)

@@ -100,18 +100,18 @@ class Multirotor(Airframe, Vehicle):
         throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity / self.site_share))
         return AttitudeCommand(zero, zero, jnp.broadcast_to(throttle, like.shape), zero)
 
-    def clip(self, command: Any, powered: bool = False) -> tuple[Any, Array]:
+    def clip(self, command: object, powered: bool = False) -> tuple[Any, Array]:
         """Bring a command into its limits."""
         if isinstance(command, Powered):
             inside, changed = clipped(command.command)
             return replace(command, command=inside), changed
         return clipped(command)
 
-    def powered(self, command: Any, voltage: Array | None) -> Any:
+    def powered(self, command: object, voltage: Array | None) -> Any:
         """Return a command together with a battery's voltage (n,) [V]; None: as at the nominal voltage."""
         return command if voltage is None else Powered(command, voltage)
 
-    def shown(self, command: Any) -> AttitudeCommand:
+    def shown(self, command: object) -> AttitudeCommand:
         """Return a command as a world's state keeps it; NaN in the fields that it has not."""
         return shown(command)
 
@@ -183,7 +183,7 @@ class Multirotor(Airframe, Vehicle):
     def step(
         self,
         state: MultirotorState,
-        command: Any,
+        command: object,
         air_velocity: Callable[[AttitudeTrig], Vec3],
         noise: ProcessNoise,
         dt: float,
@@ -195,7 +195,7 @@ class Multirotor(Airframe, Vehicle):
     def specific_force(
         self,
         state: MultirotorState,
-        command: Any,
+        command: object,
         air_velocity: Callable[[AttitudeTrig], Vec3],
         noise: ProcessNoise,
         dt: float,

@@ -122,7 +122,7 @@ class Rover(Vehicle):
         state: RoverState,
         command: SteeringCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[RoverState, Vec3]:
@@ -140,7 +140,7 @@ class Rover(Vehicle):
         state: RoverState,
         command: SteeringCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> Vec3:

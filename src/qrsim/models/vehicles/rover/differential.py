@@ -95,7 +95,7 @@ class DifferentialRover(Vehicle):
         state: DifferentialRoverState,
         command: WheelCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[DifferentialRoverState, Vec3]:
@@ -112,7 +112,7 @@ class DifferentialRover(Vehicle):
         state: DifferentialRoverState,
         command: WheelCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> Vec3:
