@@ -13,6 +13,7 @@ import tyro
 
 from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
+from qrsim.tasks.play import Play
 
 MOST_SEEDS = 10_000
 
@@ -86,7 +87,7 @@ class Score:
             save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
         self._tell(batch.functional.name, found, kept)
 
-    def _makers(self, play: Any) -> dict[str, Any]:
+    def _makers(self, play: Play) -> dict[str, Any]:
         """Return what makes each policy, by the policy's name."""
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
@@ -100,7 +101,7 @@ class Score:
             makers[BASELINE] = maker(BASELINE, play)
         return makers if HOVER in makers else {**makers, HOVER: maker(HOVER, play)}
 
-    def policy_missing(self, play: Any) -> bool:
+    def policy_missing(self, play: Play) -> bool:
         """Return whether the task has no baseline."""
         from qrsim.tasks.baselines import baseline
 

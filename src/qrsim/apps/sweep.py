@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.apps import progress_bar
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def _sentence(plan: Plan) -> str:
     return f"{plan.study.spec.name}: {plan.episodes} episodes ({sizes}) in {plan.batches} batches"
 
 
-def _episodes(plan: Plan, done: Any) -> int:
+def _episodes(plan: Plan, done: NumpyArray) -> int:
     import math
 
     import numpy as np

@@ -17,6 +17,7 @@ import jax
 import numpy as np
 from jax.extend import core as jex
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.primitives import KERNELS
 from qrsim.core.structure import kinds
 
@@ -141,7 +142,7 @@ _WHOLE: dict[str, Rule] = {
 # Operations
 
 
-def _broadcast(parameters: Any, x: Any) -> Any:
+def _broadcast(parameters: Any, x: Any) -> NumpyArray:
     shape, to = parameters["shape"], parameters["broadcast_dimensions"]
     wider = [x.shape[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
     return np.broadcast_to(x.reshape(wider), shape)
@@ -198,14 +199,14 @@ def _padded(parameters: Any, x: Any, value: Any) -> Any:
     return found
 
 
-def _iota(parameters: Any) -> Any:
+def _iota(parameters: Any) -> NumpyArray:
     shape, axis = parameters["shape"], parameters["dimension"]
     counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
     return np.broadcast_to(counted, shape)
 
 
 def _shifted(function: Rule) -> Rule:
-    def rule(parameters: object, a: Any, b: Any) -> Any:
+    def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)

@@ -26,7 +26,7 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
         function: of arrays, that returns an array of the shape and type of the first.
         elementwise: of one array, each element for itself; then it stays the same operation on a batch.
     """
-    primitive: Any = Primitive(name)
+    primitive = Primitive(name)
     primitive.def_impl(jax.jit(function))
     primitive.def_abstract_eval(lambda *avals: avals[0].update(weak_type=False))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
@@ -66,7 +66,7 @@ class Kernel:
     primitive: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        primitive: Any = Primitive(f"kernel_{self.name}")
+        primitive = Primitive(f"kernel_{self.name}")
         primitive.multiple_results = True
         primitive.def_impl(jax.jit(self.body))
         primitive.def_abstract_eval(self._results)

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol, TypedDict, TypeVar, dataclass_transf
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.presets import with_presets
 
 T = TypeVar("T")
@@ -121,7 +122,7 @@ def record(cls: type[T]) -> type[T]:
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
-    component: Any = with_presets(dataclasses.dataclass(frozen=True)(cls))
+    component = with_presets(dataclasses.dataclass(frozen=True)(cls))
     static = [f.name for f in dataclasses.fields(component) if field_info(f).static]
     data = [f.name for f in dataclasses.fields(component) if f.name not in static]
     _register(component, data, static)
@@ -197,7 +198,7 @@ def replace(item: T, **changes: object) -> T:
 def cast(item: T, dtype: Any) -> T:
     """Convert every floating-point leaf of a tree (Python floats included) to an array of ``dtype``."""
 
-    def convert(leaf: object) -> Any:
+    def convert(leaf: object) -> NumpyArray:
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 

@@ -146,7 +146,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             flown[row] = shaped(self.batch, act, who, agent=row)
         return np.stack(flown), np.stack(said)
 
-    def render(self) -> Any:
+    def render(self) -> NumpyArray | None:
         """Return the episode from above, as ``SingleTask`` does."""
         return None if self._drawing is None else self._drawing.frame()
 

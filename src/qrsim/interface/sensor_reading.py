@@ -96,7 +96,7 @@ class SensorReading(Tabled):
         if self._source is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
-        library: Any = library_of(leaf)
+        library = library_of(leaf)
         return cast(Floats, library.broadcast_to(told(self._source, self._name), leaf.shape)[self._rows])
 
     @property

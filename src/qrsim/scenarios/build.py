@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from qrsim.control import Route
 from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.guidance import RouteFollower
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import cast, field_info, record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
@@ -190,7 +191,7 @@ def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
     if ground is None:
         return scenario
 
-    def standing_height(fleet: FleetSpec) -> Any:
+    def standing_height(fleet: FleetSpec) -> NumpyArray:
         try:
             height = vehicle_of(fleet, scenario).standing_height()
         except UsageError:

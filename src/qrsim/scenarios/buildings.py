@@ -101,7 +101,7 @@ def _prism(building: Building, height: float, ground: Any) -> Any:
     down = 0.0
     if ground is not None and not ground.at_zero:
         north, east = np.array(outline, np.float32).T
-        places: Any = Vec3(north, east, np.zeros_like(north))
+        places = Vec3(north, east, np.zeros_like(north))
         down = float(np.max(down_at(ground, places)))
     return prism_model()(
         type="prism",

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError, did_you_mean, readable
 from qrsim.extras import load
 from qrsim.files.user_files import LARGEST_TABLE, read_text
@@ -259,7 +260,7 @@ def _placed(ring: object, frame: str, site: Site) -> Ring:
     return _in_metres(corners, frame, site)
 
 
-def _pairs(points: Any) -> Any:
+def _pairs(points: Any) -> NumpyArray:
     """Return points as GeoJSON has them as an array (k, 2); raises UsageError where they are none."""
     try:
         pairs = np.array([point[:2] for point in points], np.float64)

@@ -20,7 +20,7 @@ def is_record(value: Any) -> bool:
         return False
     if inspect.isabstract(value):
         return True  # no object can be made of it; what it lacks is a fault of its own
-    item: Any = object.__new__(value)
+    item = object.__new__(value)
     for field in dataclasses.fields(value):
         object.__setattr__(item, field.name, 0)
     return not jax.tree_util.all_leaves([item])

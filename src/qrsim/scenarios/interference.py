@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
@@ -95,7 +96,7 @@ def _built(spec: Any, ephemeris: object) -> Any:
     return cls(**values)
 
 
-def _failing(spec: Any, ephemeris: Any) -> Any:
+def _failing(spec: Any, ephemeris: Any) -> NumpyArray:
     """Return which satellites (S,) an outage is of."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)

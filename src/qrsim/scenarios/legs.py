@@ -134,7 +134,7 @@ LegSpec = Annotated[
 ]
 
 
-def _check_one(spec: Any, *names: str) -> None:
+def _check_one(spec: FlyLeg, *names: str) -> None:
     given = [name for name in names if name in spec.model_fields_set and getattr(spec, name) is not None]
     if len(given) > 1:
         raise ValueError(f"gives both '{given[0]}' and '{given[1]}'; give one")

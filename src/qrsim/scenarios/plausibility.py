@@ -114,7 +114,7 @@ def _estimator(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[
     """Warn of a filter that is told of much smaller errors than its sensors have."""
     if fleet.estimator is None or not issubclass(known.FILTERS[fleet.estimator.type], KalmanParameters):
         return
-    spec: Any = fleet.estimator
+    spec = fleet.estimator
     errors = component(scenario.world.sky.errors, known.SKY_ERRORS, scenario)
     sensors = [component(sensor, known.SENSORS, scenario) for sensor in fleet.sensors.values()]
     units = {field.name: field_info(field).unit for field in dataclasses.fields(KalmanParameters)}

@@ -240,7 +240,7 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     if crowded := _without_a_space(value):
         spaced = ": ".join(crowded.split(":", 1))
         raise UsageError(f"--set {shortened(assignment)}: '{crowded}' is one key in YAML; write '{spaced}'")
-    target: Any = content
+    target = content
     for depth in range(len(parts) - 1):
         target = _enter(target, parts, depth, assignment)
     last = parts[-1]

@@ -17,7 +17,7 @@ from qrsim.errors import did_you_mean
 from qrsim.models.scene.area import REASONS
 from qrsim.models.vehicles.contracts import Load, Pose
 from qrsim.tasks.agents import Axis
-from qrsim.world.state import Piloted, Saying, Some, Start
+from qrsim.world.state import Piloted, Saying, Some, Start, World
 
 
 def _shape(value: Any) -> str:
@@ -263,7 +263,7 @@ def _judged(self: Any, args: Any, result: Any) -> Iterator[str]:
 
 
 def _for_each_fleet(
-    task: Any, world: Any, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
+    task: Any, world: World, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
 ) -> Iterator[str]:
     """Yield what a check of ``what``, number of agents and value finds; of several fleets in the value of each."""
     sizes = {fleet.name: fleet.size for fleet in world.fleets}

@@ -264,7 +264,7 @@ def _has_legs(fleet: Mapping[str, object]) -> bool:
 
 def _takes_paths(controller: str) -> bool:
     """Return whether a controller follows the points of a path."""
-    kind: Any = known.CONTROLLERS.get(controller)
+    kind = known.CONTROLLERS.get(controller)
     return kind is not None and PathSetpoint in kind.setpoints
 
 

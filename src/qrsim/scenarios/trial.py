@@ -165,7 +165,7 @@ class _Counted:
         where: component and method.
     """
 
-    def __init__(self, noise: Any, where: tuple[type, str]):
+    def __init__(self, noise: Draw | Drawn, where: tuple[type, str]):
         self._noise, self._where = noise, where
 
     def normals(self, count: int) -> Any:
@@ -192,7 +192,7 @@ def _tick(world: Any, key: object) -> None:
                     raise FaultError(_blamed(watched, "step", problem), watched)
 
 
-def _play(play: Play, key: Any) -> None:
+def _play(play: Play, key: Key) -> None:
     keys = play.keys(key)
     episode, _ = jax.eval_shape(lambda play, keys: play.reset(keys), play, keys)
     action = np.zeros((len(play.agents), play.width), np.float32)

@@ -117,7 +117,7 @@ def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Seq
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
     memories = [_first_memory(function, reading) for function in (setup.policy, setup.estimator)]
-    held: Any = ()
+    held = ()
     # All are asked here too, so that a wrong answer is found before anything is compiled.
     if setup.policy is not None:
         shapes, _ = jax.eval_shape(partial(_answer, setup.policy, world, reading, memories[0]))
@@ -179,8 +179,8 @@ def call_compiled(function: UserFunction, reading: Reading, memory: object) -> t
 
 def _check_memory(before: object, after: object) -> None:
     """Refuse a memory that a loop cannot carry from tick to tick."""
-    old: Any = jax.tree.structure(before)
-    new: Any = jax.tree.structure(after)
+    old = jax.tree.structure(before)
+    new = jax.tree.structure(after)
     if repr(old) != repr(new):
         raise UsageError(f"step must return a memory like that of init: expected {old}, found {new}")
     for was, now in zip(map(jax.typeof, jax.tree.leaves(before)), map(jax.typeof, jax.tree.leaves(after)), strict=True):
@@ -215,7 +215,7 @@ def tick_of_world(
     return Carry(state, memory, believed_memory, held, flight, wrong)
 
 
-def _finite(world: World, actions: tuple[object, ...]) -> Any:
+def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
     """Return whether all that is asked of each vehicle (n,) is finite."""
     found = []
     for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):

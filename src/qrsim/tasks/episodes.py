@@ -27,7 +27,7 @@ class Begun(NamedTuple):
 
 @lru_cache
 def _scored() -> Any:
-    def score(play: Play, episode: Episode, answer: Any) -> Any:
+    def score(play: Play, episode: Episode, answer: Any) -> jax.Array:
         found = play.task.score(episode.memory, play.world, episode.state, answer)
         return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 

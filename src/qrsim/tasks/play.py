@@ -128,7 +128,7 @@ class Play:
         episode = Episode(state, memory, jnp.int32(0), self.nobody_gone())
         return episode, self.observed(memory, state, jnp.int32(0))
 
-    def nobody_gone(self) -> Any:
+    def nobody_gone(self) -> Array | None:
         """Return who has left at the start, (n,) bool; None where agents do not leave."""
         return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
@@ -198,7 +198,7 @@ class Play:
             commands = spoken(self.world, side.fleet, commands, action[side.rows, acts:])
         return commands
 
-    def observed(self, memory: object, state: State, tick: Any) -> Any:
+    def observed(self, memory: object, state: State, tick: Array) -> Any:
         """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
         seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
         if not self.message:

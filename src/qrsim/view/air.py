@@ -68,7 +68,7 @@ class Air(Contents):
         self._ask = jax.jit(air_at)
         self._placed: Any = None
         corners, faces = shapes.arrow()
-        self._handle: Any = self.several(
+        self._handle = self.several(
             "arrows",
             (corners * [1.0, THICKNESS, THICKNESS], faces),
             self._offsets,
@@ -99,7 +99,7 @@ class Air(Contents):
             self._handle.batched_positions = self._placed = places
         self._handle.batched_wxyzs = np.round(shapes.along(vector) * TURN_STEPS) / TURN_STEPS
         self._handle.batched_scales = (np.round(length * LENGTH_STEPS) / LENGTH_STEPS).astype(np.float32)
-        colours: Any = GUST_COLOUR if self.shows == GUST else shapes.speed_colours(speed, STRONG_WIND)
+        colours = GUST_COLOUR if self.shows == GUST else shapes.speed_colours(speed, STRONG_WIND)
         self._handle.batched_colors = np.broadcast_to(shapes.linear(colours), (ALONG**2, 3)).copy()
 
     def _places(self, frame: Frame) -> Floats:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
@@ -95,7 +96,14 @@ class Cameras(Contents):
 
 
 def _developed(
-    world: World, drawn: Any, contents: Any, keys: Any, reading: CameraReading, number: int, index: int, i: Any
+    world: World,
+    drawn: Any,
+    contents: ContentsState,
+    keys: Any,
+    reading: CameraReading,
+    number: int,
+    index: int,
+    i: Any,
 ) -> Any:
     """Return the last picture of vehicle ``i`` of a fleet, as one of (1,) vehicles."""
     world = world.with_drawn(drawn)

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.models.scene.contents import ContentsState
 from qrsim.runs.colours import FOUND, MISSING, PLUME
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
@@ -150,7 +151,7 @@ class Plume(Contents):
         self._handle.batched_opacities = np.sqrt(share).astype(np.float32)
 
 
-def _concentration(world: World, drawn: Any, contents: Any, tick: Any, places: Any) -> Any:
+def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any, places: Any) -> jax.Array:
     from qrsim.core.vectors import Vec3
     from qrsim.world.episode import surroundings
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from viser import SceneApi
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.interface.arrays import quaternion_of
@@ -70,7 +70,7 @@ class Stage:
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
     """Return the down coordinate [m] of a ground at places of any shape."""
-    places: Any = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
+    places = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
     return np.asarray(ground.down(places))
 
 
@@ -119,7 +119,7 @@ class Layer:
         name: str,
         mesh: shapes.Mesh,
         places: Floats,
-        colours: Any,
+        colours: NumpyArray,
         scales: Floats | None = None,
         **options: object,
     ) -> Any:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from qrsim.core.arrays import Floats
@@ -35,7 +33,7 @@ class RadioLinks(Layer):
         """Make halves that are not there yet."""
         size = self.stage.cast.size
         room = self._room = min(MOST_DRAWN, size * (size - 1))
-        self._handle: Any = self.several(
+        self._handle = self.several(
             "halves",
             shapes.box((0.0, -0.5, -0.5), (1.0, 0.5, 0.5)),
             np.zeros((room, 3)),

@@ -69,7 +69,7 @@ class Tape:
 
     def __init__(self, server: ViserServer):
         # viser has no other way to learn what it sends.
-        self._messages: Any = server._websock_server
+        self._messages = server._websock_server
         self._numbers: dict[int, int] = {}
         self._made: list[Any] = []
         self._nodes: list[dict[str, Any]] = []

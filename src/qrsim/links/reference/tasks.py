@@ -56,7 +56,7 @@ def offboard(scenario: Scenario) -> Scenario:
     for fleet in content["fleets"].values():
         if OffboardController.gives not in VEHICLES[fleet["vehicle"]["type"]].actions:
             continue
-        own: Any = CONTROLLERS[fleet["controller"]["type"]]
+        own = CONTROLLERS[fleet["controller"]["type"]]
         if set(own.setpoints) >= set(OffboardController.setpoints):
             continue
         gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}

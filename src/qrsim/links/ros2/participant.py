@@ -111,7 +111,7 @@ class Participant:
         """Tell other nodes which readers and writers are this node's."""
         if self._info is None:
             kind = self._types.sample(_INFO)
-            topic: Any = DdsTopic(self._participant, _DISCOVERY, kind)
+            topic = DdsTopic(self._participant, _DISCOVERY, kind)
             self._info = Writer(DataWriter(self._participant, topic, qos=_plain(Profile(True, 1, True))), kind)
         readers = [*(each.entity.guid.bytes for each in self._readers), *(each.reader for each in self._services)]
         writers = [*(each.entity.guid.bytes for each in self._writers), *(each.writer for each in self._services)]

@@ -45,7 +45,7 @@ class Types:
         if distro not in DISTROS:
             raise UsageError(f"distribution '{distro}': expected {', '.join(DISTROS)}{did_you_mean(distro, DISTROS)}")
         self.distro = distro
-        self.store: Any = get_typestore(Stores[f"ROS2_{distro.upper()}"])
+        self.store = get_typestore(Stores[f"ROS2_{distro.upper()}"])
         self.store.register(definitions_of(*packages))
         self._structs: dict[str, Any] = {}
         self._samples: dict[str, Any] = {}

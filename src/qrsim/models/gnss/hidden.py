@@ -172,7 +172,9 @@ def weaker_by(slow: Array) -> Array:
     return _WEAKER - _SPREAD * slow
 
 
-def _tracked(receiver: Any, before: Any, same: Any, there: Array, blocked: Array, passed: Array) -> tuple[Array, Array]:
+def _tracked(
+    receiver: Any, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
+) -> tuple[Array, Array]:
     """Return ``held`` and ``away`` (K, n) of ``Tracking``, ``passed`` () [s] later, with signals that are blocked."""
     blocked = there & blocked
     if before is None:

@@ -189,7 +189,7 @@ class Plume(Protocol):
         return state
 
     @abstractmethod
-    def concentration(self, state: Any, position_ned: Vec3, wind: Any, area: Any, since: Array) -> Array:
+    def concentration(self, state: Any, position_ned: Vec3, wind: Any, area: Area, since: Array) -> Array:
         """Return the concentration (n,) at positions (n,) [m], ``since`` () [s] after the last step."""
 
 
@@ -208,7 +208,7 @@ class GroundCover(Protocol):
         return None
 
     @abstractmethod
-    def class_at(self, state: Any, position_ned: Vec3, area: Any) -> Array:
+    def class_at(self, state: Any, position_ned: Vec3, area: Area) -> Array:
         """Return the class (int32, terrain.py) of the ground below positions of any shape."""
 
     @abstractmethod

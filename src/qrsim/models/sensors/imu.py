@@ -339,7 +339,7 @@ class IdealImu(Sensor):
         return rates_body, ImuReading(rates_body, specific_force, angle, specific_force * self.period)
 
 
-def _rows(given: Any, diagonal: Any, beside: Any) -> tuple[Vec3, Vec3, Vec3]:
+def _rows(given: Any, diagonal: Array, beside: Array) -> tuple[Vec3, Vec3, Vec3]:
     """Return the rows of a matrix with independent elements of the two spreads."""
     rows = [Vec3(*((diagonal if i == j else beside) * next(given) for j in range(3))) for i in range(3)]
     return cast(tuple[Vec3, Vec3, Vec3], tuple(rows))

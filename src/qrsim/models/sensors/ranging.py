@@ -198,7 +198,7 @@ class IdealRanging(Memoryless):
 
 def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
     """Return distances with noise [m] where they are taken, NaN elsewhere; of NumPy's arrays as well as JAX's."""
-    library: Any = np if isinstance(distance, np.ndarray) else jnp
+    library = np if isinstance(distance, np.ndarray) else jnp
     return library.where(taken, distance + noise, math.nan)
 
 

@@ -108,7 +108,9 @@ class Quadrotor(Vehicle):
     default_controller: ClassVar[str] = "cascade"
     adds_position: ClassVar[bool] = True
 
-    def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
+    def initial_state(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
+    ) -> QuadrotorState:
         """Return a state whose thrust carries the weight."""
         weight = jnp.asarray(self.mass * self.gravity)
         thrust = jnp.broadcast_to(weight, position_ned.x.shape)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim import extras
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.discover.flight import LEAVES, Floats, Rule
 
 MOST_NODES = 21
@@ -36,7 +37,7 @@ def primitives(law: str) -> Any:
     return known
 
 
-def text_of(tree: Any, constants: Any = None) -> str:
+def text_of(tree: Any, constants: NumpyArray | None = None) -> str:
     """Write a tree as a bracketed expression; constants are c0, c1, ... or the given values."""
     words: list[str] = []
     count = 0

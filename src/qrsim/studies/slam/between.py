@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +88,7 @@ def checked_between(between: Between, vehicles: int, states: int) -> Between:
     for name, array in (("ranges", between.ranges), ("counts", between.counts)):
         if np.shape(array) != shape:
             raise UsageError(f"between: expected {name} of shape {shape}, found {np.shape(array)}")
-    wrong: Any = np.isinf(between.ranges) | (between.ranges < 0.0)
+    wrong = np.isinf(between.ranges) | (between.ranges < 0.0)
     for state, pair in np.argwhere(wrong)[:1]:
         raise UsageError(f"between: state {state}, pair {pair}: a range of {between.ranges[state, pair]:g} m")
     if not (np.isfinite(between.std) and between.std > 0.0):

@@ -313,8 +313,8 @@ def _joined(first: Solution, again: Solution) -> Solution:
 
 
 def _result(
-    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: Any, solution: Solution,
-    reflected: Mirrors, problem: Any,
+    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
+    solution: Solution, reflected: Mirrors, problem: Any,
 ) -> Slam:  # fmt: skip
     point = solution.point
     believed = covariance(problem, point)

@@ -157,7 +157,7 @@ def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> W
     fleet = world.fleets[0]
     dtype = fleet.start.position_ned.x.dtype
     at = fleet.sensor_names.index("gnss")
-    numbers: Any = (*np.asarray(std, dtype), np.asarray(time_constant, dtype))
+    numbers = (*np.asarray(std, dtype), np.asarray(time_constant, dtype))
     receiver = CorrelatedGnss(numbers[0], numbers[1], numbers[2], fleet.sensors[at].period)
     sensors = (*fleet.sensors[:at], receiver, *fleet.sensors[at + 1 :])
     return replace(world, fleets=(replace(fleet, sensors=sensors),))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.slam import team
 from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
 from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, available_bytes, check_memory, state_size
@@ -55,7 +56,7 @@ class TeamStudy:
         return found
 
 
-def _first(solved: list[CooperativeSlam]) -> Any:
+def _first(solved: list[CooperativeSlam]) -> NumpyArray:
     """Return the root mean square errors (S,) of the trajectory of the first vehicle [m]."""
     return np.array([each.trajectory_rmse_m[0] for each in solved])
 

@@ -136,7 +136,7 @@ def _by_halving(ordered: Sequence[object], wrong: Callable[[Any], str]) -> dict[
     return bad
 
 
-def _key(value: object) -> Any:
+def _key(value: object) -> str | int | float:
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 

@@ -210,7 +210,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
         spec = StudySpec.model_validate(content)
     except ValidationError as error:
         raise ScenarioError(source, [_mine(line) for line in describe(error, StudySpec, content)]) from None
-    given: Any = spec.scenario
+    given = spec.scenario
     if isinstance(given, str) and given.endswith((".yaml", ".yml")):
         given = str(folder / Path(given).expanduser())
     _, scenario = read_scenario(given)

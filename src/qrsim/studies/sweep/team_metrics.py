@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.tree import quantity, record, replace
+from qrsim.world.state import World
 
 # Time [s] after which errors count: before it all fly from where they stood to where they believe they should be.
 SETTLED_S = 10.0
@@ -54,7 +55,7 @@ class TeamErrors:
         nowhere = jnp.full((*zero.shape, STEPS), jnp.nan, zero.dtype)
         return TeamMemory(jnp.zeros(zero.shape, jnp.int32), zero, zero, place.x, place.y, nowhere)
 
-    def update(self, memory: TeamMemory, world: Any, state: Any, tick: Array) -> TeamMemory:
+    def update(self, memory: TeamMemory, world: World, state: Any, tick: Array) -> TeamMemory:
         """Add a tick."""
         fleet, start = state.fleets[0], (memory.start_north, memory.start_east)
         flying, counts = fleet.violation.code == 0, tick >= round(SETTLED_S / world.time_step)

@@ -282,7 +282,7 @@ def _allan_picture(record: Recorded, deviation: Table, runs: dict[str, Simulated
     from qrsim.studies.validate.pictures import RECORDED, picture
 
     figure = new_figure(11.0, 4.6)
-    panels: Any = figure.subplots(1, 3, sharey=True)
+    panels = figure.subplots(1, 3, sharey=True)
     windows = LENGTHS * record.period
     every = allan_deviations(record.position_ned, record.period, LENGTHS)
     for i, (panel, axis) in enumerate(zip(panels, AXES, strict=True)):

@@ -259,7 +259,7 @@ def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: dict[str, An
     recorded = flight.recorded[:, :3] - flight.before[0, :3]
     recorded[:, 2] *= -1.0
     figure = new_figure(11.0, 11.0)
-    panels: Any = figure.subplots(6, 1, sharex=True)
+    panels = figure.subplots(6, 1, sharex=True)
     for i, axis in enumerate(AXES):
         for panel, truth, runs, start, unit in (
             (panels[i], match.recorded, winds.velocity, np.zeros(3), "velocity\n{} [m/s]"),
@@ -288,7 +288,7 @@ def _horizon_picture(restarted: dict[str, dict[str, float]]) -> Picture:
     from qrsim.studies.validate.pictures import OTHER, SIMULATED, picture
 
     figure = new_figure(7.0, 3.6)
-    axes: Any = figure.subplots()
+    axes = figure.subplots()
     styles = {"no_change": ("gray", "velocity stays what it was"), "still_air": (SIMULATED, "model, still air")}
     styles["fitted_wind"] = (OTHER, "model, fitted wind")
     for name, (colour, label) in styles.items():

@@ -64,7 +64,7 @@ def study_case(
     for name in sources:
         ours = name == "ours"
         series[name] = our_series(case, steps, seed) if ours else jsbsim_series(case, TYPES[name], steps, seed)
-        theory: Any = partial(sampled_closed_form, case) if ours else partial(jsbsim_theory, case, TYPES[name])
+        theory = partial(sampled_closed_form, case) if ours else partial(jsbsim_theory, case, TYPES[name])
         results[name], levels[name] = compare(series[name], theory, case)
     return results, series, levels
 
@@ -74,7 +74,7 @@ def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Flo
     from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 6.0)
-    axes: Any = figure.subplots(2, 3, sharex=True, sharey="row", height_ratios=(3, 2))
+    axes = figure.subplots(2, 3, sharex=True, sharey="row", height_ratios=(3, 2))
     labels = {"ours": "qrsim, dryden", "jsbsim_type_3": "JSBSim type 3", "jsbsim_type_4": "JSBSim type 4"}
     centres = LOWEST_OMEGA * 10.0 ** (0.1 * (np.arange(BANDS) + 0.5))
     for i, name in enumerate(COMPONENTS[:3]):
@@ -283,7 +283,7 @@ def _trace_picture(traces: dict[str, Floats]) -> Picture:
     from qrsim.studies.validate.pictures import picture
 
     figure = new_figure(11.0, 6.0)
-    panels: Any = figure.subplots(3, 1, sharex=True)
+    panels = figure.subplots(3, 1, sharex=True)
     mean, sigma = mean_wind(), scales(CASE)[1]
     for i, (panel, axis) in enumerate(zip(panels, ("north", "east", "down"), strict=True)):
         for (name, gusts), colour in zip(traces.items(), ("tab:red", "tab:blue", "gray"), strict=False):
