@@ -14,6 +14,7 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError, did_you_mean, readable
 from qrsim.extras import load
+from qrsim.files import Content
 from qrsim.files.user_files import LARGEST_TABLE, read_text
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.models.site import Site
@@ -126,7 +127,7 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
     return found
 
 
-def _content(file: str) -> dict[str, Any]:
+def _content(file: str) -> Content:
     with readable(file):
         text = read_text(file, LARGEST_TABLE)
     try:
@@ -154,7 +155,7 @@ def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
         )
 
 
-def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, Content, Content]]:
     """Yield name, properties and geometry of each feature."""
     features = [content]
     if content["type"] == "FeatureCollection":
@@ -174,8 +175,8 @@ def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, d
 
 
 def _chosen(
-    everything: list[tuple[str, dict[str, Any], dict[str, Any]]], trees: bool
-) -> tuple[list[tuple[str, dict[str, Any], dict[str, Any]]], BuildingsFile]:
+    everything: list[tuple[str, Content, Content]], trees: bool
+) -> tuple[list[tuple[str, Content, Content]], BuildingsFile]:
     """Return the features that become obstacles, and how many are left out.
 
     In exports of OpenStreetMap the buildings are ``building=*``; in files without its keys all polygons are.

@@ -20,13 +20,14 @@ from pydantic_core import core_schema
 
 from qrsim.core.presets import filled, presets_of
 from qrsim.core.tree import FieldInfo, field_info
+from qrsim.files import Content
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 # Types that stand for nothing: who gives a parameter means another one.
 WITHOUT_PARAMETERS = ("calm", "still", "none", "clear", "given")
 
 
-def _add_degrees(schema: dict[str, Any]) -> None:
+def _add_degrees(schema: Content) -> None:
     """Say in the JSON schema that every angle can be given in degrees instead."""
     properties = schema.get("properties", {})
     for name in [name for name in properties if name.endswith("_rad")]:
@@ -48,7 +49,7 @@ def _radians(degrees: object) -> Any:
         return math.inf
 
 
-def with_default_types(model: type[BaseModel], data: Mapping[str, object]) -> dict[str, Any]:
+def with_default_types(model: type[BaseModel], data: Mapping[str, object]) -> Content:
     """Return a copy in which components without a type have the type of the field's default, if it has parameters."""
     found = dict(data)
     for name, field in model.model_fields.items():
@@ -80,12 +81,12 @@ class Strict(BaseModel):
         return converted
 
 
-def _bounds(info: FieldInfo) -> dict[str, Any]:
+def _bounds(info: FieldInfo) -> Content:
     bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
-def _described(info: FieldInfo) -> dict[str, Any]:
+def _described(info: FieldInfo) -> Content:
     inherited = f" (default: that of {info.inherits})" if info.inherits else ""
     inherited = " (default: that of the sensors)" if info.of_sensors else inherited
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file, nearest
+from qrsim.files import Content
 from qrsim.files.user_files import read_text
 from qrsim.scenarios.local import swapped_hint
 
@@ -88,8 +89,8 @@ def _with_line(problem: str, part: object, lines: dict[int, int]) -> str:
     return problem if line is None else f"{path} (line {line}){colon}{words}"
 
 
-def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
+    found: Content = {}
     for key, value in pairs:
         if key in found:
             raise PlanFaultError(f"'{key}' is given twice in one object")
@@ -137,9 +138,9 @@ def check_version(parent: Mapping[str, object], supported: int, where: str) -> N
         raise PlanFaultError(f"{path}: version {found} is not supported; supported: {supported}")
 
 
-def section_of(content: Mapping[str, object], key: str, version: int) -> dict[str, Any]:
+def section_of(content: Mapping[str, object], key: str, version: int) -> Content:
     """Return a section of a plan, of a version."""
-    section: dict[str, Any] = part_of(content, key, dict, "")
+    section: Content = part_of(content, key, dict, "")
     check_version(section, version, key)
     return section
 

@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from qrsim.control import PathSetpoint
+from qrsim.files import Content
 from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.scene.area import StateLimits
 from qrsim.scenarios import catalogue as known
@@ -268,7 +269,7 @@ def _takes_paths(controller: str) -> bool:
     return kind is not None and PathSetpoint in kind.setpoints
 
 
-def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
+def _with_limits(fleet: Content) -> Content:
     """Return a fleet with the state limits of its vehicle where it gives none."""
     vehicle, limits = fleet.get("vehicle"), fleet.get("limits", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
@@ -278,7 +279,7 @@ def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
     return {**fleet, "limits": {**own, **limits}} if own else fleet
 
 
-def _with_controller(fleet: dict[str, Any]) -> dict[str, Any]:
+def _with_controller(fleet: Content) -> Content:
     """Return a fleet that names no controller with that of its vehicle."""
     vehicle, controller = fleet.get("vehicle"), fleet.get("controller", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
@@ -360,6 +361,6 @@ _SLOTS: dict[str, Any] = {
 }
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema() -> Content:
     """Return the JSON schema of scenario files."""
     return with_short_names(ScenarioSpec.model_json_schema())

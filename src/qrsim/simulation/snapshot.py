@@ -17,6 +17,7 @@ from qrsim.control import MissionState, RouteState
 from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.gnss.slots import SlottedSky
@@ -61,7 +62,7 @@ class SavedState:
     def to_bytes(self) -> bytes:
         """Write the state as a NumPy archive."""
         buffer = io.BytesIO()
-        content: dict[str, Any] = {name: getattr(self, name, FORMAT) for name in NAMES}
+        content: Content = {name: getattr(self, name, FORMAT) for name in NAMES}
         np.savez(buffer, **content)
         return buffer.getvalue()
 
@@ -185,7 +186,7 @@ def _integer(array: NumpyArray) -> int | None:
     return int(array) if array.shape == () and array.dtype.kind in "iu" else None
 
 
-def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int:
+def _number(where: str, name: str, content: Content, largest: int) -> int:
     found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
@@ -193,7 +194,7 @@ def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int
     return found
 
 
-def _text(where: str, name: str, content: dict[str, Any]) -> str:
+def _text(where: str, name: str, content: Content) -> str:
     array = content[name]
     try:
         if array.shape == () and array.dtype.kind == "U":
@@ -203,7 +204,7 @@ def _text(where: str, name: str, content: dict[str, Any]) -> str:
     raise UsageError(f"{where}: its {name} is no text")
 
 
-def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ...]) -> NumpyArray:
+def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> NumpyArray:
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(

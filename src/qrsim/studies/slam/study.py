@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from qrsim.core.tree import record_of
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.studies.slam import example
 from qrsim.studies.slam.estimate import (
     BIAS_TIME_CONSTANT,
@@ -215,9 +216,9 @@ def _solved(flight: Flight, ranging: Any, bias: float | None, **options: Any) ->
     return {"plain": converged, "bias": (remedied.position_ned, remedied.landmarks_ned, remedied)}
 
 
-def numbers(flown: Study) -> dict[str, Any]:
+def numbers(flown: Study) -> Content:
     """Return all numbers of a study as plain dicts."""
-    result: dict[str, Any] = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
+    result: Content = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
     measures = {"trajectory_m": flown.trajectory_errors, "landmarks_m": flown.landmark_errors}
     for noise, arm in flown.arms:
         result["errors"].setdefault(noise, {})[arm] = {
@@ -239,9 +240,9 @@ def numbers(flown: Study) -> dict[str, Any]:
     return result
 
 
-def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> dict[str, Any]:
+def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> Content:
     """Compare the error as a state with none, and return the share of the trajectory's loss that it recovers."""
-    found: dict[str, Any] = {}
+    found: Content = {}
     for name, measure in measures.items():
         white, coloured, remedied = measure("white", "plain"), measure("coloured", "plain"), measure("coloured", "bias")
         found[name] = {"gain": paired(remedied, coloured)}
@@ -250,10 +251,10 @@ def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> dict[str, A
     return found
 
 
-def _of_fixes(flown: list[Flight]) -> dict[str, Any]:
+def _of_fixes(flown: list[Flight]) -> Content:
     """Return how large the errors of the fixes are, and the slope of their Allan deviation."""
     errors = [flight.fix_error for flight in flown]
-    found: dict[str, Any] = {"rms_m": float(np.sqrt(np.mean([np.mean(np.square(error)) for error in errors])))}
+    found: Content = {"rms_m": float(np.sqrt(np.mean([np.mean(np.square(error)) for error in errors])))}
     period = flown[0].fix_period
     if min(map(len, errors)) >= 2 * round(SLOPE_WINDOWS[1] / period):
         found["allan"] = allan_slope(errors, period)
@@ -273,9 +274,9 @@ class Sweep:
     plain: Floats
     bias: Floats
 
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> Content:
         """Return the intervals and the paired tests against white noise."""
-        found: dict[str, Any] = {}
+        found: Content = {}
         for i, tau in enumerate(self.time_constants):
             name = "white" if tau == example.WHITE else f"tau_{tau:g}_s"
             found[name] = {"plain": interval(self.plain[i])}

@@ -22,6 +22,7 @@ import zarr
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files import Content
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
@@ -196,15 +197,15 @@ def _metrics(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*spec.metrics, spec.failure.metric]))
 
 
-def _without(about: Mapping[str, object], name: str) -> dict[str, Any]:
+def _without(about: Mapping[str, object], name: str) -> Content:
     return {key: value for key, value in about.items() if key != name}
 
 
-def _about(axis: Any) -> dict[str, Any]:
+def _about(axis: Any) -> Content:
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
-def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: dict[str, Any]) -> None:
+def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: Content) -> None:
     if values.dtype == object:
         array = group.create_array(
             name, shape=values.shape, dtype=str, dimension_names=(dimension,), attributes=attributes
@@ -214,7 +215,7 @@ def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attri
     group.create_array(name, data=values, dimension_names=(dimension,), attributes=attributes)
 
 
-def _attributes(plan: Plan) -> dict[str, Any]:
+def _attributes(plan: Plan) -> Content:
     """Return the attributes of the store; no time of day, so that equal studies have equal stores."""
     study = plan.study
     return {
@@ -242,7 +243,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
         raise UsageError(f"{path}: it exists and is no store of a sweep; choose another --out")
     study = plan.study
     if there["digest"] != study.digest:
-        settings: dict[str, Any] = json.loads(str(there["settings"]))
+        settings: Content = json.loads(str(there["settings"]))
         mine = json.loads(json.dumps(study.settings, default=str))
         different = list(_differing(mine, settings))
         more = len(different) - MOST_DIFFERENCES

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.interface.policies import load_function, sources_by_team
@@ -33,7 +34,6 @@ BASELINE = "baseline"
 OWN = "own_metrics"
 # What a store and its tables can hold.
 MOST_POINTS, MOST_EPISODES = 2**20, 10**8
-Content = dict[str, Any]
 
 
 class SamplingSpec(Part):
