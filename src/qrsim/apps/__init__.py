@@ -43,7 +43,7 @@ def _optional(words: list[str]) -> float | None:
     return None if words == ["None"] else seconds_of(words[0])
 
 
-def _spec(parse: Any) -> Any:
+def _spec(parse: Any) -> object:
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="SECONDS",

@@ -104,19 +104,19 @@ def _kernel(name: str) -> Any:
 # Programs inside programs
 
 
-def _called(parameters: Any, *inputs: object) -> list[Any]:
+def _called(parameters: Any, *inputs: object) -> list[object]:
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
-def _cond(parameters: Any, index: Any, *inputs: object) -> list[Any]:
+def _cond(parameters: Any, index: Any, *inputs: object) -> list[object]:
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
 
 
-def _scan(parameters: Any, *inputs: Any) -> list[Any]:
+def _scan(parameters: Any, *inputs: Any) -> list[object]:
     body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
     same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
     turns = range(parameters["length"])
@@ -148,12 +148,12 @@ def _broadcast(parameters: Any, x: Any) -> NumpyArray:
     return np.broadcast_to(x.reshape(wider), shape)
 
 
-def _slice(parameters: Any, x: Any) -> Any:
+def _slice(parameters: Any, x: Any) -> object:
     strides = parameters["strides"] or itertools.repeat(1)
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
-def _select(parameters: object, which: Any, *cases: Any) -> Any:
+def _select(parameters: object, which: Any, *cases: Any) -> object:
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
 
 
@@ -166,23 +166,23 @@ def _converted(parameters: Any, x: Any) -> Any:
     return x.astype(to)
 
 
-def _rounded(parameters: Any, x: Any) -> Any:
+def _rounded(parameters: Any, x: Any) -> object:
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
-def _power(parameters: Any, x: object) -> Any:
+def _power(parameters: Any, x: object) -> object:
     exponent = parameters["y"]
     found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
     return found if exponent >= 0 else np.reciprocal(found)
 
 
-def _quotient(parameters: object, a: Any, b: Any) -> Any:
+def _quotient(parameters: object, a: Any, b: Any) -> object:
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
-def _padded(parameters: Any, x: Any, value: Any) -> Any:
+def _padded(parameters: Any, x: Any, value: Any) -> object:
     sizes = [
         low + high + n + max(n - 1, 0) * gap
         for n, (low, high, gap) in zip(x.shape, parameters["padding_config"], strict=True)
@@ -218,7 +218,7 @@ def _of(function: Rule) -> Rule:
     return lambda parameters, *inputs: function(*inputs)
 
 
-def _sum(parameters: Any, x: Any) -> Any:
+def _sum(parameters: Any, x: Any) -> object:
     axes = parameters["axes"]
     rest = [size for axis, size in enumerate(x.shape) if axis not in axes]
     parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *rest)

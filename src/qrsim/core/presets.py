@@ -57,6 +57,6 @@ def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, A
     return both
 
 
-def _preset_value(value: Any, usual: Any) -> Any:
+def _preset_value(value: Any, usual: Any) -> object:
     """Return the value of a parameter in a preset; a mapping replaces some parameters of a part, by name."""
     return dataclasses.replace(usual, **value) if isinstance(value, Mapping) else value

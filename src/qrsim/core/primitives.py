@@ -36,7 +36,7 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(function, in_axes=tuple(axes))(*arguments), 0
 
-    def differentiated(primals: Any, tangents: Any, **parameters: object) -> Any:
+    def differentiated(primals: Any, tangents: Any, **parameters: object) -> object:
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         return primitive.bind(*primals), jax.jvp(function, tuple(primals), given)[1]
 
@@ -83,7 +83,7 @@ class Kernel:
         result: tuple[Array, ...] = tuple(self.primitive.bind(*arguments))
         return result
 
-    def _results(self, *avals: Any) -> list[Any]:
+    def _results(self, *avals: Any) -> list[object]:
         assert self.takes == tuple(aval.dtype.name for aval in avals)
         shape = max((aval.shape for aval in avals), key=len)
         return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
@@ -101,7 +101,7 @@ class Kernel:
         spread = [each if each.shape == () else jnp.broadcast_to(each, shape) for each in moved]
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
-    def _differentiated(self, primals: Any, tangents: Any) -> tuple[Any, Any]:
+    def _differentiated(self, primals: Any, tangents: Any) -> tuple[object, object]:
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         result = self.primitive.bind(*primals)
         if self.jvp is None:

@@ -34,7 +34,7 @@ def make(
     return XlaWorldsProgram(function, shared, own, extent, refused)
 
 
-def _jit(function: Callable[..., Any], few: bool, **options: Any) -> Any:
+def _jit(function: Callable[..., Any], few: bool, **options: Any) -> object:
     return jax.jit(function, compiler_options=quick_to_compile() if few else None, **options)
 
 
@@ -165,7 +165,7 @@ def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
-def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> Any:
+def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> object:
     """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.

@@ -52,7 +52,7 @@ class Packer:
         self.sizes = (ends[0], ends[1])
 
     @cached_property
-    def _identity(self) -> tuple[Any, ...]:
+    def _identity(self) -> tuple[object, ...]:
         # By its text and types, because to JAX two structures are equal whose records differ in nothing but their type,
         # and two types may have one name.
         return (repr(self.structure), tuple(kinds(self.structure)), tuple(self.shapes), tuple(self.dtypes))

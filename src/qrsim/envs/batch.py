@@ -222,7 +222,7 @@ class Batch:
         mine = self.axes[agent]
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
-    def of_agent(self, seen: object, number: int) -> Any:
+    def of_agent(self, seen: object, number: int) -> object:
         """Return what one agent sees, leaves (B, ...), of what all do (B, n, ...), of several fleets by fleet."""
         return part_of(self.sides, seen, number)
 

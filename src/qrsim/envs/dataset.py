@@ -90,7 +90,7 @@ class Recording:
     def _seen(self, row: int) -> Any:
         return jax.tree.map(lambda leaf: np.array(leaf[row, 0]), self._batch.seen)
 
-    def _truth(self, row: int) -> Any:
+    def _truth(self, row: int) -> object:
         return {name: np.array(leaf[row, 0]) for name, leaf in self._batch.truth.items()}
 
 

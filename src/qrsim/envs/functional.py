@@ -199,7 +199,7 @@ def checked_difficulty(given: Any) -> float:
     return float(given)
 
 
-def _number_at(world: World, path: tuple[str | int, ...]) -> Any:
+def _number_at(world: World, path: tuple[str | int, ...]) -> object:
     """Return the number of a World at a path; of one that every vehicle has, the first one's."""
     found: Any = world
     for part in path:

@@ -358,7 +358,7 @@ def _rows(own: slice, leaf: Array) -> Array:
     return leaf[own]
 
 
-def _arrays(record: object) -> Any:
+def _arrays(record: object) -> object:
     """Return a record with arrays in place of numbers."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 

@@ -220,7 +220,7 @@ def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[
     return corners.min(axis=0), corners.max(axis=0)
 
 
-def _footprint(obstacle: Any) -> Any:
+def _footprint(obstacle: Any) -> object:
     """Return an obstacle from above."""
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:

@@ -38,7 +38,7 @@ _voltage = on_host(lambda battery, states, load: battery.voltage(states, load))
 _poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
 
 
-def _poses(fleet: Fleet, states: object) -> Any:
+def _poses(fleet: Fleet, states: object) -> object:
     """Return poses (T, n) of the vehicles' states (T, n), by NumPy: it is asked for at every part of a flight."""
     ticks = len(jax.tree.leaves(states)[0])
     if not ticks < _TICKS <= _MOST_POSES / fleet.size:

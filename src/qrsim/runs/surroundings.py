@@ -174,7 +174,7 @@ def _drawn_again(run: Run) -> dict[str, Any]:
     return result
 
 
-def _task_stream(task: Any, key: Any) -> Any:
+def _task_stream(task: Any, key: Any) -> object:
     """Return the stream of what a task draws, None where it draws nothing."""
     import jax.numpy as jnp
 
@@ -228,7 +228,7 @@ def _edges(area: object) -> tuple[Floats, Floats]:
     return north, east
 
 
-def _grid(area: Any) -> Any:
+def _grid(area: Any) -> object:
     """Return the middles of the cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
     from qrsim.core.vectors import Vec3
 

@@ -56,7 +56,7 @@ def beacon_problems(scenario: Any) -> Iterator[str]:
                 )
 
 
-def with_beacons(sensor: object, scenario: Any) -> Any:
+def with_beacons(sensor: object, scenario: Any) -> object:
     """Return a sensor that knows where its beacons are, if it ranges to any."""
     if not isinstance(sensor, Ranging | IdealRanging):
         return sensor

@@ -71,7 +71,7 @@ def vehicle_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
     return component(fleet.vehicle, known.VEHICLES, scenario).in_air(air_of(scenario))
 
 
-def inherited(scenario: ScenarioSpec, path: str) -> Any:
+def inherited(scenario: ScenarioSpec, path: str) -> object:
     """Return the value at a dotted path of the scenario, None if there is none."""
     value: Any = scenario
     for part in path.split("."):
@@ -139,7 +139,7 @@ def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
 def _obstacles(scenario: ScenarioSpec) -> Obstacles:
     """Gather the obstacles of each kind into one record of arrays."""
 
-    def gather(kind: str) -> Any:
+    def gather(kind: str) -> object:
         cls = known.OBSTACLES[kind]
         specs = [spec for spec in scenario.world.obstacles if spec.type == kind]
         names = [field.name for field in dataclasses.fields(cls)]

@@ -95,7 +95,7 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
         warn_user(f"{file}: of its features are left out: {', '.join(reasons)}{trees_left_out(found)}")
 
 
-def _prism(building: Building, height: float, ground: Any) -> Any:
+def _prism(building: Building, height: float, ground: Any) -> object:
     """Return a building as a scenario has it; its ground is the lowest at its corners."""
     outline, *holes = building.rings
     down = 0.0

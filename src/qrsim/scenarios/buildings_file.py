@@ -210,7 +210,7 @@ def _is_tree(properties: Mapping[str, object]) -> bool:
     return properties.get("natural") in ("wood", "tree") or properties.get("landuse") == "forest"
 
 
-def _polygons(geometry: Mapping[str, object]) -> list[Any]:
+def _polygons(geometry: Mapping[str, object]) -> list[object]:
     """Return the polygons of a geometry, each a list of rings where the file is right."""
     found, parts = [], [geometry]
     while parts:

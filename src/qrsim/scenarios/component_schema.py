@@ -37,7 +37,7 @@ def _add_degrees(schema: Content) -> None:
             schema["required"].remove(name)
 
 
-def _radians(degrees: object) -> Any:
+def _radians(degrees: object) -> object:
     """Convert a number or each of a list; anything else is left for the check to find."""
     if isinstance(degrees, list):
         return [_radians(entry) for entry in degrees]
@@ -101,7 +101,7 @@ def _one_or_each(value: object) -> str:
     return "each" if isinstance(value, list) else "one"
 
 
-def _for_each(info: FieldInfo) -> Any:
+def _for_each(info: FieldInfo) -> object:
     """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
     entry = number | None if _optional(info) else number
@@ -126,7 +126,7 @@ class _Numbers:
         )
 
 
-def _field(name: str, hint: object, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
+def _field(name: str, hint: object, field: dataclasses.Field[Any], each: bool) -> tuple[object, object]:
     info = field_info(field)
     required = field.default is dataclasses.MISSING
     usual = None if info.of_sensors else field.default

@@ -82,7 +82,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
     ]
 
 
-def _built(spec: Any, ephemeris: object) -> Any:
+def _built(spec: Any, ephemeris: object) -> object:
     cls = _CLASSES[spec.kind]
     values: dict[str, Any] = {}
     for field in dataclasses.fields(cls):

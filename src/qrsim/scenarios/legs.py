@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -123,7 +123,7 @@ class ReturnLeg(_LegSpec):
     land: bool = Field(True, description="land there, else stay above it")
 
 
-def _fly_by_default(value: object) -> Any:
+def _fly_by_default(value: object) -> object:
     """A leg without a type is flown to."""
     return {"type": "fly", **value} if isinstance(value, dict) and "type" not in value else value
 

@@ -351,7 +351,7 @@ def _name_of(command: object) -> str:
     return names.get(command, str(command)) if isinstance(command, int) else "?"
 
 
-def _params(item: Mapping[str, object], path: str) -> list[Any]:
+def _params(item: Mapping[str, object], path: str) -> list[object]:
     params: list[Any] = part_of(item, "params", list, path)
     if len(params) != 7:
         raise PlanFaultError(f"{path}.params: expected 7 values, found {len(params)}")

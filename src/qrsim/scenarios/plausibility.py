@@ -238,7 +238,7 @@ def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) ->
             yield f"{path}.vehicle.{name}: {rate:g} 1/s is too fast for a time step of {dt:g} s: it grows each step"
 
 
-def _lists(vehicle: Any) -> list[Any]:
+def _lists(vehicle: Any) -> list[object]:
     """Return the numbers of a vehicle that are given one for each."""
     return [name for name in type(vehicle).model_fields if isinstance(getattr(vehicle, name), list)]
 

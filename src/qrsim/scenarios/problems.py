@@ -114,7 +114,7 @@ class _Fault:
             return model.__name__
         return self.path[-1]
 
-    def _descend(self, part: object, data: object) -> Any:
+    def _descend(self, part: object, data: object) -> object:
         name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
@@ -281,13 +281,13 @@ def _given(annotation: object) -> Any:
     return others[0] if get_origin(annotation) in (Union, UnionType) and len(others) == 1 else annotation
 
 
-def _bare(annotation: object) -> Any:
+def _bare(annotation: object) -> object:
     """Return a type without what Annotated says about it, and without null."""
     annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
-def _tagged(annotation: object, tag: object) -> Any:
+def _tagged(annotation: object, tag: object) -> object:
     """Return the alternative of a union that carries a tag, None where there is none."""
     for branch in get_args(_bare(annotation)):
         if any(isinstance(note, Tag) and note.tag == tag for note in get_args(branch)[1:]):
@@ -295,12 +295,12 @@ def _tagged(annotation: object, tag: object) -> Any:
     return None
 
 
-def _entry(annotation: object) -> Any:
+def _entry(annotation: object) -> object:
     """Return the type of an entry of a list or a mapping, None where it is neither."""
     return (get_args(_bare(annotation)) or (None,))[-1]
 
 
-def _rules(annotation: object) -> list[Any]:
+def _rules(annotation: object) -> list[object]:
     """Return the bounds that Annotated says about a type."""
     annotation = _given(annotation)
     if get_origin(annotation) is not Annotated:

@@ -187,7 +187,7 @@ def anchor_files(content: Content, folder: Path) -> None:
     _anchor(content, folder)
 
 
-def _with_plans(content: Content) -> Iterator[Any]:
+def _with_plans(content: Content) -> Iterator[object]:
     """Yield the site and the vehicles, whatever the user gave for them."""
     yield content.get("site")
     fleets = content.get("fleets")

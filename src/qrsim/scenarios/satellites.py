@@ -118,7 +118,7 @@ def base_station(scenario: ScenarioSpec) -> BaseStation | None:
     return BaseStation(**{**values, **lists})
 
 
-def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
+def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> object:
     """Return a receiver of a fleet that knows which vehicle is its moving base, and which of them are spoofed."""
     if not isinstance(sensor, Gnss):
         return sensor

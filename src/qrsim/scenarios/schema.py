@@ -48,7 +48,7 @@ SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
 FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
-def _time_of_day(value: object) -> Any:
+def _time_of_day(value: object) -> object:
     """Refuse numbers, which pydantic would take for seconds since 1970."""
     if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
         return value
@@ -135,7 +135,7 @@ EstimatorSlot: Any = slot_of(known.FILTERS, each=True)
 LimitsModel: Any = component_model("limits", StateLimits, tagged=False, each=True)
 
 
-def _base_model() -> Any:
+def _base_model() -> object:
     """Return the schema of a base station with its place, and the times at which it is silent."""
     places = {
         "position_ned": (Position, Field(description="where its antenna is [m]: north, east, down")),
@@ -299,7 +299,7 @@ class RangeSpec(Strict):
     high: Finite = Field(description="largest value, in the unit of the number")
 
 
-def _only_in_a_source(value: object) -> Any:
+def _only_in_a_source(value: object) -> object:
     """Whoever reads a scenario takes the key out; what arrives here comes too late."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 

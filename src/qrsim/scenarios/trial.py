@@ -109,7 +109,7 @@ def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
             return
 
     def watched(part: object, size: int | None) -> Any:
-        def watch(item: Any) -> Any:
+        def watch(item: Any) -> object:
             own: Any = type(item)
             if own not in kinds:
                 return item

@@ -146,7 +146,7 @@ def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> Non
         )
 
 
-def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
+def _first_memory(function: UserFunction | None, reading: Reading) -> object:
     """Return the memory that a function starts with."""
     if function is None:
         return ()
@@ -154,7 +154,7 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
         return jax.tree.map(jnp.asarray, function.init(reading))
 
 
-def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[Any, Any]:
+def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[object, object]:
     """Return a compiled function's actions or estimates for each fleet, and its memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
@@ -164,7 +164,7 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: obje
         return checker.estimates(result, needed=True), memory
 
 
-def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[Any, Any]:
+def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[object, object]:
     """Call a user's function in a program that is being compiled."""
     try:
         result, after = function(reading, memory)

@@ -24,7 +24,7 @@ def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None
     return (_unpickled, (files, type(item), pickle.dumps(item.__getstate__(), protocol))) if files else None
 
 
-def _unpickled(files: FileModules, kind: Any, kept: bytes) -> Any:
+def _unpickled(files: FileModules, kind: Any, kept: bytes) -> object:
     load_files(files)
     item = kind.__new__(kind)
     item.__setstate__(pickle.loads(kept))

@@ -100,6 +100,6 @@ class Pilot:
                 self._checker.estimates(result, needed=True)
             return result
 
-    def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[Any, Any]:
+    def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[object, object]:
         """Return the answer of a function that is compiled."""
         return call_compiled(function, Reading(self.simulation.world, state, tick, self.simulation.site), memory)

@@ -79,12 +79,12 @@ class Task(Protocol):
     def commands(self, memory: Any, world: World, action: Any) -> tuple[Action, ...]:
         """Convert actions (n, A), in their units, to an action for each fleet."""
 
-    def each_tick(self, memory: Any, world: World, state: State) -> Any:
+    def each_tick(self, memory: Any, world: World, state: State) -> object:
         """Return the memory after a tick."""
         return memory
 
     @abstractmethod
-    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[Any, Any]:
+    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[object, object]:
         """Return the memory after step ``step`` () of ``steps``, counted from 1, and its reward (n,) while all fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:

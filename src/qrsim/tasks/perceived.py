@@ -94,7 +94,7 @@ def _range(measured: Array, reach: Array) -> Array:
     return jnp.where(jnp.isfinite(measured), jnp.clip(measured, 0.0, reach), reach)
 
 
-def _reach(sensor: Any) -> Any:
+def _reach(sensor: Any) -> object:
     if isinstance(sensor, IdealScan):
         return scan.FARTHEST
     return rangefinder.FARTHEST if isinstance(sensor, IdealRangefinder) else sensor.range_max

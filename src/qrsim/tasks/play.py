@@ -189,7 +189,7 @@ class Play:
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
 
-    def _commands(self, episode: Episode, action: Array) -> Any:
+    def _commands(self, episode: Episode, action: Array) -> object:
         acts, sides = self.width, self.sides
         says = self.message > 0 and action.shape[1] > acts
         flown = action[:, :acts] if says else action

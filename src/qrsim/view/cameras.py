@@ -104,7 +104,7 @@ def _developed(
     number: int,
     index: int,
     i: Any,
-) -> Any:
+) -> object:
     """Return the last picture of vehicle ``i`` of a fleet, as one of (1,) vehicles."""
     world = world.with_drawn(drawn)
     fleet = world.fleets[number]

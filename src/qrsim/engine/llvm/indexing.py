@@ -168,7 +168,7 @@ class Indexing(Nodes):
         return self.spread(self.graph.constant(np.int32(value)), shape)
 
 
-def _filling(value: object, dtype: Any) -> Any:
+def _filling(value: object, dtype: Any) -> object:
     """Choose the value that JAX puts where an index is out of range."""
     if value is not None:
         return value

@@ -75,7 +75,7 @@ class Types:
         """Return a message as CDR."""
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
-    def decode(self, cdr: bytes, name: str) -> Any:
+    def decode(self, cdr: bytes, name: str) -> object:
         """Return the message of a type in CDR."""
         return self.store.deserialize_cdr(cdr, name)
 
@@ -115,7 +115,7 @@ class Types:
             self._structs[name] = struct
         return struct
 
-    def _type(self, description: Any) -> Any:
+    def _type(self, description: Any) -> object:
         kind, content = description
         if kind == Nodetype.NAME:
             return self._struct(content)

@@ -164,7 +164,7 @@ class ZenohNode:
         return token
 
 
-def _config(router: str, listen: str) -> Any:
+def _config(router: str, listen: str) -> object:
     """Return the settings of a session, as rmw_zenoh's for nodes, except that it goes on without a router."""
     config = zenoh.Config()
     for path, value in (

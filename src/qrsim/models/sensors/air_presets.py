@@ -27,7 +27,7 @@ AIRSPEEDS: dict[str, dict[str, Any]] = {
 }
 
 
-def default_altimeter(name: str) -> Any:
+def default_altimeter(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return ALTIMETERS[DEFAULT_ALTIMETER][name]
 

@@ -40,7 +40,7 @@ SCANS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def default_rangefinder(name: str) -> Any:
+def default_rangefinder(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return RANGEFINDERS["generic"][name]
 

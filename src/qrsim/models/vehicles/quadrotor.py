@@ -155,7 +155,7 @@ class Quadrotor(Vehicle):
         """Return the command (n,) at the highest voltage that the thrust was identified for."""
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
-    def leaning(self, tilt: Any) -> tuple[Any, Any]:
+    def leaning(self, tilt: Any) -> tuple[object, object]:
         """Return airspeed [m/s] and thrust [N] at rest, leaning by tilt (n,) [rad] (eq. 6 with nothing moving).
 
         Drag across the body pushes it down as well: kw w is larger than kuv u.

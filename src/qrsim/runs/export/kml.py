@@ -49,7 +49,7 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     return Written(path, content.counts)
 
 
-def _style(simplekml: Any, number: int, kind: str) -> Any:
+def _style(simplekml: Any, number: int, kind: str) -> object:
     red, green, blue = VEHICLES[number % len(VEHICLES)].tolist()
     style = simplekml.Style()
     style.iconstyle.scale = 0.6

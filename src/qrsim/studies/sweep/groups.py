@@ -211,7 +211,7 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
     return None
 
 
-def _middle(axis: Axis) -> Any:
+def _middle(axis: Axis) -> object:
     if axis.values is None:
         return 0.5 * (axis.low + axis.high)
     return sorted(axis.values)[len(axis.values) // 2]

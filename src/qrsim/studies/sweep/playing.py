@@ -84,7 +84,7 @@ _KEPT: dict[Any, _Point] = {}
 def _summed() -> Any:
     """Return the program that takes the states of some ticks into account."""
 
-    def summed(flight: object, world: World, states: object, ticks: object) -> Any:
+    def summed(flight: object, world: World, states: object, ticks: object) -> object:
         def one(known: Any, at: Any) -> Any:
             state, tick = at
             return FLIGHT_METRICS.update(known, world, state, tick), None

@@ -70,7 +70,7 @@ class FailureSpec(Part):
         return self
 
 
-def _in_one_line(policy: object) -> Any:
+def _in_one_line(policy: object) -> object:
     """Return the policies of several teams as the command line has them."""
     if isinstance(policy, dict) and all(isinstance(part, str) for pair in policy.items() for part in pair):
         return ",".join(f"{team}={source}" for team, source in policy.items())

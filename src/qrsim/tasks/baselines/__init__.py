@@ -139,10 +139,10 @@ class BaselinePolicy:
     def _like(self) -> NumpyArray:
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
-    def _init(self, state: Any) -> Any:
+    def _init(self, state: Any) -> object:
         ids = jnp.arange(self.play.task.ids, dtype=jnp.uint32)
         stream = Key.root(self.seed).stream(TASK, ids)
         return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
 
-    def _observed(self, memory: Any, state: Any, tick: Any) -> Any:
+    def _observed(self, memory: Any, state: Any, tick: Any) -> object:
         return self.play.observed(memory, state, tick)
