@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 # To look for similar names takes the square of their lengths; messages are to be read.
 LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
@@ -63,7 +62,7 @@ class ScenarioError(UsageError):
         more = [f"  ... and {count - MOST_PROBLEMS} more"] if count > MOST_PROBLEMS else []
         super().__init__(head, *lines, *more)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # By its own arguments, which are not those of Exception; notes and the like are in the dict.
         return type(self), (self.source, self.problems), self.__dict__
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -108,7 +108,7 @@ class Discover:
             raise UsageError(f"--mass {self.mass:g}: expected a mass above 0 kg")
 
 
-def _summary(found: Discovery) -> dict[str, Any]:
+def _summary(found: Discovery) -> dict[str, object]:
     laws = {
         name: {
             "equation": law.text,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -149,7 +149,7 @@ class Sweep:
             print(text)
 
 
-def _planned(plan: Plan) -> dict[str, Any]:
+def _planned(plan: Plan) -> dict[str, object]:
     return {
         "study": plan.study.spec.name,
         "digest": plan.study.digest,

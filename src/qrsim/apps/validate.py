@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -88,7 +88,7 @@ class Validate:
         print(f"figures: {self.out / FIGURES}/\nnumbers: {self.out / NUMBERS}")
 
 
-def to_json(results: list[Result]) -> dict[str, Any]:
+def to_json(results: list[Result]) -> dict[str, object]:
     """Return the whole report without its pictures."""
     import datetime
     import platform

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -182,7 +181,7 @@ def _difference_json(item: Difference) -> Content:
     }
 
 
-def _plain(value: object) -> Any:
+def _plain(value: object) -> object:
     """Return a value that JSON can say: None for NaN and infinity, text for what is none of its types."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}

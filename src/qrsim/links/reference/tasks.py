@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from itertools import accumulate
-from typing import Any
 
 import yaml
 
@@ -189,7 +188,7 @@ def _count(value: object) -> int:
     return len(value) if isinstance(value, list | dict) else 0
 
 
-def _entries(part: object, path: str) -> Iterator[tuple[str, str, Any]]:
+def _entries(part: object, path: str) -> Iterator[tuple[str, str, object]]:
     """Return path, key and value of everything that has a key."""
     for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
         where = f"{path}.{key}" if path else str(key)

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.pacing import Metronome, PaceReport
@@ -231,7 +230,7 @@ class Server:
             return
         self._told_status = now
         report, simulation = self._pacer.report(), self.simulation
-        status: dict[str, Any] = {
+        status: dict[str, object] = {
             "time": simulation.time,
             "tick": simulation.tick,
             "paused": self.paused,

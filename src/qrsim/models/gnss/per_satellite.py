@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -14,6 +13,7 @@ from qrsim.models.gnss.fixes import GnssFix
 from qrsim.models.gnss.geometry import FOUND, Geometry, sights, strengths, weakness
 from qrsim.models.gnss.hidden import weaker_by
 from qrsim.models.gnss.interference import Effect
+from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import NOBODY, Slots
 
 # States of a satellite.
@@ -30,7 +30,7 @@ def with_satellites(
     effect: Effect | None,
     position_ned: Vec3,
     ground: object,
-    skyline: Any,
+    skyline: Skyline | None,
     slow: Array,
 ) -> GnssFix:
     """Return a reading with what each satellite in a slot is to receivers (n,).

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import LogError
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.studies.flight_logs import FlightLog
 
-Floats = np.ndarray[Any, np.dtype[np.float64]]
+Floats = npt.NDArray[np.float64]
 # A law's right-hand side: (constants (B, 1) ..., leaves (B, n) ...) -> (B, n).
 Rule = Callable[..., Any]
 
