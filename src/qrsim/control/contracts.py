@@ -30,8 +30,8 @@ class Controller(Protocol):
         feed: what it is fed with, where nobody hands in an estimate: the sensors, the truth, or its own ``estimator``.
     """
 
-    setpoints: ClassVar[tuple[type[Any], ...]]
-    gives: ClassVar[type[Any]]
+    setpoints: ClassVar[tuple[type, ...]]
+    gives: ClassVar[type]
     reads_airspeed: ClassVar[bool] = False
     feed: Literal["measurements", "truth", "filter"] = "measurements"
 
@@ -77,7 +77,7 @@ class Guidance(Protocol):
             (``teams/mates.py``); the component then has ``reach`` [m] and ``mates``, how far and how many it looks at.
     """
 
-    gives: ClassVar[type[Any]]
+    gives: ClassVar[type]
     sees_others: ClassVar[bool] = False
     sees_ground: ClassVar[bool] = False
     sees_motion: ClassVar[bool] = False

@@ -64,7 +64,7 @@ class FixedWingController(Controller):
     nominal: Any = derived(default=None, doc="the vehicle that it is fitted to")
 
     setpoints: ClassVar[tuple[type, ...]] = (TrackSetpoint, WaypointSetpoint)
-    gives: ClassVar[type[Any]] = AttitudeCommand
+    gives: ClassVar[type] = AttitudeCommand
     reads_airspeed: ClassVar[bool] = True
 
     def fitted(self, vehicle: object) -> FixedWingController:

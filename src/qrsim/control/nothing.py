@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from qrsim.control.contracts import Controller
 from qrsim.control.guidance import Route, RouteGuidance, RouteState
@@ -20,8 +20,8 @@ class NoSetpoint:
 class NoController(Controller):
     """Commands nothing, of a vehicle that takes no commands."""
 
-    setpoints: ClassVar[tuple[type[Any], ...]] = (NoSetpoint,)
-    gives: ClassVar[type[Any]] = NoCommand
+    setpoints: ClassVar[tuple[type, ...]] = (NoSetpoint,)
+    gives: ClassVar[type] = NoCommand
     feed: ClassVar[Literal["truth"]] = "truth"  # type: ignore[misc]
 
     def init(self, estimate: Estimate) -> None:
@@ -36,7 +36,7 @@ class NoController(Controller):
 class NoGuidance(RouteGuidance):
     """Asks for nothing."""
 
-    gives: ClassVar[type[Any]] = NoSetpoint
+    gives: ClassVar[type] = NoSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> NoSetpoint:
         """Return the set-point without fields."""

@@ -56,7 +56,7 @@ class RoverController(Controller):
     nominal: Any = derived(default=None, doc="the vehicle that it is fitted to")
 
     setpoints: ClassVar[tuple[type, ...]] = (TrackSetpoint, WaypointSetpoint, VelocitySetpoint, PathSetpoint)
-    gives: ClassVar[type[Any]] = DriveCommand
+    gives: ClassVar[type] = DriveCommand
 
     def fitted(self, vehicle: object) -> RoverController:
         """Return the controller that knows what a vehicle is commanded with.

@@ -9,6 +9,9 @@ from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 
+# Parameters by the name of a preset.
+Presets = dict[str, dict[str, Any]]
+
 
 def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
     """Return the presets of a class of components, None of one without."""

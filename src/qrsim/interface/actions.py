@@ -224,7 +224,7 @@ class ActionChecker:
             )
         return self._command(kind, command, names, flying)
 
-    def _kind(self, given: type[Any] | None, fleets: tuple[Fleet, ...]) -> CommandKind:
+    def _kind(self, given: type | None, fleets: tuple[Fleet, ...]) -> CommandKind:
         """Return which command the vehicles of fleets are given; None: an array of their own fields.
 
         Raises:

@@ -45,9 +45,9 @@ _DECLARED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "ClassVar[bool]": (lambda value: isinstance(value, bool), "True or False"),
     "bool": (lambda value: isinstance(value, bool), "True or False"),
     "ClassVar[str]": (lambda value: isinstance(value, str), "a text"),
-    "ClassVar[type[Any]]": (lambda value: isinstance(value, type), "a class"),
-    "ClassVar[type[Any] | None]": (lambda value: value is None or isinstance(value, type), "a class or None"),
-    "ClassVar[tuple[type[Any], ...]]": (_tuple_of(type), "a tuple of classes, as (qrsim.WaypointSetpoint,)"),
+    "ClassVar[type]": (lambda value: isinstance(value, type), "a class"),
+    "ClassVar[type | None]": (lambda value: value is None or isinstance(value, type), "a class or None"),
+    "ClassVar[tuple[type, ...]]": (_tuple_of(type), "a tuple of classes, as (qrsim.WaypointSetpoint,)"),
     "ClassVar[tuple[Axis, ...]]": (_tuple_of(Axis), "a tuple of Axis (qrsim.tasks.agents)"),
     "Literal['measurements', 'truth', 'filter']": (_feed, "'measurements', 'truth' or 'filter'"),
 }

@@ -49,9 +49,9 @@ class Task(Protocol):
     penalty: Array
     leave: bool = False
     axes: ClassVar[tuple[Axis, ...]] = ()
-    asks_for: ClassVar[type[Any] | None] = None
+    asks_for: ClassVar[type | None] = None
     hands_in: ClassVar[bool] = False
-    baseline: ClassVar[type[Any] | None] = None
+    baseline: ClassVar[type | None] = None
 
     @property
     def ids(self) -> int:
@@ -63,7 +63,7 @@ class Task(Protocol):
         """Names of the fleets whose vehicles are the agents, ``fleet`` first."""
         return (self.fleet,)
 
-    def asks(self, fleet: str) -> type[Any] | None:
+    def asks(self, fleet: str) -> type | None:
         """Return the kind of set-points that the controller of a fleet of agents must take; see ``asks_for``."""
         return self.asks_for
 

@@ -146,7 +146,7 @@ class Commanded(Task):
         """Describe the command of the fleet's vehicles."""
         return axes_of(self.command_type(world))
 
-    def command_type(self, world: World) -> type[Any]:
+    def command_type(self, world: World) -> type:
         """Return the command record of the fleet's vehicles."""
         return world.fleets[number_of(world, self.fleet)].vehicle.command_type
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from qrsim.core.noise import Draw
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, record, replace, select, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss import fixing
@@ -135,7 +136,7 @@ class Gnss(Sensor):
     spoofed: Any = derived(default=None, doc="for each spoofer of the world (n,) bool: which vehicles it is for")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned", "ground", "skyline")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     def init(
         self,

@@ -79,11 +79,11 @@ def _count(which: str) -> Any:
     return setting(default=1, unit="1", doc=f"{which} sources of an episode", minimum=1, maximum=100)
 
 
-def _spread_factor() -> Any:
+def _spread_factor() -> Array:
     return parameter(default=0.33, unit="m^(2-b)", doc="a of the spread s = 2 a x'^b", above=0.0)
 
 
-def _spread_exponent() -> Any:
+def _spread_exponent() -> Array:
     return parameter(default=0.86, unit="1", doc="b of the spread s = 2 a x'^b", above=0.0, maximum=2.0)
 
 

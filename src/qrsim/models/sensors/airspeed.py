@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.atmosphere.standard import DENSITY, PRESSURE, TEMPERATURE, air_above
@@ -16,7 +17,7 @@ from qrsim.models.sensors.contracts import Explained, Memoryless, Sensor
 from qrsim.models.sensors.quantization import quantized
 
 
-def _number(name: str, unit: str, doc: str) -> Any:
+def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default_airspeed(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -79,7 +80,7 @@ class Airspeed(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "velocity_body", "wind_ned")
     normals: ClassVar[int] = 1
     first_normals: ClassVar[int] = 3
-    presets: ClassVar[dict[str, dict[str, Any]]] = AIRSPEEDS
+    presets: ClassVar[Presets] = AIRSPEEDS
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import computed, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.contracts import Sensor
@@ -40,7 +41,7 @@ _START = AXES + 3 * _MATRIX + AXES * len(TIMES) + 1
 Six = tuple[Array, ...]
 
 
-def _number(name: str, unit: str, doc: str) -> Any:
+def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -129,7 +130,7 @@ class Imu(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     @computed
     def normals(self) -> int:

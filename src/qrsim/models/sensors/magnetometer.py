@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.sensors.contracts import Memoryless, Sensor
@@ -33,7 +34,7 @@ _AXES = 3
 Rows = tuple[Vec3, Vec3, Vec3]
 
 
-def _number(name: str, unit: str, doc: str) -> Any:
+def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -130,7 +131,7 @@ class Magnetometer(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
     normals: ClassVar[int] = 2 * _AXES
     first_normals: ClassVar[int] = _ONCE + _AXES
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load

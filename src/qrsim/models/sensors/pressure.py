@@ -6,12 +6,13 @@ standard atmosphere: what acts on the pressure acts on the height.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.atmosphere.standard import GAS, GRAVITY, LAPSE, PRESSURE, TEMPERATURE, air_above
@@ -21,7 +22,7 @@ from qrsim.models.sensors.contracts import Memoryless, Sensor
 from qrsim.models.vehicles.contracts import Load
 
 
-def _port(side: str) -> Any:
+def _port(side: str) -> Array:
     return parameter(
         default=-0.1, unit="1", doc=f"pressure at the port over the dynamic pressure, for air that comes {side}"
     )
@@ -107,7 +108,7 @@ class PressureAltimeter(Sensor):
     )
     normals: ClassVar[int] = 2
     first_normals: ClassVar[int] = 3
-    presets: ClassVar[dict[str, dict[str, Any]]] = ALTIMETERS
+    presets: ClassVar[Presets] = ALTIMETERS
 
     def init(
         self,

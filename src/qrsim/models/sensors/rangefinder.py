@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Unpack
+from typing import ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
@@ -33,7 +34,7 @@ FARTHEST = 1000.0
 Axis = Literal["down", "up", "forward", "backward", "right", "left"]
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default_rangefinder(name), unit=unit, doc=doc, **bounds)
 
 
@@ -83,7 +84,7 @@ class Rangefinder(Memoryless):
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground")
     normals: ClassVar[int] = 3
-    presets: ClassVar[dict[str, dict[str, Any]]] = RANGEFINDERS
+    presets: ClassVar[Presets] = RANGEFINDERS
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground

@@ -11,6 +11,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Draw, ou_step
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, derived, parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.models.scene.contracts import Ground
@@ -29,7 +30,7 @@ EVERY = "all"
 _STEEPEST = 30.0
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
@@ -95,7 +96,7 @@ class Ranging(Sensor):
     beacon_ned: Any = derived(default=None, doc="(B,) positions of the beacons")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "obstacles", "ground", "traffic")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     @property
     def wants_traffic(self) -> bool:

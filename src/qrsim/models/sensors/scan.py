@@ -11,6 +11,7 @@ from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
@@ -26,7 +27,7 @@ FARTHEST = 100.0
 MOST_RAYS = 720
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
@@ -80,7 +81,7 @@ class Scan(Memoryless):
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = SCANS
+    presets: ClassVar[Presets] = SCANS
 
     @property
     def wants_traffic(self) -> bool:

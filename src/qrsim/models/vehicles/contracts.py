@@ -161,8 +161,8 @@ class Vehicle(Protocol):
         downwash: whether the wakes of other vehicles are part of its air: ``felt``, ``at_centre`` or ``ignored``.
     """
 
-    command_type: ClassVar[type[Any]]
-    actions: ClassVar[tuple[type[Any], ...]]
+    command_type: ClassVar[type]
+    actions: ClassVar[tuple[type, ...]]
     normals: ClassVar[int] = 0
     reads: ClassVar[tuple[str, ...]] = ()
     gives_power: ClassVar[bool] = False
@@ -376,5 +376,5 @@ handling_of = on_host(lambda vehicle: vehicle.handling())
 
 def has_contact(vehicle: object) -> bool:
     """Return whether a vehicle, or a class of vehicles, stands on the ground by a contact of its own."""
-    kind: type[Any] = vehicle if isinstance(vehicle, type) else type(vehicle)
+    kind: type[Vehicle] = vehicle if isinstance(vehicle, type) else type(vehicle)
     return kind.on_ground is not Vehicle.on_ground

@@ -19,8 +19,8 @@ class NoCommand:
 class Uncommanded(Vehicle):
     """Base of points without a drive; their state has a ``heading``."""
 
-    command_type: ClassVar[type[Any]] = NoCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
+    command_type: ClassVar[type] = NoCommand
+    actions: ClassVar[tuple[type, ...]] = (NoCommand,)
     default_controller: ClassVar[str] = "none"
 
     def idle_command(self, like: Array) -> NoCommand:

@@ -99,8 +99,8 @@ class Quadrotor(Vehicle):
         doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
         "edition's law; ignored: not felt",
     )
-    command_type: ClassVar[type[Any]] = Command
-    actions: ClassVar[tuple[type[Any], ...]] = (Command,)
+    command_type: ClassVar[type] = Command
+    actions: ClassVar[tuple[type, ...]] = (Command,)
     normals: ClassVar[int] = NORMALS
     # The autopilot holds roll and pitch rates at rate_max, but its clamp acts one step late: a full reversal of the
     # tilt overshoots it to 4.8 rad/s in steps of 0.02 s, and to 13 rad/s in the longest ones of 0.1 s.

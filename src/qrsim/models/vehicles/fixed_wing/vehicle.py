@@ -31,8 +31,8 @@ from qrsim.models.vehicles.fixed_wing.trim import cruise
 class FixedWing(Aeroplane, Vehicle):
     """An aeroplane with a propeller at its nose or tail, and its stabiliser; the defaults are the Aerosonde's."""
 
-    command_type: ClassVar[type[Any]] = AttitudeCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (AttitudeCommand, SurfaceCommand)
+    command_type: ClassVar[type] = AttitudeCommand
+    actions: ClassVar[tuple[type, ...]] = (AttitudeCommand, SurfaceCommand)
     reads: ClassVar[tuple[str, ...]] = ("air_rates", "air_density")
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"pitch": math.pi / 2.0, "velocity": 80.0, "rate": 30.0}

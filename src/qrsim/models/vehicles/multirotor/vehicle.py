@@ -41,7 +41,7 @@ from qrsim.models.vehicles.wake import Wake
 class _Actions:
     """Which commands a vehicle accepts: of a class any number of rotors, of a vehicle its own."""
 
-    def __get__(self, vehicle: Multirotor | None, owner: type) -> tuple[type[Any], ...]:
+    def __get__(self, vehicle: Multirotor | None, owner: type) -> tuple[type, ...]:
         motors = MotorCommand if vehicle is None else MotorCommand.of_count(len(vehicle.rotors))
         return (AttitudeCommand, RateCommand, motors)
 
@@ -50,8 +50,8 @@ class _Actions:
 class Multirotor(Airframe, Vehicle):
     """A rigid body under any number of rotors, with its stabiliser; the defaults are those of the X500."""
 
-    command_type: ClassVar[type[Any]] = AttitudeCommand
-    actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
+    command_type: ClassVar[type] = AttitudeCommand
+    actions: ClassVar[tuple[type, ...]] = _Actions()  # type: ignore[assignment]
     normals: ClassVar[int] = NORMALS
     reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates")
     gives_power: ClassVar[bool] = True
