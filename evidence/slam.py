@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from evidence._processes import program
-from qrsim.studies.slam import example
+from qrsim.studies.slam import example, intervals
 from qrsim.studies.slam import study as studies
 from qrsim.studies.slam.study import Study
 
@@ -93,7 +93,7 @@ def solution_slopes(found: Study) -> dict[str, Any]:
     slopes: dict[str, Any] = {}
     for noise, arm in found.arms:
         errors = found.position_errors(noise, arm, period)
-        slopes.setdefault(noise, {})[arm] = studies.allan_slope(errors, period)
+        slopes.setdefault(noise, {})[arm] = intervals.allan_slope(errors, period)
     return slopes
 
 

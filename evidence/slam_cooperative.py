@@ -15,7 +15,7 @@ import numpy as np
 
 from evidence.slam_consistency import band, judged, nees
 from qrsim.studies.slam import team
-from qrsim.studies.slam.between import BETWEEN_STD, part_of
+from qrsim.studies.slam.between import BETWEEN_STD, Between
 from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
 from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
 from qrsim.studies.slam.example import MEMORY
@@ -101,6 +101,12 @@ def fly(kinds: set[str], seeds: range, size: Size) -> dict[str, list[list[Flight
         "receiver": lambda: team.shared_flights(seeds, count, *how, gnss=RECEIVER),
     }
     return {kind: make() for kind, make in made.items() if kind in kinds}
+
+
+def part_of(between: Between, vehicles: int) -> Between:
+    """Return the ranges among the first of the vehicles only."""
+    kept = np.all(between.pairs < vehicles, axis=1)
+    return Between(between.pairs[kept], between.ranges[:, kept], between.counts[:, kept], between.std)
 
 
 def solve(

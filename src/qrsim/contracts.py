@@ -112,11 +112,11 @@ class Metric(Protocol):
         """Return the memory at the start, a tree of arrays, each (n,) or ()."""
 
     @abstractmethod
-    def update(self, memory: Any, world: World, state: State, tick: Array) -> Any:
+    def update(self, memory: object, world: World, state: State, tick: Array) -> Any:
         """Return the memory after the state at a tick ()."""
 
     @abstractmethod
-    def finish(self, memory: Any, world: World, state: State) -> Mapping[str, npt.NDArray[np.generic]]:
+    def finish(self, memory: object, world: World, state: State) -> Mapping[str, npt.NDArray[np.generic]]:
         """Return metrics by name, each (W, n), from the memory and the last state of W worlds, on the host."""
 
 

@@ -7,8 +7,8 @@ import re
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 # To look for similar names takes the square of their lengths; messages are to be read.
 LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
@@ -67,7 +67,7 @@ class ScenarioError(UsageError):
         more = [f"  ... and {sum(each for _, each in told[MOST_PROBLEMS:])} more"] if len(told) > MOST_PROBLEMS else []
         super().__init__(head, *lines, *more)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # By its own arguments, which are not those of Exception; notes and the like are in the dict.
         return type(self), (self.source, self.problems), self.__dict__
 
@@ -164,6 +164,25 @@ def did_you_mean_file(path: Path) -> str:
         return ""
     match = nearest(path.name, known)
     return f"; did you mean '{match}'?" if match and match != path.name else ""
+
+
+@contextmanager
+def os_error_as(kind: type[QrsimError], what: str) -> Iterator[None]:
+    """Raise an ``OSError`` of the context as an error of a kind: what failed, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror or error}") from None
+
+
+@contextmanager
+def readable(path: str | Path) -> Iterator[None]:
+    """Raise an ``OSError`` of the context, which reads a user's file, as a ``UsageError`` with the nearest name."""
+    try:
+        yield
+    except OSError as error:
+        hint = did_you_mean_file(Path(path).expanduser())
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{hint}") from None
 
 
 def warn_user(message: str) -> None:

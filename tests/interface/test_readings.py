@@ -8,7 +8,9 @@ import scipy
 
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.interface.readings import Reading, SensorReading, quaternion_of
+from qrsim.interface.arrays import quaternion_of
+from qrsim.interface.readings import Reading
+from qrsim.interface.sensor_reading import SensorReading
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.site import Site

@@ -37,6 +37,7 @@ from qrsim.core.vectors import rotation
 from qrsim.errors import ScenarioError
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import StateLimits
+from qrsim.models.sensors.contracts import Memoryless
 from qrsim.models.sensors.magnetometer import USUAL_FIELD
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
@@ -371,7 +372,9 @@ def test_a_sensor_reads_only_what_a_scene_offers(name: str) -> None:
     sensor: Any = GROUPS["SENSORS"][name]
     assert set(sensor.reads) <= set(inputs(0)["scene"])
     for call, own in ((sensor.init, {"self", "draw"}), (sensor.step, {"self", "state", "draw"})):
-        assert set(inspect.signature(call).parameters) - own == set(sensor.reads)
+        # That of sensors without a state hands on to ``init`` whatever it is handed.
+        if call is not Memoryless.step:
+            assert set(inspect.signature(call).parameters) - own == set(sensor.reads)
 
 
 @every_sensor

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import qrsim
-from qrsim.interface.readings import PICTURE_FIELDS
+from qrsim.interface.sensor_reading import PICTURE_FIELDS
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.scenarios.scenario import built_in_names, json_schema, load_scenario

@@ -10,6 +10,10 @@ Read ``run/command.py`` first.
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import tyro
@@ -39,7 +43,7 @@ def _optional(words: list[str]) -> float | None:
     return None if words == ["None"] else seconds_of(words[0])
 
 
-def _spec(parse: Any) -> Any:
+def _spec(parse: Any) -> object:
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="SECONDS",
@@ -52,3 +56,24 @@ def _spec(parse: Any) -> Any:
 # Annotations of options: a required time, and an optional one.
 SECONDS = _spec(lambda words: seconds_of(words[0]))
 OPTIONAL_SECONDS = _spec(_optional)
+
+
+@contextmanager
+def progress_bar(name: str, total: float, *texts: str, **fields: Any) -> Iterator[Callable[..., None]]:
+    """Show a bar while the context lasts, on a terminal only; yield what updates it, as Rich's ``Progress.update``.
+
+    Args:
+        name: in front of the bar.
+        total: what is to be done.
+        texts: between the bar and the remaining time, as Rich's ``TextColumn`` takes them.
+        fields: at the start, as Rich's ``Progress.add_task`` takes them.
+    """
+    if not sys.stderr.isatty():
+        yield lambda **changes: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), *map(TextColumn, texts), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield partial(bar.update, bar.add_task(name, total=total, **fields))

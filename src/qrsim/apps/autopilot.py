@@ -7,7 +7,7 @@ import math
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -233,7 +233,7 @@ def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tup
     recorded = open_run(folder)
     nearest = smallest_separation(recorded)
     stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
-    rows: list[dict[str, Any]] = [
+    rows: list[dict[str, object]] = [
         {
             "vehicle": row.vehicle,
             "distance_m": row.distance_m,

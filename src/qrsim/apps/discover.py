@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS
-from qrsim.errors import LogError, RunError, UsageError
+from qrsim.errors import LogError, RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
     from qrsim.studies.discover.discovery import Discovery
@@ -80,10 +80,8 @@ class Discover:
             raise
         content = dump_yaml({"vehicle": found.vehicle(self.mass), "discovered": _summary(found)})
         head = f"# Discovered by 'qrsim discover' from {self.log.name}, seed {self.seed}.\n"
-        try:
+        with os_error_as(RunError, f"cannot write {self.out}"):
             write_atomically(self.out, (head + content).encode())
-        except OSError as error:
-            raise RunError(f"cannot write {self.out}: {error.strerror or error}") from None
         save_picture(lambda: draw(found), self.out.with_suffix(".png"))
         if self.json:
             import json
@@ -110,7 +108,7 @@ class Discover:
             raise UsageError(f"--mass {self.mass:g}: expected a mass above 0 kg")
 
 
-def _summary(found: Discovery) -> dict[str, Any]:
+def _summary(found: Discovery) -> dict[str, object]:
     laws = {
         name: {
             "equation": law.text,

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from qrsim.studies.identify.result import Result
 
 OUT = Path("my_vehicle.yaml")
-_Optional = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: all of it)")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +11,9 @@ from typing import Annotated, Any
 
 import tyro
 
+from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
+from qrsim.tasks.play import Play
 
 MOST_SEEDS = 10_000
 
@@ -85,7 +87,7 @@ class Score:
             save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
         self._tell(batch.functional.name, found, kept)
 
-    def _makers(self, play: Any) -> dict[str, Any]:
+    def _makers(self, play: Play) -> dict[str, Any]:
         """Return what makes each policy, by the policy's name."""
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
@@ -99,7 +101,7 @@ class Score:
             makers[BASELINE] = maker(BASELINE, play)
         return makers if HOVER in makers else {**makers, HOVER: maker(HOVER, play)}
 
-    def policy_missing(self, play: Any) -> bool:
+    def policy_missing(self, play: Play) -> bool:
         """Return whether the task has no baseline."""
         from qrsim.tasks.baselines import baseline
 
@@ -182,27 +184,19 @@ def _told(interval: Any) -> dict[str, float | None]:
     return {name: value if value == value else None for name, value in numbers.items()}
 
 
-def _span(row: dict[str, Any]) -> str:
+def _span(row: Mapping[str, object]) -> str:
     return "" if row["low"] is None else f"({row['low']:.4g} to {row['high']:.4g})"
 
 
 @contextmanager
 def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
     """Show how far the flights are, unless nobody looks."""
-    if not sys.stderr.isatty():
-        yield lambda name, step: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        flown = bar.add_task("", total=policies * steps)
+    with progress_bar("", policies * steps) as update:
         names: list[str] = []
 
         def told(name: str, step: int) -> None:
             if name not in names:
                 names.append(name)
-            bar.update(flown, description=name, completed=(len(names) - 1) * steps + step)
+            update(description=name, completed=(len(names) - 1) * steps + step)
 
         yield told

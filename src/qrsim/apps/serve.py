@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.apps import SECONDS
-from qrsim.errors import RunError, UsageError, did_you_mean, nearest
+from qrsim.errors import RunError, UsageError, did_you_mean, nearest, os_error_as
 from qrsim.extras import require
 
 if TYPE_CHECKING:
@@ -148,10 +148,8 @@ class Serve:
         shared = self._shared()
         self._check_host()
         if self.record is not None:
-            try:
+            with os_error_as(RunError, f"--record {self.record}"):
                 self.record.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise RunError(f"--record {self.record}: {error.strerror or error}") from None
         own = 1.0 if self.pace == "free" else 0.0
         return Options(
             self.host,

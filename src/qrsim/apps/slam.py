@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import SECONDS
-from qrsim.errors import RunError, UsageError
+from qrsim.apps import SECONDS, progress_bar
+from qrsim.errors import RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
     from qrsim.studies.slam.estimate import Slam
@@ -85,10 +84,8 @@ class SlamCommand:
         """Make the folder, so that what cannot be written is known before anything is flown."""
         if self.out is None:
             return
-        try:
+        with os_error_as(RunError, f"--out {self.out}"):
             self.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunError(f"--out {self.out}: {error.strerror or error}") from None
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -169,7 +166,7 @@ class SlamCommand:
             save_picture(lambda: draw_gain(found), self.out / "gain.png")
         self._report(result, text_of_study(result))
 
-    def _report(self, result: dict[str, Any], text: str) -> None:
+    def _report(self, result: Mapping[str, object], text: str) -> None:
         """Write the numbers beside the figures, and print them."""
         if self.out is not None:
             _write(self.out / "result.json", result)
@@ -297,18 +294,16 @@ def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) ->
     return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"
 
 
-def _write(path: Path, result: dict[str, Any]) -> None:
+def _write(path: Path, result: Mapping[str, object]) -> None:
     import json
 
     from qrsim.files.atomic import write_atomically
 
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
 
-def _print_json(result: dict[str, Any]) -> None:
+def _print_json(result: Mapping[str, object]) -> None:
     import json
 
     print(json.dumps(result, indent=2, allow_nan=False))
@@ -317,13 +312,5 @@ def _print_json(result: dict[str, Any]) -> None:
 @contextmanager
 def _progress(solves: int) -> Iterator[Callable[[], None]]:
     """Show a bar while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} of {task.total:.0f}"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("flights solved", total=solves)
-        yield lambda: bar.advance(task)
+    with progress_bar("flights solved", solves, "{task.completed:.0f} of {task.total:.0f}") as update:
+        yield lambda: update(advance=1)

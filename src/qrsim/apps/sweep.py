@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from qrsim.apps import progress_bar
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ class Sweep:
             f"{_sentence(plan)}{was}: {flown} flown{fast}\nstore: {out}\nto look at it: qrsim sweep-report {out}",
         )
 
-    def _tell(self, result: dict[str, Any], text: str) -> None:
+    def _tell(self, result: Mapping[str, object], text: str) -> None:
         if self.json:
             import json
 
@@ -150,7 +151,7 @@ class Sweep:
             print(text)
 
 
-def _planned(plan: Plan) -> dict[str, Any]:
+def _planned(plan: Plan) -> dict[str, object]:
     return {
         "study": plan.study.spec.name,
         "digest": plan.study.digest,
@@ -167,7 +168,7 @@ def _sentence(plan: Plan) -> str:
     return f"{plan.study.spec.name}: {plan.episodes} episodes ({sizes}) in {plan.batches} batches"
 
 
-def _episodes(plan: Plan, done: Any) -> int:
+def _episodes(plan: Plan, done: NumpyArray) -> int:
     import math
 
     import numpy as np
@@ -185,29 +186,15 @@ def _simulated(plan: Plan) -> float:
 @contextmanager
 def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
     """Show a bar with episodes and the real-time factor while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield lambda batch: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f} of {task.total:.0f} episodes"),
-        TextColumn("{task.fields[factor]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(plan.study.spec.name, total=plan.episodes, completed=before, factor="starting")
-        begun = time.perf_counter()
-        simulated = 0.0
+    begun, simulated = time.perf_counter(), 0.0
+    texts = "{task.completed:.0f} of {task.total:.0f} episodes", "{task.fields[factor]}"
+    with progress_bar(plan.study.spec.name, plan.episodes, *texts, completed=before, factor="starting") as update:
 
         def show(batch: Batch) -> None:
             nonlocal simulated
             group = plan.groups[batch.group]
             simulated += batch.episodes * group.ticks * group.time_step
             factor = simulated / max(time.perf_counter() - begun, 1e-9)
-            bar.update(task, advance=batch.episodes, factor=f"{factor:.0f} x real time")
+            update(advance=batch.episodes, factor=f"{factor:.0f} x real time")
 
         yield show

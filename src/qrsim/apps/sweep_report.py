@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,8 @@ class SweepReport:
             raise UsageError(f"{self.store}: it is no store of a sweep; 'qrsim sweep STUDY' writes one")
         folder = self.out or self.store.with_name(f"{self.store.name.removesuffix('.zarr')}-report")
         report = find(self.store, self.metric, self.map)
-        try:
+        with os_error_as(RunError, f"--out {folder}"):
             files = write(report, folder, self.format)
-        except OSError as error:
-            raise RunError(f"--out {folder}: {error.strerror or error}") from None
         if self.json:
             import json
 

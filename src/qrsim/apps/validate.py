@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.errors import RunError
+from qrsim.errors import RunError, os_error_as
 from qrsim.extras import require
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Validate:
         self._print(results, report)
         return 0 if report["passed"] else 1
 
-    def _write(self, results: list[Result], report: dict[str, Any]) -> None:
+    def _write(self, results: list[Result], report: Mapping[str, object]) -> None:
         from qrsim.files.atomic import write_atomically
         from qrsim.studies.validate.page import write_page
         from qrsim.studies.validate.pdf import figures, write_pdf
@@ -74,13 +74,11 @@ class Validate:
         files |= {f"{FIGURES}/{name}": content for name, content in figures(results).items()}
         for name, content in files.items():
             path = self.out / name
-            try:
+            with os_error_as(RunError, f"cannot write {path}"):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(path, content)
-            except OSError as error:
-                raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
-    def _print(self, results: list[Result], report: dict[str, Any]) -> None:
+    def _print(self, results: list[Result], report: Mapping[str, object]) -> None:
         if self.json:
             print(_dump(report), end="")
             return
@@ -90,7 +88,7 @@ class Validate:
         print(f"figures: {self.out / FIGURES}/\nnumbers: {self.out / NUMBERS}")
 
 
-def to_json(results: list[Result]) -> dict[str, Any]:
+def to_json(results: list[Result]) -> dict[str, object]:
     """Return the whole report without its pictures."""
     import datetime
     import platform
@@ -110,7 +108,7 @@ def to_json(results: list[Result]) -> dict[str, Any]:
     }
 
 
-def _dump(report: dict[str, Any]) -> str:
+def _dump(report: Mapping[str, object]) -> str:
     import json
 
     return json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -144,12 +142,10 @@ def _check_folder(folder: Path) -> None:
     """
     import tempfile
 
-    try:
+    with os_error_as(RunError, f"--out {folder}: cannot write there"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".qrsim-"):
             pass
-    except OSError as error:
-        raise RunError(f"--out {folder}: cannot write there: {error.strerror or error}") from None
 
 
 @contextmanager

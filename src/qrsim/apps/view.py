@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS
-from qrsim.errors import RunError, UsageError
+from qrsim.apps import OPTIONAL_SECONDS, progress_bar
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files.interruptions import calling
 
 if TYPE_CHECKING:
@@ -86,8 +84,8 @@ class View:
 
             for line in thinned(recording):
                 print(line, file=sys.stderr)
-            with _progress(recording.heading) as progress:
-                page = export(recording, self.export, progress)
+            with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
+                page = export(recording, self.export, lambda done, total: update(completed=done, total=total))
             print(page)
         if self.export is None and self.screenshot is None:
             self._serve(recording)
@@ -137,10 +135,8 @@ class View:
             picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s", size)
         finally:
             server.stop()
-        try:
+        with os_error_as(RunError, f"--screenshot {path}"):
             write_atomically(path, picture)
-        except OSError as error:
-            raise RunError(f"--screenshot {path}: {error.strerror or error}") from None
         print(path)
 
     def _serve(self, recording: Recording) -> None:
@@ -166,18 +162,3 @@ class View:
                 replay.run(stop)
         finally:
             server.stop()
-
-
-@contextmanager
-def _progress(heading: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(heading, total=1)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -90,7 +90,7 @@ class CascadeController(Controller):
         AttitudeHeightSetpoint,
         AttitudeSetpoint,
     )
-    gives: ClassVar[type[Any]] = object
+    gives: ClassVar[type] = object
 
     def fitted(self, vehicle: Vehicle) -> CascadeController:
         """Return the controller that knows mass, thrust and answers of a vehicle.

@@ -5,8 +5,6 @@ See docs/explanation/consistency.md.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -58,7 +56,7 @@ def normalised(covariance: Array, errors: Array) -> Array:
     count = errors.shape[-2]
     scale = 1.0 / jnp.sqrt(jnp.stack([covariance[..., i, i, :] for i in range(count)], axis=-2))
     left, rest = errors * scale, covariance * scale[..., :, None, :] * scale[..., None, :, :]
-    total: Any = 0.0
+    total: Array | float = 0.0
     for _ in range(count):
         own = jnp.maximum(rest[..., 0, 0, :], LEAST)
         share = left[..., 0, :] / own

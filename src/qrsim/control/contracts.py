@@ -30,8 +30,8 @@ class Controller(Protocol):
         feed: what it is fed with, where nobody hands in an estimate: the sensors, the truth, or its own ``estimator``.
     """
 
-    setpoints: ClassVar[tuple[type[Any], ...]]
-    gives: ClassVar[type[Any]]
+    setpoints: ClassVar[tuple[type, ...]]
+    gives: ClassVar[type]
     reads_airspeed: ClassVar[bool] = False
     feed: Literal["measurements", "truth", "filter"] = "measurements"
 
@@ -77,7 +77,7 @@ class Guidance(Protocol):
             (``teams/mates.py``); the component then has ``reach`` [m] and ``mates``, how far and how many it looks at.
     """
 
-    gives: ClassVar[type[Any]]
+    gives: ClassVar[type]
     sees_others: ClassVar[bool] = False
     sees_ground: ClassVar[bool] = False
     sees_motion: ClassVar[bool] = False
@@ -130,7 +130,7 @@ class Estimator(Protocol):
         return self
 
     @abstractmethod
-    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[Any, Estimate]:
+    def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[Any, Estimate]:
         """Return the state and the estimate (n,) at the start.
 
         Args:
@@ -138,7 +138,7 @@ class Estimator(Protocol):
             start: what is known of the start of each vehicle (n,).
         """
 
-    def begin(self, readings: Mapping[str, Any], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
+    def begin(self, readings: Mapping[str, object], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
         """Return the state and the estimate (n,) at the start, of an estimator with ``first_normals``."""
         return self.init(readings, start)
 

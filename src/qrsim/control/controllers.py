@@ -28,19 +28,19 @@ from qrsim.models.vehicles.quadrotor import COMMAND_LIMITS, Command
 Feed = Literal["measurements", "truth"]
 
 
-def _tilt_limit() -> Any:
+def _tilt_limit() -> Array:
     return parameter(default=0.34, unit="rad", doc="largest commanded tilt per axis", above=0.0, maximum=0.9)
 
 
-def _yaw_gain() -> Any:
+def _yaw_gain() -> Array:
     return parameter(default=6.0, unit="1/s", doc="yaw rate per heading error")
 
 
-def _yaw_rate_limit() -> Any:
+def _yaw_rate_limit() -> Array:
     return parameter(default=4.4, unit="rad/s", doc="largest commanded yaw rate", above=0.0, maximum=4.5)
 
 
-def _battery() -> Any:
+def _battery() -> Array:
     return parameter(default=12.0, unit="V", doc="battery voltage", minimum=9.0, maximum=12.0)
 
 
@@ -59,7 +59,7 @@ def _hold(
 class QuadrotorController(Controller):
     """Base of all controllers of the identified quadrotor: they start in hover, at their own throttle and voltage."""
 
-    gives: ClassVar[type[Any]] = Command
+    gives: ClassVar[type] = Command
     battery: Array
 
     @property

@@ -79,7 +79,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         """Standard normals of a start."""
         return NORMALS if self.start == "aligned" or self.calibration_time > 0.0 else 0
 
-    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[KalmanState, Estimate]:
+    def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[KalmanState, Estimate]:
         """Return state and estimate (n,) at the first readings, without calibration, alignment and drawn errors."""
         return self.begin(readings, start, None)
 
@@ -161,7 +161,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return self.earth_field_ned.map(lambda axis: jnp.zeros_like(field.x) + axis)
 
     def step(
-        self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+        self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> tuple[KalmanState, Estimate]:
         """Advance one tick of dt [s] to the readings (n,) of now, and return the estimate (n,)."""
         past = (*state.past, Past(state.position_ned, state.position_low_ned, state.velocity_ned))

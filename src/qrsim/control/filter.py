@@ -8,7 +8,7 @@ Where nobody reports an attitude it finds that too (mahony.py).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -86,7 +86,7 @@ class ComplementaryFilter(Estimator):
         """Return the filter that knows where a compass points [uT]."""
         return replace(self, earth_field_ned=earth_field_ned)
 
-    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[FilterState, Estimate]:
+    def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[FilterState, Estimate]:
         """Return state and estimate (n,) at the first readings; what they do not say is that of the start."""
         place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rate, attitude = (field_of(readings, name) for name in ("height", "height_rate", "attitude"))
@@ -111,7 +111,7 @@ class ComplementaryFilter(Estimator):
         return state, _estimate(state)
 
     def step(
-        self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+        self, state: FilterState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> tuple[FilterState, Estimate]:
         """Advance one tick of dt [s] to the readings (n,) of now, and return the estimate (n,)."""
         attitude = field_of(readings, "attitude")

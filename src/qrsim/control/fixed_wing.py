@@ -67,10 +67,10 @@ class FixedWingController(Controller):
     nominal: Any = derived(default=None, doc="the vehicle that it is fitted to")
 
     setpoints: ClassVar[tuple[type, ...]] = (TrackSetpoint, WaypointSetpoint)
-    gives: ClassVar[type[Any]] = AttitudeCommand
+    gives: ClassVar[type] = AttitudeCommand
     reads_airspeed: ClassVar[bool] = True
 
-    def fitted(self, vehicle: Any) -> FixedWingController:
+    def fitted(self, vehicle: object) -> FixedWingController:
         """Return the controller that knows the trim of a vehicle.
 
         Raises:
@@ -95,7 +95,7 @@ class FixedWingController(Controller):
         return TrackSetpoint(place, place, zero + self.loiter_radius, zero, zero)
 
     def step(
-        self, state: FixedWingControllerState, estimate: Estimate, setpoint: Any, dt: float
+        self, state: FixedWingControllerState, estimate: Estimate, setpoint: object, dt: float
     ) -> tuple[FixedWingControllerState, AttitudeCommand]:
         """Return the new state and the command (n,)."""
         track = self.shown(setpoint)

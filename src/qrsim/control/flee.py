@@ -7,15 +7,14 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.contracts import Guidance
-from qrsim.control.guidance import Route, RouteState
+from qrsim.control.guidance import Route, RouteGuidance, RouteState
 from qrsim.control.setpoints import VelocityHeightSetpoint
 from qrsim.core.tree import parameter, record
 from qrsim.core.vectors import Vec3
 
 
 @record
-class FleeGuidance(Guidance):
+class FleeGuidance(RouteGuidance):
     """Flees from the vehicles of all other fleets at the height of the first waypoint (of the start without one).
 
     The direction is the sum over those who fly of d/|d|^2, d the horizontal offset from a pursuer to the one who
@@ -26,10 +25,6 @@ class FleeGuidance(Guidance):
 
     gives: ClassVar[type] = VelocityHeightSetpoint
     sees_others: ClassVar[bool] = True
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
-        return RouteState.start(route)
 
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None

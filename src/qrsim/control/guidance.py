@@ -46,8 +46,22 @@ class RouteState:
         return RouteState(zero, zero)
 
 
+class RouteGuidance(Guidance):
+    """Base of guidances with a ``RouteState``; without a ``step`` of its own, one asks for the same at every tick."""
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route."""
+        return RouteState.start(route)
+
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, object]:
+        """Return the same state and set-point."""
+        return state, self.setpoint(state, route)
+
+
 @record
-class RouteFollower(Guidance):
+class RouteFollower(RouteGuidance):
     """Hands out the next waypoint when the current one is near."""
 
     acceptance_radius: Array = parameter(
@@ -56,10 +70,6 @@ class RouteFollower(Guidance):
     repeat: bool = setting(default=True, doc="start again after the last waypoint, else hold there")
 
     gives: ClassVar[type] = WaypointSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route."""
-        return RouteState.start(route)
 
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
@@ -92,7 +102,7 @@ def _per_vehicle(value: Array, route: Route) -> Array:
 
 
 @record
-class VelocityGuidance(Guidance):
+class VelocityGuidance(RouteGuidance):
     """Asks for one velocity, at the vehicle's own heading."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
@@ -101,16 +111,6 @@ class VelocityGuidance(Guidance):
 
     gives: ClassVar[type] = VelocitySetpoint
 
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
-        return RouteState.start(route)
-
-    def step(
-        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
-    ) -> tuple[RouteState, VelocitySetpoint]:
-        """Return the same state and set-point."""
-        return state, self.setpoint(state, route)
-
     def setpoint(self, state: RouteState, route: Route) -> VelocitySetpoint:
         """Return the set-point of each vehicle (n,)."""
         wanted = Vec3(self.velocity_north, self.velocity_east, self.velocity_down)
@@ -118,23 +118,13 @@ class VelocityGuidance(Guidance):
 
 
 @record
-class VelocityHeightGuidance(Guidance):
+class VelocityHeightGuidance(RouteGuidance):
     """Asks for one horizontal velocity at the height of the first waypoint (of the start without one)."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
     velocity_east: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, east")
 
     gives: ClassVar[type] = VelocityHeightSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
-        return RouteState.start(route)
-
-    def step(
-        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
-    ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the same state and set-point."""
-        return state, self.setpoint(state, route)
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
         """Return the set-point of each vehicle (n,)."""
@@ -143,23 +133,13 @@ class VelocityHeightGuidance(Guidance):
 
 
 @record
-class AttitudeHeightGuidance(Guidance):
+class AttitudeHeightGuidance(RouteGuidance):
     """Asks for one tilt at the height of the first waypoint (of the start without one)."""
 
     roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
     pitch_rad: Array = parameter(default=0.0, unit="rad", doc="commanded pitch", minimum=-0.9, maximum=0.9)
 
     gives: ClassVar[type] = AttitudeHeightSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
-        return RouteState.start(route)
-
-    def step(
-        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
-    ) -> tuple[RouteState, AttitudeHeightSetpoint]:
-        """Return the same state and set-point."""
-        return state, self.setpoint(state, route)
 
     def setpoint(self, state: RouteState, route: Route) -> AttitudeHeightSetpoint:
         """Return the set-point of each vehicle (n,)."""
@@ -168,7 +148,7 @@ class AttitudeHeightGuidance(Guidance):
 
 
 @record
-class AttitudeGuidance(Guidance):
+class AttitudeGuidance(RouteGuidance):
     """Asks for one tilt and one thrust."""
 
     roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
@@ -176,16 +156,6 @@ class AttitudeGuidance(Guidance):
     throttle: Array = parameter(default=0.59, unit="1", doc="normalised thrust", minimum=0.0, maximum=1.0)
 
     gives: ClassVar[type] = AttitudeSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
-        return RouteState.start(route)
-
-    def step(
-        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
-    ) -> tuple[RouteState, AttitudeSetpoint]:
-        """Return the same state and set-point."""
-        return state, self.setpoint(state, route)
 
     def setpoint(self, state: RouteState, route: Route) -> AttitudeSetpoint:
         """Return the set-point of each vehicle (n,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -17,7 +17,7 @@ from qrsim.core.vectors import Vec3
 Filter = TypeVar("Filter", bound="KalmanParameters")
 
 
-def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Any:
+def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Array:
     """Declare a number that is that of the sensors where a scenario leaves it out."""
     least, above = (None, 0.0) if positive else (0.0, None)
     return parameter(default=default, unit=unit, doc=doc, of_sensors=True, minimum=least, above=above)

@@ -65,7 +65,7 @@ def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array)
 
 def along(errors: Sequence[Unseen], sensitivity: Mapping[int, Any]) -> Any:
     """Return the variance (n,) that unseen errors add to a sum of errors with these factors."""
-    total: Any = 0.0
+    total = 0.0
     for error in errors:
         shared = [factor * error.factors[k] for k, factor in sensitivity.items() if k in error.factors]
         if shared:

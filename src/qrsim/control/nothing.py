@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from qrsim.control.contracts import Controller, Guidance
-from qrsim.control.guidance import Route, RouteState
+from qrsim.control.contracts import Controller
+from qrsim.control.guidance import Route, RouteGuidance, RouteState
 from qrsim.control.setpoints import Estimate
 from qrsim.core.tree import record
-from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.no_command import NoCommand
 
 
@@ -21,8 +20,8 @@ class NoSetpoint:
 class NoController(Controller):
     """Commands nothing, of a vehicle that takes no commands."""
 
-    setpoints: ClassVar[tuple[type[Any], ...]] = (NoSetpoint,)
-    gives: ClassVar[type[Any]] = NoCommand
+    setpoints: ClassVar[tuple[type, ...]] = (NoSetpoint,)
+    gives: ClassVar[type] = NoCommand
     feed: ClassVar[Literal["truth"]] = "truth"  # type: ignore[misc]
 
     def init(self, estimate: Estimate) -> None:
@@ -34,20 +33,10 @@ class NoController(Controller):
 
 
 @record
-class NoGuidance(Guidance):
+class NoGuidance(RouteGuidance):
     """Asks for nothing."""
 
-    gives: ClassVar[type[Any]] = NoSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
-        return RouteState.start(route)
-
-    def step(
-        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
-    ) -> tuple[RouteState, NoSetpoint]:
-        """Return the same state, and the set-point without fields."""
-        return state, NoSetpoint()
+    gives: ClassVar[type] = NoSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> NoSetpoint:
         """Return the set-point without fields."""

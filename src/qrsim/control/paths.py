@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from qrsim.control.mission import Facing, Mission, Orbits
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 
@@ -297,7 +297,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     def table(pick: Any, dtype: Any = np.float64) -> Any:
         return np.ascontiguousarray(np.array([[pick(part) for part in row] for row in rows], dtype).T)
 
-    def vector(pick: Any) -> Any:
+    def vector(pick: Any) -> Vec3:
         return Vec3(*(table(lambda part, axis=axis: pick(part)[axis]) for axis in range(3)))
 
     flat = [part.leg for row in rows for part in row]
@@ -330,7 +330,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     )
 
 
-def _headings(rows: list[list[_Part]]) -> Any:
+def _headings(rows: list[list[_Part]]) -> NumpyArray:
     """Return the heading (W, n) [rad] along each leg; where it has none, that before it."""
     columns = []
     for row in rows:

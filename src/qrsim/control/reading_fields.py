@@ -24,6 +24,6 @@ def field_of(readings: Mapping[str, object], field: str) -> Any:
     return getattr(readings[name], field) if name else None
 
 
-def known(new: Any, old: Any) -> Any:
+def known(new: object, old: object) -> Any:
     """Return a tree of arrays (n,), and those of another where a value is not finite."""
     return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)

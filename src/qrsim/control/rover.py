@@ -59,9 +59,9 @@ class RoverController(Controller):
     nominal: Any = derived(default=None, doc="the vehicle that it is fitted to")
 
     setpoints: ClassVar[tuple[type, ...]] = (TrackSetpoint, WaypointSetpoint, VelocitySetpoint, PathSetpoint)
-    gives: ClassVar[type[Any]] = DriveCommand
+    gives: ClassVar[type] = DriveCommand
 
-    def fitted(self, vehicle: Any) -> RoverController:
+    def fitted(self, vehicle: object) -> RoverController:
         """Return the controller that knows what a vehicle is commanded with.
 
         Raises:
@@ -94,7 +94,7 @@ class RoverController(Controller):
         return TrackSetpoint(position_ned, position_ned, zero, zero, zero + 1.0)
 
     def step(
-        self, state: RoverControllerState, estimate: Estimate, setpoint: Any, dt: float
+        self, state: RoverControllerState, estimate: Estimate, setpoint: object, dt: float
     ) -> tuple[RoverControllerState, DriveCommand]:
         """Return the new state and the vehicle's own command (n,)."""
         if self.nominal is None:

@@ -105,7 +105,7 @@ class PathSetpoint:
         """Return the set-point of (n, 3) arrays [m], [m/s], [m/s^2], or one row for all, and headings [rad]."""
         position = axes(position_ned)
 
-        def each(values: Any) -> Vec3:
+        def each(values: object) -> Vec3:
             wanted: Vec3 = axes(values)
             return wanted.map(lambda axis: like(position.x, axis))
 
@@ -123,7 +123,7 @@ class TrackSetpoint:
     stops: Array = quantity(unit="1", doc="1: come to rest at the end of the line, who can; 0: go on")
 
     @staticmethod
-    def line(begin_ned: Any, end_ned: Any, speed: Any = 0.0, stops: Any = 0.0) -> TrackSetpoint:
+    def line(begin_ned: object, end_ned: object, speed: object = 0.0, stops: object = 0.0) -> TrackSetpoint:
         """Return lines between positions (n, 3) [m] at speeds (n,) or one [m/s]; NumPy or JAX."""
         begin, end = axes(begin_ned), axes(end_ned)
         return TrackSetpoint(begin, end, like(end.x, 0.0), like(end.x, speed), like(end.x, stops))

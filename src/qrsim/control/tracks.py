@@ -10,8 +10,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.contracts import Guidance
-from qrsim.control.guidance import Route, RouteState
+from qrsim.control.guidance import Route, RouteGuidance, RouteState
 from qrsim.control.setpoints import TrackSetpoint
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3, root
@@ -56,7 +55,7 @@ def advanced(
 
 
 @record
-class RoverGuidance(Guidance):
+class RoverGuidance(RouteGuidance):
     """Drives along the lines between waypoints."""
 
     acceptance_radius: Array = parameter(
@@ -65,10 +64,6 @@ class RoverGuidance(Guidance):
     repeat: bool = setting(default=True, doc="start again after the last waypoint, else stop there")
 
     gives: ClassVar[type] = TrackSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route."""
-        return RouteState.start(route)
 
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
@@ -87,7 +82,7 @@ class RoverGuidance(Guidance):
 
 
 @record
-class FixedWingGuidance(Guidance):
+class FixedWingGuidance(RouteGuidance):
     """Flies along the lines between waypoints, and round the last one; without waypoints round the start."""
 
     acceptance_radius: Array = parameter(
@@ -105,10 +100,6 @@ class FixedWingGuidance(Guidance):
     repeat: bool = setting(default=False, doc="start again after the last waypoint, else circle it")
 
     gives: ClassVar[type] = TrackSetpoint
-
-    def init(self, route: Route) -> RouteState:
-        """Return the start of each route."""
-        return RouteState.start(route)
 
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None

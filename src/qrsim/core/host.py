@@ -17,6 +17,7 @@ import jax
 import numpy as np
 from jax.extend import core as jex
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.primitives import KERNELS
 from qrsim.core.structure import kinds
 
@@ -103,19 +104,19 @@ def _kernel(name: str) -> Any:
 # Programs inside programs
 
 
-def _called(parameters: Any, *inputs: Any) -> list[Any]:
+def _called(parameters: Any, *inputs: object) -> list[object]:
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
-def _cond(parameters: Any, index: Any, *inputs: Any) -> list[Any]:
+def _cond(parameters: Any, index: Any, *inputs: object) -> list[object]:
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
 
 
-def _scan(parameters: Any, *inputs: Any) -> list[Any]:
+def _scan(parameters: Any, *inputs: Any) -> list[object]:
     body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
     same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
     turns = range(parameters["length"])
@@ -141,18 +142,18 @@ _WHOLE: dict[str, Rule] = {
 # Operations
 
 
-def _broadcast(parameters: Any, x: Any) -> Any:
+def _broadcast(parameters: Any, x: Any) -> NumpyArray:
     shape, to = parameters["shape"], parameters["broadcast_dimensions"]
     wider = [x.shape[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
     return np.broadcast_to(x.reshape(wider), shape)
 
 
-def _slice(parameters: Any, x: Any) -> Any:
+def _slice(parameters: Any, x: Any) -> object:
     strides = parameters["strides"] or itertools.repeat(1)
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
-def _select(parameters: Any, which: Any, *cases: Any) -> Any:
+def _select(parameters: object, which: Any, *cases: Any) -> object:
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
 
 
@@ -165,23 +166,23 @@ def _converted(parameters: Any, x: Any) -> Any:
     return x.astype(to)
 
 
-def _rounded(parameters: Any, x: Any) -> Any:
+def _rounded(parameters: Any, x: Any) -> object:
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
-def _power(parameters: Any, x: Any) -> Any:
+def _power(parameters: Any, x: object) -> object:
     exponent = parameters["y"]
     found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
     return found if exponent >= 0 else np.reciprocal(found)
 
 
-def _quotient(parameters: Any, a: Any, b: Any) -> Any:
+def _quotient(parameters: object, a: Any, b: Any) -> object:
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
-def _padded(parameters: Any, x: Any, value: Any) -> Any:
+def _padded(parameters: Any, x: Any, value: Any) -> object:
     sizes = [
         low + high + n + max(n - 1, 0) * gap
         for n, (low, high, gap) in zip(x.shape, parameters["padding_config"], strict=True)
@@ -198,14 +199,14 @@ def _padded(parameters: Any, x: Any, value: Any) -> Any:
     return found
 
 
-def _iota(parameters: Any) -> Any:
+def _iota(parameters: Any) -> NumpyArray:
     shape, axis = parameters["shape"], parameters["dimension"]
     counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
     return np.broadcast_to(counted, shape)
 
 
 def _shifted(function: Rule) -> Rule:
-    def rule(parameters: Any, a: Any, b: Any) -> Any:
+    def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)
@@ -217,7 +218,7 @@ def _of(function: Rule) -> Rule:
     return lambda parameters, *inputs: function(*inputs)
 
 
-def _sum(parameters: Any, x: Any) -> Any:
+def _sum(parameters: Any, x: Any) -> object:
     axes = parameters["axes"]
     rest = [size for axis, size in enumerate(x.shape) if axis not in axes]
     parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *rest)

@@ -142,7 +142,7 @@ class Key:
     def streams(self, names: Sequence[str]) -> StreamKeys:
         """Return the keys of named streams of this world; (B, K) words for the keys of B worlds."""
         hashes = _hashes(tuple(names))
-        library: Any = np if isinstance(self.high, np.ndarray | np.generic) else jnp
+        library = np if isinstance(self.high, np.ndarray | np.generic) else jnp
         shape = (*np.shape(self.high), len(names))
         key = tuple(library.broadcast_to(library.asarray(word)[..., None], shape) for word in (self.high, self.low))
         counter = tuple(library.broadcast_to(library.asarray(hashes[:, i]), shape) for i in (0, 1))

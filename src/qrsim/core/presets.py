@@ -9,6 +9,9 @@ from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 
+# Parameters by the name of a preset.
+Presets = dict[str, dict[str, Any]]
+
 
 def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
     """Return the presets of a class of components, None of one without."""
@@ -30,7 +33,7 @@ def with_presets(cls: Any) -> Any:
     plain, usual = cls.__init__, fields["preset"].default
 
     @functools.wraps(plain)
-    def completed(self: Any, *args: Any, **given: Any) -> None:
+    def completed(self: object, *args: Any, **given: Any) -> None:
         # All are given where JAX or dataclasses make one anew.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
@@ -48,7 +51,7 @@ def with_presets(cls: Any) -> Any:
     return cls
 
 
-def filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is given by name, filled with what is usual; nested mappings too."""
     both = {**usual, **given}
     for name, part in usual.items():
@@ -57,6 +60,6 @@ def filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]
     return both
 
 
-def _preset_value(value: Any, usual: Any) -> Any:
+def _preset_value(value: Any, usual: Any) -> object:
     """Return the value of a parameter in a preset; a mapping replaces some parameters of a part, by name."""
     return dataclasses.replace(usual, **value) if isinstance(value, Mapping) else value

@@ -26,17 +26,17 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
         function: of arrays, that returns an array of the shape and type of the first.
         elementwise: of one array, each element for itself; then it stays the same operation on a batch.
     """
-    primitive: Any = Primitive(name)
+    primitive = Primitive(name)
     primitive.def_impl(jax.jit(function))
     primitive.def_abstract_eval(lambda *avals: avals[0].update(weak_type=False))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
 
-    def batched(arguments: Any, axes: Any, **parameters: Any) -> tuple[Any, int]:
+    def batched(arguments: Any, axes: Any, **parameters: object) -> tuple[Any, int]:
         if elementwise:
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(function, in_axes=tuple(axes))(*arguments), 0
 
-    def differentiated(primals: Any, tangents: Any, **parameters: Any) -> Any:
+    def differentiated(primals: Any, tangents: Any, **parameters: object) -> object:
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         return primitive.bind(*primals), jax.jvp(function, tuple(primals), given)[1]
 
@@ -66,7 +66,7 @@ class Kernel:
     primitive: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        primitive: Any = Primitive(f"kernel_{self.name}")
+        primitive = Primitive(f"kernel_{self.name}")
         primitive.multiple_results = True
         primitive.def_impl(jax.jit(self.body))
         primitive.def_abstract_eval(self._results)
@@ -83,7 +83,7 @@ class Kernel:
         result: tuple[Array, ...] = tuple(self.primitive.bind(*arguments))
         return result
 
-    def _results(self, *avals: Any) -> list[Any]:
+    def _results(self, *avals: Any) -> list[object]:
         assert self.takes == tuple(aval.dtype.name for aval in avals)
         shape = max((aval.shape for aval in avals), key=len)
         return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
@@ -101,7 +101,7 @@ class Kernel:
         spread = [each if each.shape == () else jnp.broadcast_to(each, shape) for each in moved]
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
-    def _differentiated(self, primals: Any, tangents: Any) -> tuple[Any, Any]:
+    def _differentiated(self, primals: Any, tangents: Any) -> tuple[object, object]:
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         result = self.primitive.bind(*primals)
         if self.jvp is None:

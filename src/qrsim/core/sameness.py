@@ -34,7 +34,7 @@ class Itself:
         given: the object. It is kept alive only if it cannot be referred to weakly.
     """
 
-    def __init__(self, given: Any):
+    def __init__(self, given: object):
         self._id = id(given)
         try:
             self._given: Callable[[], Any] = weakref.ref(given)

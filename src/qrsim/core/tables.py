@@ -111,7 +111,7 @@ def parameters_text(part: object) -> str:
         return ""
     texts = []
     for field in dataclasses.fields(part):
-        value: Any = getattr(part, field.name)
+        value = getattr(part, field.name)
         info = field_info(field)
         plain = isinstance(value, str | bool | int | float)
         if plain or (isinstance(value, np.ndarray | np.generic | jax.Array) and np.shape(value) == ()):

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol, TypedDict, TypeVar, dataclass_transf
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.presets import with_presets
 
 T = TypeVar("T")
@@ -99,7 +100,12 @@ def setting(
 
 
 def quantity(
-    default: Any = MISSING, *, unit: str = "", doc: str = "", minimum: float | None = None, maximum: float | None = None
+    default: object = MISSING,
+    *,
+    unit: str = "",
+    doc: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> Any:
     """Declare an array, or a record of arrays, of a state, a reading or a command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
@@ -116,7 +122,7 @@ def record(cls: type[T]) -> type[T]:
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
-    component: Any = with_presets(dataclasses.dataclass(frozen=True)(cls))
+    component = with_presets(dataclasses.dataclass(frozen=True)(cls))
     static = [f.name for f in dataclasses.fields(component) if field_info(f).static]
     data = [f.name for f in dataclasses.fields(component) if f.name not in static]
     _register(component, data, static)
@@ -141,7 +147,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     # By place, which is quicker, where a constructor takes parts and settings in this order.
     by_place = [field.name for field in dataclasses.fields(cls) if field.init and not field.kw_only] == data + static
 
-    def unflatten(settings: tuple[Any, ...], parts: Any) -> Any:
+    def unflatten(settings: tuple[Any, ...], parts: Any) -> object:
         if by_place:
             return cls(*parts, *settings)
         return cls(**dict(zip(data, parts, strict=True)), **dict(zip(static, settings, strict=True)))
@@ -183,7 +189,7 @@ def record_of(kind: Callable[..., T], *parts: object, **named: object) -> T:
     return kind(*parts, **named)
 
 
-def replace(item: T, **changes: Any) -> T:
+def replace(item: T, **changes: object) -> T:
     """Return a copy of a record with some fields changed."""
     original: Any = item
     return dataclasses.replace(original, **changes)
@@ -192,7 +198,7 @@ def replace(item: T, **changes: Any) -> T:
 def cast(item: T, dtype: Any) -> T:
     """Convert every floating-point leaf of a tree (Python floats included) to an array of ``dtype``."""
 
-    def convert(leaf: Any) -> Any:
+    def convert(leaf: object) -> NumpyArray:
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 

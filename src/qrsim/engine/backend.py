@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import jax
 import numpy as np
+import numpy.typing as npt
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.engine import by_llvm, by_xla, forked
@@ -41,7 +42,7 @@ __all__ = [
 ]
 
 Tree = Any
-IntArray = np.ndarray[Any, np.dtype[np.int_]]
+IntArray = npt.NDArray[np.int_]
 
 
 class States(Protocol):

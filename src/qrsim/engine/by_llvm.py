@@ -237,7 +237,7 @@ class LlvmProgram:
         )
         return self.run((floats, integers), 0, 1)
 
-    def hold(self, tree: Any) -> Lanes | Buffers:
+    def hold(self, tree: object) -> Lanes | Buffers:
         """Return a state, or states (B, ...), as they are kept here."""
         if self._extent.worlds is None:
             return aligned_copy(self.layout.pack(tree))

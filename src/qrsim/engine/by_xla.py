@@ -34,7 +34,7 @@ def make(
     return XlaWorldsProgram(function, shared, own, extent, refused)
 
 
-def _jit(function: Callable[..., Any], few: bool, **options: Any) -> Any:
+def _jit(function: Callable[..., Any], few: bool, **options: Any) -> object:
     return jax.jit(function, compiler_options=quick_to_compile() if few else None, **options)
 
 
@@ -44,7 +44,7 @@ def _jit(function: Callable[..., Any], few: bool, **options: Any) -> Any:
 @lru_cache(maxsize=KEPT)
 def _first(function: Function, few: bool) -> Any:
     # The layout is static: JAX compiles anew for another one, and knows it by its equality.
-    def first(layout: Packer, shared: Buffers, own: Any) -> Any:
+    def first(layout: Packer, shared: Buffers, own: object) -> Any:
         return function.call(layout.unpack(shared), own)
 
     return _jit(first, few, static_argnums=0)
@@ -53,7 +53,7 @@ def _first(function: Function, few: bool) -> Any:
 @lru_cache(maxsize=KEPT)
 def _advance(function: Function, few: bool) -> Any:
     def advance(
-        layouts: tuple[Packer, Packer], shared: Buffers, own: Any, state: Buffers, tick: Any, count: Any
+        layouts: tuple[Packer, Packer], shared: Buffers, own: Any, state: Buffers, tick: Any, count: object
     ) -> Any:
         common = layouts[0].unpack(shared)
 
@@ -67,7 +67,7 @@ def _advance(function: Function, few: bool) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _record(function: Function, few: bool, capacity: int) -> Any:
-    def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: Any) -> Any:
+    def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: object) -> Any:
         """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
         common, layout = layouts[0].unpack(shared), layouts[1]
         rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
@@ -130,7 +130,7 @@ class XlaProgram:
         floats, integers = (np.asarray(part)[:count] for part in rows)
         return aligned_copy(after), (floats, integers)
 
-    def hold(self, tree: Any) -> Buffers:
+    def hold(self, tree: object) -> Buffers:
         """Return a state as it is kept here."""
         return aligned_copy(self.layout.pack(tree))
 
@@ -165,7 +165,7 @@ def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
-def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> Any:
+def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> object:
     """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
@@ -177,7 +177,7 @@ def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | Non
 
 @lru_cache(maxsize=1)
 def _replace_rows() -> Any:
-    def put(whole: Any, part: Any, rows: Any) -> Any:
+    def put(whole: object, part: object, rows: object) -> Any:
         return jax.tree.map(lambda every, new: every.at[rows].set(new, mode="drop"), whole, part)
 
     return jax.jit(put, donate_argnums=0)
@@ -186,14 +186,14 @@ def _replace_rows() -> Any:
 class Arrays:
     """States of B worlds as a tree of JAX's arrays, each leaf (B, ...)."""
 
-    def __init__(self, tree: Any):
+    def __init__(self, tree: object):
         self.tree = tree
 
     def get(self, select: Callable[[Any], Any]) -> Any:
         """Return a part of the tree."""
         return select(self.tree)
 
-    def put(self, worlds: NumpyArray, tree: Any) -> None:
+    def put(self, worlds: NumpyArray, tree: object) -> None:
         """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
         count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
         # What goes beyond the end is dropped, so that parts of one length share a program.
@@ -237,7 +237,7 @@ class XlaWorldsProgram:
         program = _advance_many(self._function, self._extent.few, self._extent.mesh)
         return Arrays(program(self._shared.device_tree, self._own, before, np.int32(tick), np.int32(count)))
 
-    def hold(self, tree: Any) -> Arrays:
+    def hold(self, tree: object) -> Arrays:
         """Return states (B, ...) as they are kept here."""
         # So that the next tick may overwrite it, which JAX does not do with arrays of NumPy.
         return Arrays(jax.device_put(tree))

@@ -98,7 +98,7 @@ def identity(layout: Packer) -> str:
     return f"{_FOREIGN}{foreign} {text}" if foreign else text
 
 
-def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+def kept(what: tuple[object, ...], make: Callable[[], Any]) -> Any:
     """Take the result of ``make`` from the cache, or make and keep it; see ``look_up`` and ``keep``."""
     found = look_up(what)
     if found is None:
@@ -107,7 +107,7 @@ def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     return found
 
 
-def look_up(what: tuple[Any, ...], rooms: tuple[str, ...] = TRACED) -> Any:
+def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
     """Return the kept Binary, Known or whole number, or None.
 
     Args:
@@ -118,14 +118,14 @@ def look_up(what: tuple[Any, ...], rooms: tuple[str, ...] = TRACED) -> Any:
     return None if place is None else _read(*place)
 
 
-def keep(what: tuple[Any, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
+def keep(what: tuple[object, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
     """Put something into the cache; where it cannot be written, that costs time, nothing else."""
     place = _place(what, rooms)
     if place is not None:
         _write(*place, value)
 
 
-def _place(what: tuple[Any, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
+def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
     """Return the file of something, its key, and the rooms; None where nothing is kept of it."""
     place = folder()
     if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.structure import kinds
 
 Buffers = tuple[Any, Any]
@@ -31,7 +32,7 @@ class Packer:
         template: a tree of arrays or of jax.ShapeDtypeStruct. Floating-point leaves share one dtype.
     """
 
-    def __init__(self, template: Any):
+    def __init__(self, template: object):
         leaves, self.structure = jax.tree.flatten(template)
         self.shapes = [tuple(leaf.shape) for leaf in leaves]
         self.dtypes = [np.dtype(leaf.dtype) for leaf in leaves]
@@ -51,7 +52,7 @@ class Packer:
         self.sizes = (ends[0], ends[1])
 
     @cached_property
-    def _identity(self) -> tuple[Any, ...]:
+    def _identity(self) -> tuple[object, ...]:
         # By its text and types, because to JAX two structures are equal whose records differ in nothing but their type,
         # and two types may have one name.
         return (repr(self.structure), tuple(kinds(self.structure)), tuple(self.shapes), tuple(self.dtypes))
@@ -70,7 +71,7 @@ class Packer:
         """Return the two flat buffers of a tree; a tree of NumPy arrays gives NumPy buffers."""
         leaves = jax.tree.leaves(tree)
         # On the host where all leaves are: JAX would send each of them to the device and back.
-        numpy: Any = np if all(isinstance(leaf, np.ndarray | np.generic) for leaf in leaves) else jnp
+        numpy = np if all(isinstance(leaf, np.ndarray | np.generic) for leaf in leaves) else jnp
         floats, integers = [numpy.zeros(0, self.dtype)], [numpy.zeros(0, np.int32)]
         for leaf, is_float in zip(leaves, self.is_float, strict=True):
             if is_float:
@@ -116,7 +117,7 @@ def layout_of_each(tree: object) -> Packer:
     return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
 
 
-def aligned(size: int, dtype: np.dtype[Any]) -> Any:
+def aligned(size: int, dtype: np.dtype[Any]) -> NumpyArray:
     """Return an array of zeros (size,) that begins where a vector may, with room for one behind its end."""
     raw = np.zeros(size * dtype.itemsize + ALIGNMENT + SPARE * 8, np.uint8)
     begin = -raw.ctypes.data % ALIGNMENT

@@ -14,7 +14,7 @@ from typing import Any
 from qrsim.engine import cache
 from qrsim.engine.folders import LARGEST_BYTES, cache_folder, private
 from qrsim.engine.llvm.compiler import machine_name
-from qrsim.errors import RunError, UsageError, did_you_mean_file
+from qrsim.errors import RunError, UsageError, did_you_mean_file, os_error_as
 from qrsim.files.atomic import write_atomically
 
 # Folders of the cache: programs of the package's own code generator, and those that XLA compiled.
@@ -63,10 +63,8 @@ def clear() -> dict[str, Contents]:
     before = contents()
     for kind in before:
         for path in _files(kind):
-            try:
+            with os_error_as(RunError, f"{path}"):
                 path.unlink(missing_ok=True)
-            except OSError as error:
-                raise RunError(f"{path}: {error.strerror}") from None
     return before
 
 
@@ -104,10 +102,8 @@ def pack(path: Path) -> int:
             member = tarfile.TarInfo(name)
             member.size, member.mode = len(content), 0o600
             archive.addfile(member, io.BytesIO(content))
-    try:
+    with os_error_as(RunError, f"{path}"):
         write_atomically(path, buffer.getbuffer())
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror or error}") from None
     return len(entries)
 
 

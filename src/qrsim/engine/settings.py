@@ -46,7 +46,7 @@ def configure(*, cpu_devices: int | None = None, compiler: str | None = None) ->
         raise UsageError(f"cpu_devices: {cpu_devices!r} is not a positive whole number")
     _chosen["threads"] = cpu_devices
     # JAX fixes its devices at the first computation.
-    config: Any = jax.config
+    config = jax.config
     try:
         config.update("jax_num_cpu_devices", cpu_devices)
     except RuntimeError:

@@ -41,7 +41,7 @@ def checked_seed(seed: Any) -> int:
     return int(seed)
 
 
-def numbers(given: Any, what: str, shape: tuple[int, ...]) -> Floats:
+def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
     """Return an array of integers, truth values or real numbers, as it is; ``shape`` is for the message.
 
     Raises:
@@ -161,7 +161,7 @@ class Batch:
         for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
             jax.tree.map(lambda old, new: _set(old, rows, new), whole, part)
 
-    def step(self, action: Any, words: Any = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
+    def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
         """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
@@ -232,7 +232,7 @@ class Batch:
         mine = self.axes[agent]
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
-    def of_agent(self, seen: object, number: int) -> Any:
+    def of_agent(self, seen: object, number: int) -> object:
         """Return what one agent sees, leaves (B, ...), of what all do (B, n, ...), of several fleets by fleet."""
         return part_of(self.sides, seen, number)
 
@@ -294,7 +294,7 @@ class Batch:
         found = [self.score(int(row), nothing if self._answers is None else self._answers[row]) for row in rows]
         return np.asarray(found, float).reshape(len(rows), agents)
 
-    def score(self, row: int, answer: Any) -> Floats:
+    def score(self, row: int, answer: object) -> Floats:
         """Score the answers (n, ...) of the agents of an episode; (n,).
 
         Raises:

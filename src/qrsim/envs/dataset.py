@@ -6,7 +6,7 @@ import copy
 import importlib.metadata
 import shutil
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,7 +90,7 @@ class Recording:
     def _seen(self, row: int) -> Any:
         return jax.tree.map(lambda leaf: np.array(leaf[row, 0]), self._batch.seen)
 
-    def _truth(self, row: int) -> Any:
+    def _truth(self, row: int) -> object:
         return {name: np.array(leaf[row, 0]) for name, leaf in self._batch.truth.items()}
 
 
@@ -179,5 +179,5 @@ def write(dataset: str, recording: Recording, policy: str, scenario: str, overri
     return place
 
 
-def _stacked(parts: list[Any]) -> Any:
+def _stacked(parts: Sequence[object]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)

@@ -91,7 +91,7 @@ class Drawing:
 class _Scene:
     """A figure with what stands in an episode, in which vehicles move."""
 
-    def __init__(self, batch: Batch, episode: Any, start: Floats):
+    def __init__(self, batch: Batch, episode: object, start: Floats):
         self._play, self._name, self._dtype = batch.functional.play, batch.functional.name, batch.dtype
         self._figure = new_figure(WIDTH_IN, HEIGHT_IN)
         self._figure.set_dpi(DPI)
@@ -168,7 +168,7 @@ class _Scene:
         look: dict[str, Any] = {"ms": 13, "color": share(PLUME), "mec": "black", "ls": "none", "label": "source"}
         self._plan.plot(east, north, "*", **look)
 
-    def _concentration(self, episode: Any, area: Any) -> None:
+    def _concentration(self, episode: Any, area: BoxArea) -> None:
         world = self._play.world.with_drawn(episode.state.drawn)
         wind = surroundings(world, episode.state.contents, jnp.int32(0)).carrying_wind(self._dtype)
         edges = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]

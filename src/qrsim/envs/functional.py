@@ -73,7 +73,7 @@ class Functional:
         axes: tuple[Axis, ...] | dict[str, Any] = self.play.task.sees(self.play.world)
         return axes
 
-    def keys(self, seeds: object, numbers: object = 0) -> Any:
+    def keys(self, seeds: object, numbers: object = 0) -> EpisodeKeys:
         """Return the keys of episodes, one for each seed (B,), made on the host.
 
         Args:
@@ -140,7 +140,7 @@ class Functional:
         """
         return self.play.step(episode, self._together(action))
 
-    def _together(self, action: Any) -> Array:
+    def _together(self, action: Array) -> Array:
         """Return actions (n, W), with what is said (n, W + D)."""
         sides = self.play.sides
         if len(sides) > 1:
@@ -164,7 +164,7 @@ class Functional:
         acts, said, speak = {}, [], False
         for side in sides:
             given, what = action[side.fleet], f"action of fleet '{side.fleet}'"
-            words: Any = jnp.full((len(side.names), size), jnp.nan)
+            words = jnp.full((len(side.names), size), jnp.nan)
             if isinstance(given, dict):
                 if ACT not in given or not set(given) <= {ACT, SAY}:
                     raise UsageError(f"{what}: expected a dict of {ACT} and {SAY}, found {', '.join(map(str, given))}")
@@ -206,7 +206,7 @@ def checked_difficulty(given: Any) -> float:
     return float(given)
 
 
-def _number_at(world: World, path: tuple[str | int, ...]) -> Any:
+def _number_at(world: World, path: tuple[str | int, ...]) -> object:
     """Return the number of a World at a path; of one that every vehicle has, the first one's."""
     found: Any = world
     for part in path:
@@ -215,7 +215,7 @@ def _number_at(world: World, path: tuple[str | int, ...]) -> Any:
 
 
 def _grown(item: Range, own: Any, part: float) -> Range:
-    def between(end: Any) -> Any:
+    def between(end: Array) -> Any:
         return np.asarray((1.0 - part) * own + part * np.asarray(end), np.asarray(end).dtype)
 
     return replace(item, low=between(item.low), high=between(item.high))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return self._seen(), self._truth()
 
     def step(
-        self, actions: dict[str, Any]
+        self, actions: Mapping[str, object]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Advance by a step.
 
@@ -148,7 +148,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             flown[row] = shaped(self.batch, act, who, agent=row)
         return np.stack(flown), np.stack(said)
 
-    def render(self) -> Any:
+    def render(self) -> NumpyArray | None:
         """Return the episode from above, as ``SingleTask`` does."""
         return None if self._drawing is None else self._drawing.frame()
 
@@ -167,7 +167,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             raise UsageError("nothing has begun: call reset()")
         return self.batch.state(0)
 
-    def hand_in(self, samples: dict[str, Any]) -> None:
+    def hand_in(self, samples: Mapping[str, object]) -> None:
         """Hand in answers of agents, by name; see ``SingleTask.hand_in``.
 
         Raises:

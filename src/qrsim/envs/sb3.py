@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """Return a picture of each environment; None of each without a render mode."""
         return self.tasks.render() or [None] * self.num_envs
 
-    def get_attr(self, attr_name: str, indices: object = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: object = None) -> list[object]:
         """Return an attribute of the batch, which all environments share."""
         found = getattr(self.tasks, attr_name)
         return [found for _ in self._get_indices(indices)]
@@ -111,7 +111,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """
         raise UsageError(f"set_attr {attr_name}: all environments are one batch; give the scenario other numbers")
 
-    def env_method(self, method_name: str, *args: object, indices: object = None, **options: object) -> list[Any]:
+    def env_method(self, method_name: str, *args: object, indices: object = None, **options: object) -> list[object]:
         """Refuse: there are no single environments.
 
         Raises:
@@ -128,6 +128,6 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self.tasks.close()
 
 
-def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
+def _row(infos: Mapping[str, object], i: int) -> dict[str, Any]:
     """Return what is really the case in an environment."""
     return {name: leaf[i] for name, leaf in infos.items() if isinstance(leaf, np.ndarray) and name[0] != "_"}

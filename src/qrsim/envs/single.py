@@ -111,7 +111,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
             self._drawing.begin()
         return self._seen(), self._truth()
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by a step.
 
         Raises:
@@ -130,7 +130,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self._running = not (terminated[0] or truncated[0])
         return self._seen(), total, bool(terminated[0]), bool(truncated[0]), self._truth()
 
-    def render(self) -> Any:
+    def render(self) -> NumpyArray | None:
         """Return the episode from above, (480, 640, 3) uint8; None without a render mode.
 
         Raises:

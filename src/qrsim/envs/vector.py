@@ -91,7 +91,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self._series.reset(seed, options)
         return self._seen(), self._truth(self.batch.truth, np.ones(self.num_envs, bool))
 
-    def step(self, actions: Any) -> tuple[Any, NumpyArray, NumpyArray, NumpyArray, dict[str, Any]]:
+    def step(self, actions: object) -> tuple[Any, NumpyArray, NumpyArray, NumpyArray, dict[str, Any]]:
         """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
 
         Raises:

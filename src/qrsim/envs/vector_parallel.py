@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +101,7 @@ class VectorParallelTask:
         self._series.reset(seed, options)
         return self._seen_by_each(self.batch.seen), self._of_each(self.batch.truth)
 
-    def step(self, actions: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+    def step(self, actions: Mapping[str, object]) -> tuple[dict[str, Any], ...]:
         """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
 
         Args:
@@ -134,7 +134,7 @@ class VectorParallelTask:
             infos,
         )
 
-    def hand_in(self, samples: dict[str, Any], mask: object = None) -> None:
+    def hand_in(self, samples: Mapping[str, object], mask: object = None) -> None:
         """Hand in answers by agent, (num_envs, ...) each of ``answer_space``; see ``VectorTask.hand_in``.
 
         Raises:

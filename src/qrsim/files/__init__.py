@@ -5,3 +5,10 @@ Ctrl-C and SIGTERM are here too, because writers have to finish.
 It may import ``extras`` and the layers below it.
 Read ``user_files.py`` first.
 """
+
+from __future__ import annotations
+
+from typing import Any
+
+# A mapping as YAML and JSON have it.
+Content = dict[str, Any]

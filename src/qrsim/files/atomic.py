@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from typing import Any
 
 
-def write_atomically(path: Path, data: Any) -> None:
+def write_atomically(path: Path, data: bytes | memoryview) -> None:
     """Write bytes to a path atomically.
 
     The temporary name starts with a dot, so other tools that read a folder of Parquet files ignore it too.

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from qrsim.errors import UsageError, did_you_mean, nearest, shortened
+from qrsim.errors import UsageError, did_you_mean, nearest, os_error_as, shortened
 from qrsim.files.user_files import check_file
 
 # Modules of files have names of their own, so that a file hides no installed package.
@@ -175,11 +175,9 @@ def _import_file(what: str, path: Path) -> ModuleType:
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)
         raise UsageError(f"{what}: there is no file {path}{hint if 'mean' in hint else ''}")
-    try:
+    with os_error_as(UsageError, f"{what} {path}: cannot be read"):
         check_file(path)
         content = digest(path)
-    except OSError as error:
-        raise UsageError(f"{what} {path}: cannot be read: {error.strerror}") from None
     # By its content: a saved state finds its records again where the file has been moved, and not in another version.
     name = f"{PREFIX}{path.stem}_{content[:16]}"
     here = str(path.resolve())

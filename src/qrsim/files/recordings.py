@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from qrsim import extras
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import RunError, UsageError, did_you_mean, os_error_as
 from qrsim.files.user_files import read_bytes
 
 UPSTREAM = "https://raw.githubusercontent.com/UCL-CompLACS/qrsim/efd8539a11604edfe8fa7c95a9e1ea1753ad516e/"
@@ -99,10 +99,8 @@ def file_status(name: str, folder: Path | None = None) -> FileStatus:
     if name not in RECORDINGS:
         raise UsageError(f"no recording is called '{name}'{did_you_mean(name, RECORDINGS)}")
     path = (data_folder() if folder is None else folder) / name
-    try:
+    with os_error_as(RunError, f"cannot read {path}"):
         found = hashlib.sha256(read_bytes(path)).hexdigest() if path.exists() else None
-    except OSError as error:
-        raise RunError(f"cannot read {path}: {error.strerror}") from error
     return FileStatus(name, path, RECORDINGS[name].sha256, found)
 
 
@@ -141,10 +139,8 @@ def fetch_file(name: str, folder: Path, progress_bar: object = None) -> Path:
     pooch = extras.load("data", "fetching recordings", "pooch")
 
     recording = RECORDINGS[name]
-    try:
+    with os_error_as(RunError, f"cannot make the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunError(f"cannot make the folder {folder}: {error.strerror}") from error
     pooch.get_logger().setLevel("ERROR")
     store = pooch.create(folder, UPSTREAM, registry={name: recording.sha256}, urls={name: recording.url})
     downloader = pooch.HTTPDownloader(progressbar=progress_bar or False, timeout=TIMEOUT_S)

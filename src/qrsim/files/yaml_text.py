@@ -26,7 +26,7 @@ _INFINITE = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = re.compile(r"\.nan|\.NaN|\.NAN")
 # What YAML text may not hold, line breaks of other alphabets included, which parsers count differently.
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-_PARSER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _FaultError(Exception):
@@ -102,7 +102,7 @@ class _Builder:
         self.anchors: dict[str, tuple[Any, int, int]] = {}
         self.result: Any = None
 
-    def build(self, text: str) -> Any:
+    def build(self, text: str) -> object:
         """Return the value."""
         parser = _PARSER(text)
         documents = 0
@@ -156,7 +156,7 @@ class _Builder:
         if anchor:
             self.anchors[anchor] = value, size, _depth(value)
 
-    def _of_alias(self, event: Any) -> Any:
+    def _of_alias(self, event: Any) -> object:
         """Return a copy of what an alias stands for: two places must not change together."""
         name, mark = event.anchor, event.start_mark
         if any(part.anchor == name for part in self.stack) and name not in self.anchors:
@@ -200,14 +200,14 @@ def _depth(value: object) -> int:
     return 0 if parts is None else 1 + max(map(_depth, parts), default=0)
 
 
-def _copied(value: object) -> Any:
+def _copied(value: object) -> object:
     """Return a copy of lists and mappings, and of those in them; nothing else that YAML has can be changed."""
     if isinstance(value, dict):
         return {key: _copied(part) for key, part in value.items()}
     return [_copied(part) for part in value] if isinstance(value, list) else value
 
 
-def _scalar(event: Any) -> Any:
+def _scalar(event: Any) -> object:
     """Return the value of a scalar: by its tag, else by how it looks if it has no quotes."""
     tag, text, mark = event.tag, event.value, event.start_mark
     if tag in (None, "!"):

@@ -39,7 +39,7 @@ _NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
 class CommandKind:
     """A command record of a fleet: its fields, and their limits as the commands are rounded."""
 
-    def __init__(self, kind: type[Any], dtype: np.dtype[Any]):
+    def __init__(self, kind: type, dtype: np.dtype[Any]):
         self.kind, self.fields, self.limits = kind, fields_of(kind), limits_of(kind)
         # Rounded as the commands are, so that 0.9 is in its own range in single precision too.
         rows = np.array(list(self.limits.values()), dtype).reshape(-1, 2)
@@ -224,7 +224,7 @@ class ActionChecker:
             )
         return self._command(kind, command, names, flying)
 
-    def _kind(self, given: type[Any] | None, fleets: tuple[Fleet, ...]) -> CommandKind:
+    def _kind(self, given: type | None, fleets: tuple[Fleet, ...]) -> CommandKind:
         """Return which command the vehicles of fleets are given; None: an array of their own fields.
 
         Raises:
@@ -334,7 +334,7 @@ class ActionChecker:
             raise UsageError(f"{what}: expected numbers of shape {shape}, found {shape_of(values)}") from None
 
 
-def _command_name(kind: type[Any], with_module: bool = False, article: bool = False) -> str:
+def _command_name(kind: type, with_module: bool = False, article: bool = False) -> str:
     """Return the name of a command; with its module where another one has the same name."""
     name = f"{kind.__module__}.{kind.__name__}" if with_module else kind.__name__
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" if article else name
@@ -358,7 +358,7 @@ def _rows(own: slice, leaf: Array) -> Array:
     return leaf[own]
 
 
-def _arrays(record: object) -> Any:
+def _arrays(record: object) -> object:
     """Return a record with arrays in place of numbers."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -68,7 +67,7 @@ def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
     seen: set[str] = set()
     zero = jnp.zeros_like(state.vehicle.position_ned.x)
     for sensor, memory, reading in zip(fleet.sensors, state.sensors, state.readings, strict=True):
-        known: dict[str, Any] = sensor.biases(memory)
+        known = sensor.biases(memory)
         for name in reading.__dataclass_fields__:
             if name in known and name not in seen:
                 bias = known[name]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.interface.extremes import Extreme
@@ -71,7 +72,7 @@ class FixErrors:
         """Return the metrics by name, each (W, n), of W worlds."""
         count = np.asarray(self.fixes)
 
-        def root_mean(total: Array) -> Any:
+        def root_mean(total: Array) -> NumpyArray:
             return np.sqrt(np.where(count > 0, np.asarray(total) / np.maximum(count, 1), np.nan))
 
         return {

@@ -39,11 +39,11 @@ T = TypeVar("T")
 class WithMemory(Protocol):
     """A user's own object that is compiled into the loop."""
 
-    def init(self, reading: Any) -> object:
+    def init(self, reading: object) -> object:
         """Return its memory."""
         ...
 
-    def step(self, reading: Any, memory: Any) -> object:
+    def step(self, reading: object, memory: object) -> object:
         """Return the result and the new memory, which is checked when it is called."""
         ...
 

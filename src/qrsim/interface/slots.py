@@ -49,7 +49,7 @@ class Slot:
                 place += size
             first += size
 
-    def take(self, command: Any) -> bool:
+    def take(self, command: object) -> bool:
         """Take a command; return False for one that has to be looked at more closely."""
         try:
             leaves = self._leaves(command)

@@ -9,7 +9,8 @@ Read ``reader.py`` first.
 
 from qrsim.runs.episodes import EpisodesWriter
 from qrsim.runs.layout import Column, Event, RunInfo
-from qrsim.runs.reader import Run, Stream, open_run
+from qrsim.runs.reader import Run, open_run
+from qrsim.runs.stream_arrays import Stream
 from qrsim.runs.writer import RunWriter
 
 __all__ = ["Column", "EpisodesWriter", "Event", "Run", "RunInfo", "RunWriter", "Stream", "open_run"]

@@ -21,7 +21,7 @@ def column(values: NumpyArray) -> Any:
     return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(data)])
 
 
-def numbers(values: Sequence[Any], kind: Any) -> Any:
+def numbers(values: Sequence[object], kind: object) -> Any:
     """Return an Arrow array of numbers of a type; those that are None are missing."""
     present = np.array([value is not None for value in values], bool)
     plain = np.array([0 if value is None else value for value in values], numpy_dtype(kind))

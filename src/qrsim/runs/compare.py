@@ -16,8 +16,9 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.runs.layout import EVENTS, INDEX, Event
-from qrsim.runs.reader import Run, Stream
+from qrsim.runs.reader import Run
 from qrsim.runs.settings import Setting, setting_differences
+from qrsim.runs.stream_arrays import Stream
 
 Names = tuple[str, ...]
 

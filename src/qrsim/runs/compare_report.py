@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from qrsim.files import Content
 from qrsim.runs import Event, Run
 from qrsim.runs.compare import Comparison, Difference, EventComparison, Moment, StreamComparison
 from qrsim.runs.headlines import headlines
@@ -154,7 +154,7 @@ def _verdict(found: Comparison) -> str:
     return "The logs differ in what was recorded; all common values are equal."
 
 
-def to_json(first: Run, second: Run, found: Comparison) -> dict[str, Any]:
+def to_json(first: Run, second: Run, found: Comparison) -> Content:
     """Return the result as plain values for JSON; non-finite numbers are None."""
     events = found.events
     return {
@@ -176,7 +176,7 @@ def to_json(first: Run, second: Run, found: Comparison) -> dict[str, Any]:
     }
 
 
-def _stream_json(stream: StreamComparison) -> dict[str, Any]:
+def _stream_json(stream: StreamComparison) -> Content:
     return {
         "stream": stream.stream,
         "ticks": stream.ticks,
@@ -188,8 +188,8 @@ def _stream_json(stream: StreamComparison) -> dict[str, Any]:
     }
 
 
-def _difference_json(item: Difference) -> dict[str, Any]:
-    def moment(at: Moment | None) -> dict[str, Any] | None:
+def _difference_json(item: Difference) -> Content:
+    def moment(at: Moment | None) -> Content | None:
         return None if at is None else {"time_s": at.time, "vehicle": at.vehicle, "values": _plain(list(at.values))}
 
     return {
@@ -203,7 +203,7 @@ def _difference_json(item: Difference) -> dict[str, Any]:
     }
 
 
-def _plain(value: object) -> Any:
+def _plain(value: object) -> object:
     """Return a value that JSON can say: None for NaN and infinity, text for what is none of its types."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.runs.layout import FORMAT, RUN_FILE, utc_now
 
 EPISODES_FILE = "episodes.json"
@@ -33,10 +33,8 @@ class EpisodesWriter:
         Raises:
             RunError: it exists, or cannot be written.
         """
-        try:
+        with os_error_as(RunError, f"cannot create the folder {folder}"):
             folder.mkdir(parents=True)
-        except OSError as error:
-            raise RunError(f"cannot create the folder {folder}: {error.strerror or error}") from error
         return cls(folder, {"format": FORMAT, "scenario": scenario, "started": utc_now(), "episodes": []})
 
     def begin(self, seed: int) -> Path:
@@ -51,10 +49,8 @@ class EpisodesWriter:
         name = episode_name(len(episodes) + 1)
         episodes.append({"folder": name, "seed": seed, "started": utc_now()})
         text = json.dumps(self._content, indent=2, ensure_ascii=False)
-        try:
+        with os_error_as(RunError, f"cannot write in {self.folder}"):
             write_atomically(self.folder / EPISODES_FILE, f"{text}\n".encode())
-        except OSError as error:
-            raise RunError(f"cannot write in {self.folder}: {error.strerror or error}") from error
         return self.folder / name
 
 

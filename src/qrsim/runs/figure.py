@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qrsim.core.arrays import Floats
@@ -230,7 +231,7 @@ def _nearest_prey(run: Run, data: _Data) -> list[float]:
     return [float(np.linalg.norm(prey - place, axis=-1).min()) for place in hunters] if len(prey) else []
 
 
-def _height(axes: Any, data: _Data) -> None:
+def _height(axes: Axes, data: _Data) -> None:
     ground = [data.terrain.down(each[..., 0], each[..., 1]) for each in (data.position, data.setpoint)]
     if data.terrain.level:
         ground = [np.zeros_like(each) for each in ground]

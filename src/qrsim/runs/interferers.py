@@ -12,6 +12,7 @@ from qrsim.core.arrays import Floats
 from qrsim.models.gnss.geometry import LOST
 from qrsim.models.gnss.interference import strength
 from qrsim.models.gnss.slots import SlottedSky
+from qrsim.world.state import World
 
 # What has no end ends here or later [s], and what is heard everywhere is heard within this or more [m].
 _FOREVER, _EVERYWHERE = 1e8, 1e8
@@ -60,7 +61,7 @@ def of_scenario(entries: Any) -> tuple[Interferer, ...]:
     return tuple(_interferer(str(entry["kind"]), entry) for entry in entries or ())
 
 
-def of_world(world: Any) -> tuple[Interferer, ...]:
+def of_world(world: World) -> tuple[Interferer, ...]:
     """Return what interferes in a World; what has no place comes last."""
     present = world.sky.interference if isinstance(world.sky, SlottedSky) else None
     if present is None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.runs.layout import Event
 from qrsim.runs.picture import (
@@ -177,7 +177,7 @@ def read_data(
     return Data(names, series, seen, span, last)
 
 
-def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> Any:
+def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> NumpyArray:
     """Return which of the ticks are in the span, both ends included."""
     if not len(time):
         raise RunError(f"{run.folder}: nothing to draw, because no tick was recorded (state: {run.info.state})")

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from qrsim.core.arrays import Floats
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.core.arrays import Floats, NumpyArray
+from qrsim.errors import RunError, UsageError, did_you_mean, os_error_as
 from qrsim.files.atomic import write_atomically
 from qrsim.runs.colours import VEHICLES
 from qrsim.runs.reader import Run
@@ -51,10 +52,8 @@ def save_picture(draw: Callable[[], Figure], path: Path) -> None:
         raise UsageError(f"{path}: {found}{did_you_mean(ending, FORMATS)}")
     picture = io.BytesIO()
     draw().savefig(picture, dpi=110, format=ending)
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         write_atomically(path, picture.getvalue())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def colours_of(count: int) -> Floats:
@@ -126,7 +125,7 @@ def trace(axes: Any, time: Floats, values: Floats, **look: Any) -> Any:
     return line
 
 
-def path_rows(points: Floats, most: int) -> Any:
+def path_rows(points: Floats, most: int) -> NumpyArray:
     """Return rows of a path (T, 2) that show it: about ``most`` of them, all its extremes in bins of time among them.
 
     Every so-many-th point would cut the corners off.
@@ -160,7 +159,7 @@ def spread(axes: Any, time: Floats, values: Floats, colour: Any, style: Any = "-
     return axes.plot(time, five[2], linestyle=style, color=colour, lw=1.6)[0]
 
 
-def time_limits(axes: Any, first: float, last: float) -> None:
+def time_limits(axes: Axes, first: float, last: float) -> None:
     """Set the same time span in every panel; a single tick gets a small span."""
     axes.set_xlim(first, max(last, first + 1e-3))
 

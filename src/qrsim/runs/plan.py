@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
@@ -72,7 +73,7 @@ class Paths:
         return len(self.names) > MOST_NUMBERED
 
 
-def draw_plan(axes: Any, paths: Paths, around: Surroundings, terrain: Terrain) -> None:
+def draw_plan(axes: Axes, paths: Paths, around: Surroundings, terrain: Terrain) -> None:
     """Draw the paths from above, the legs that were flown, the ground, and what there was besides vehicles."""
     seen = [paths.position, paths.setpoint]
     seen += [paths.reported] if paths.few and paths.reported is not None else []
@@ -219,7 +220,7 @@ def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[
     return corners.min(axis=0), corners.max(axis=0)
 
 
-def _footprint(obstacle: Any) -> Any:
+def _footprint(obstacle: Any) -> object:
     """Return an obstacle from above."""
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.radio.links import Links
 from qrsim.simulation.history import History
 from qrsim.world.state import World
@@ -21,7 +22,7 @@ _OF_LINKS = {
 }
 
 
-def radio_columns(world: World, history: History) -> list[tuple[str, Any, str, str]]:
+def radio_columns(world: World, history: History) -> list[tuple[str, NumpyArray, str, str]]:
     """Return (column, array (T, n), unit, doc) of what is logged of the radio, nothing without one."""
     if world.radio is None:
         return []

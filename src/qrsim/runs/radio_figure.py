@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -67,7 +67,7 @@ def _radios(run: Run) -> Floats:
     return found if len(found) == len(run.vehicles) else np.ones(len(run.vehicles), bool)
 
 
-def _graph(figure: Figure, axes: Any, run: Run, packets: Packets) -> None:
+def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:
     """Draw the vehicles where they are at the end, and half a line for each direction: the half at who hears."""
     truth = run["truth"]
     row = np.searchsorted(truth.time, packets.time[-1] - 1e-9).clip(max=len(truth.time) - 1)
@@ -110,7 +110,7 @@ def _width(strength: Floats) -> Floats:
     return np.where(there, 1.2 + 3.0 * (np.nan_to_num(strength) - low) / max(high - low, 1e-6), 0.8)
 
 
-def _delivery(axes: Any, found: Connectivity) -> None:
+def _delivery(axes: Axes, found: Connectivity) -> None:
     axes.plot(found.time, found.delivery, color=colours_of(2)[0], lw=1.8, label="heard")
     for name, part in found.lost.items():
         axes.plot(found.time, part, color="0.35", ls=STYLES[name], lw=1.1, label=f"lost: {name}")
@@ -119,7 +119,7 @@ def _delivery(axes: Any, found: Connectivity) -> None:
     axes.grid(alpha=0.3)
 
 
-def _connected(axes: Any, found: Connectivity) -> None:
+def _connected(axes: Axes, found: Connectivity) -> None:
     first, second = colours_of(2)
     [part] = axes.plot(found.time, found.largest, color=first, lw=1.8)
     axes.set(xlabel="time [s]", ylabel="part in the largest group", ylim=(-0.03, 1.03))

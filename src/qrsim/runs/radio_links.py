@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
@@ -47,7 +46,7 @@ class Packets:
         """(P, K, n) whether it was heard."""
         return (self.sender >= 0) & (self.outcome == Outcome.HEARD)
 
-    def part(self, rows: Any) -> Packets:
+    def part(self, rows: NumpyArray) -> Packets:
         """Return those of some periods."""
         return Packets(self.time[rows], self.sender[rows], self.outcome[rows], self.rssi[rows], self.flies[rows])
 

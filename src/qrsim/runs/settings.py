@@ -32,7 +32,7 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
     return [*_differences("", *infos), *_differences("", *scenarios)]
 
 
-def _scenario(run: Run) -> Any:
+def _scenario(run: Run) -> object:
     return run.scenario
 
 

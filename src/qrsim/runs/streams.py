@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.host import on_host
 from qrsim.core.tree import walk
+from qrsim.files import Content
 from qrsim.interface.crowds import crowds_of
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
@@ -37,7 +38,7 @@ _voltage = on_host(lambda battery, states, load: battery.voltage(states, load))
 _poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
 
 
-def _poses(fleet: Fleet, states: object) -> Any:
+def _poses(fleet: Fleet, states: object) -> object:
     """Return poses (T, n) of the vehicles' states (T, n), by NumPy: it is asked for at every part of a flight."""
     ticks = len(jax.tree.leaves(states)[0])
     if not ticks < _TICKS <= _MOST_POSES / fleet.size:
@@ -196,9 +197,9 @@ class EventFinder:
             "clipped": together(lambda fleet: fleet.command_clipped),
         }
 
-    def find(self, history: History) -> list[dict[str, Any]]:
+    def find(self, history: History) -> list[Content]:
         """Return the events of a history as arguments of ``RunWriter.append_event``, in order of time."""
-        found: list[tuple[int, int, dict[str, Any]]] = []
+        found: list[tuple[int, int, Content]] = []
         for key, pick in self._sources().items():
             now = pick(history)
             previous = np.concatenate([self.before[key][None], now[:-1]])
@@ -214,7 +215,7 @@ class EventFinder:
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
 
-    def ending(self, history: History) -> list[dict[str, Any]]:
+    def ending(self, history: History) -> list[Content]:
         """Return the events of the end of a run: missions that it does not finish, and what crowds came to."""
         found = [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
         for crowd in crowds_of(self.world, history.state):
@@ -224,7 +225,7 @@ class EventFinder:
                 found.append({**event, "field": crowd.path, "value": float(looks), "message": crowd.text(looks)})
         return found
 
-    def _crowds(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+    def _crowds(self, history: History) -> list[tuple[int, int, Content]]:
         """Return the first look of each radio, sensor and guidance that may have missed others."""
         found = []
         for crowd in crowds_of(self.world, history.state):
@@ -241,9 +242,7 @@ class EventFinder:
             found.append((row, vehicle, {**event, "kind": OVERFULL, "field": crowd.path, "message": message}))
         return found
 
-    def _of_missions(
-        self, history: History, found: Iterable[tuple[int, Found]]
-    ) -> list[tuple[int, int, dict[str, Any]]]:
+    def _of_missions(self, history: History, found: Iterable[tuple[int, Found]]) -> list[tuple[int, int, Content]]:
         """Return what a watch of missions found as events, each with its row and vehicle."""
         firsts = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
         events = []
@@ -254,7 +253,7 @@ class EventFinder:
             events.append((row, vehicle, {**event, "kind": kind, "field": "leg", "value": value, "message": message}))
         return events
 
-    def _faults(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+    def _faults(self, history: History) -> list[tuple[int, int, Content]]:
         """Return the scheduled faults that begin or end."""
         found, first = [], 0
         for fleet in self.world.fleets:
@@ -278,7 +277,7 @@ class EventFinder:
             first += fleet.size
         return found
 
-    def _losses(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+    def _losses(self, history: History) -> list[tuple[int, int, Content]]:
         """Return where a GNSS receiver of a flying vehicle has no fix for want of satellites, or finds it again."""
         found, first = [], 0
         for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
@@ -305,7 +304,7 @@ class EventFinder:
             first += fleet.size
         return found
 
-    def _persons(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+    def _persons(self, history: History) -> list[tuple[int, int, Content]]:
         """Return who was found, by the vehicle that was nearest."""
         persons = history.state.contents.persons
         if persons is None:
@@ -320,7 +319,7 @@ class EventFinder:
             found.append((int(row), vehicle, event))
         return found
 
-    def _landings(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+    def _landings(self, history: History) -> list[tuple[int, int, Content]]:
         """Return who has come to stand on the ground, or has left it."""
         found, first = [], 0
         for number, (fleet, state) in enumerate(zip(self.world.fleets, history.state.fleets, strict=True)):
@@ -338,10 +337,10 @@ class EventFinder:
             first += fleet.size
         return found
 
-    def _at(self, history: History, row: int, vehicle: int) -> dict[str, Any]:
+    def _at(self, history: History, row: int, vehicle: int) -> Content:
         return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
 
-    def _event(self, key: str, history: History, row: int, vehicle: int) -> dict[str, Any]:
+    def _event(self, key: str, history: History, row: int, vehicle: int) -> Content:
         event = self._at(history, row, vehicle)
         name, time = event["vehicle"], event["time"]
         if key == "reached":

@@ -13,7 +13,8 @@ import numpy as np
 
 from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.runs.layout import OVERFULL, Event
-from qrsim.runs.reader import Run, Stream
+from qrsim.runs.reader import Run
+from qrsim.runs.stream_arrays import Stream
 from qrsim.runs.terrain import terrain_of
 
 Rows = NumpyArray

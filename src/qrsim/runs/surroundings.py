@@ -18,6 +18,7 @@ from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import vectors
+from qrsim.world.state import World
 
 if TYPE_CHECKING:
     from qrsim.tasks.places import Places
@@ -135,7 +136,7 @@ def _goals(run: Run) -> dict[str, Floats]:
     scenario = run.built()
     world, task = scenario.world(run.info.precision), scenario.task(run.info.precision)
     start = vectors(run["truth"], "position_ned", slice(0, 1))[0]
-    own: Any = start[world.rows_of(task.fleet)].astype(run.info.precision)
+    own = start[world.rows_of(task.fleet)].astype(run.info.precision)
     return {"goals": goals_of(task, world, Vec3(*own.T))} if len(own) else {}
 
 
@@ -173,7 +174,7 @@ def _drawn_again(run: Run) -> dict[str, Any]:
     return result
 
 
-def _task_stream(task: Any, key: Any) -> Any:
+def _task_stream(task: Any, key: Any) -> object:
     """Return the stream of what a task draws, None where it draws nothing."""
     import jax.numpy as jnp
 
@@ -189,7 +190,7 @@ class _Beginning(NamedTuple):
     contents: Any
 
 
-def _begin(world: Any, task: Any, keys: Any, stream: Any, places: Any) -> tuple[Any, Any, Any]:
+def _begin(world: World, task: Any, keys: object, stream: Any, places: Any) -> tuple[Any, Any, Any]:
     """Return contents at the start, the places of a task, and the mean concentration at some places (or None)."""
     import jax.numpy as jnp
 
@@ -209,7 +210,7 @@ def _begin(world: Any, task: Any, keys: Any, stream: Any, places: Any) -> tuple[
     return contents, locations, values
 
 
-def drawn_contents(world: Any, keys: Any) -> tuple[tuple[Any, ...], Any]:
+def drawn_contents(world: World, keys: Any) -> tuple[tuple[Any, ...], Any]:
     """Draw the ranges of an episode, and its contents at the start; a pure function of JAX."""
     import jax.numpy as jnp
 
@@ -227,7 +228,7 @@ def _edges(area: object) -> tuple[Floats, Floats]:
     return north, east
 
 
-def _grid(area: Any) -> Any:
+def _grid(area: Any) -> object:
     """Return the middles of the cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
     from qrsim.core.vectors import Vec3
 

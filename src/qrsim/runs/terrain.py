@@ -51,7 +51,7 @@ def terrain_of(run: Run) -> Terrain:
     return Terrain(run)
 
 
-def _built(run: Run) -> Any:
+def _built(run: Run) -> object:
     """Return the ground of a run's scenario; None, with a warning, where it cannot be built any more."""
     from qrsim.scenarios.build import ground_of
 

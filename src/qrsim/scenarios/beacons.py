@@ -56,7 +56,7 @@ def beacon_problems(scenario: Any) -> Iterator[str]:
                 )
 
 
-def with_beacons(sensor: Any, scenario: Any) -> Any:
+def with_beacons(sensor: object, scenario: Any) -> object:
     """Return a sensor that knows where its beacons are, if it ranges to any."""
     if not isinstance(sensor, Ranging | IdealRanging):
         return sensor
@@ -66,6 +66,6 @@ def with_beacons(sensor: Any, scenario: Any) -> Any:
     return replace(sensor, beacon_ned=Vec3(*found.T.copy()) if chosen else None)
 
 
-def _asked(sensor: Any, names: list[str]) -> list[str]:
+def _asked(sensor: Ranging | IdealRanging, names: list[str]) -> list[str]:
     """Return the names of the beacons that a sensor ranges to."""
     return names if tuple(sensor.beacons) == (EVERY,) else list(sensor.beacons)

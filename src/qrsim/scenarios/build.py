@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from qrsim.control import Route
 from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.guidance import RouteFollower
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import cast, field_info, record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
@@ -70,7 +71,7 @@ def vehicle_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
     return component(fleet.vehicle, known.VEHICLES, scenario).in_air(air_of(scenario))
 
 
-def inherited(scenario: ScenarioSpec, path: str) -> Any:
+def inherited(scenario: ScenarioSpec, path: str) -> object:
     """Return the value at a dotted path of the scenario, None if there is none."""
     value: Any = scenario
     for part in path.split("."):
@@ -138,7 +139,7 @@ def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
 def _obstacles(scenario: ScenarioSpec) -> Obstacles:
     """Gather the obstacles of each kind into one record of arrays."""
 
-    def gather(kind: str) -> Any:
+    def gather(kind: str) -> object:
         cls = known.OBSTACLES[kind]
         specs = [spec for spec in scenario.world.obstacles if spec.type == kind]
         names = [field.name for field in dataclasses.fields(cls)]
@@ -190,7 +191,7 @@ def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
     if ground is None:
         return scenario
 
-    def standing_height(fleet: FleetSpec) -> Any:
+    def standing_height(fleet: FleetSpec) -> NumpyArray:
         try:
             height = vehicle_of(fleet, scenario).standing_height()
         except UsageError:

@@ -95,13 +95,13 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
         warn_user(f"{file}: of its features are left out: {', '.join(reasons)}{trees_left_out(found)}")
 
 
-def _prism(building: Building, height: float, ground: Any) -> Any:
+def _prism(building: Building, height: float, ground: Any) -> object:
     """Return a building as a scenario has it; its ground is the lowest at its corners."""
     outline, *holes = building.rings
     down = 0.0
     if ground is not None and not ground.at_zero:
         north, east = np.array(outline, np.float32).T
-        places: Any = Vec3(north, east, np.zeros_like(north))
+        places = Vec3(north, east, np.zeros_like(north))
         down = float(np.max(down_at(ground, places)))
     return prism_model()(
         type="prism",

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
+from qrsim.core.arrays import NumpyArray
+from qrsim.errors import ScenarioError, UsageError, did_you_mean, readable
 from qrsim.extras import load
+from qrsim.files import Content
 from qrsim.files.user_files import LARGEST_TABLE, read_text
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.models.site import Site
@@ -126,12 +127,9 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
     return found
 
 
-def _content(file: str) -> dict[str, Any]:
-    path = Path(file)
-    try:
+def _content(file: str) -> Content:
+    with readable(file):
         text = read_text(file, LARGEST_TABLE)
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from None
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -145,7 +143,7 @@ def _content(file: str) -> dict[str, Any]:
     return content
 
 
-def _check_frame(file: str, content: dict[str, Any], frame: str) -> None:
+def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
     """Refuse a file that says it has other coordinates than it is taken to have."""
     crs = content.get("crs")
     properties = crs.get("properties") if isinstance(crs, dict) else None
@@ -157,7 +155,7 @@ def _check_frame(file: str, content: dict[str, Any], frame: str) -> None:
         )
 
 
-def _features(file: str, content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, Content, Content]]:
     """Yield name, properties and geometry of each feature."""
     features = [content]
     if content["type"] == "FeatureCollection":
@@ -177,8 +175,8 @@ def _features(file: str, content: dict[str, Any]) -> Iterator[tuple[str, dict[st
 
 
 def _chosen(
-    everything: list[tuple[str, dict[str, Any], dict[str, Any]]], trees: bool
-) -> tuple[list[tuple[str, dict[str, Any], dict[str, Any]]], BuildingsFile]:
+    everything: list[tuple[str, Content, Content]], trees: bool
+) -> tuple[list[tuple[str, Content, Content]], BuildingsFile]:
     """Return the features that become obstacles, and how many are left out.
 
     In exports of OpenStreetMap the buildings are ``building=*``; in files without its keys all polygons are.
@@ -204,15 +202,15 @@ def trees_left_out(found: BuildingsFile) -> str:
     return f"; {found.trees} are woods or trees (world.buildings.trees makes them obstacles)" if found.trees else ""
 
 
-def _has(properties: dict[str, Any], *tags: str) -> bool:
+def _has(properties: Mapping[str, object], *tags: str) -> bool:
     return any(properties.get(tag) not in (None, False, "", "no") for tag in tags)
 
 
-def _is_tree(properties: dict[str, Any]) -> bool:
+def _is_tree(properties: Mapping[str, object]) -> bool:
     return properties.get("natural") in ("wood", "tree") or properties.get("landuse") == "forest"
 
 
-def _polygons(geometry: dict[str, Any]) -> list[Any]:
+def _polygons(geometry: Mapping[str, object]) -> list[object]:
     """Return the polygons of a geometry, each a list of rings where the file is right."""
     found, parts = [], [geometry]
     while parts:
@@ -227,7 +225,7 @@ def _polygons(geometry: dict[str, Any]) -> list[Any]:
     return found
 
 
-def _points(geometry: dict[str, Any]) -> int:
+def _points(geometry: Mapping[str, object]) -> int:
     return int(geometry.get("type") == "Point") + sum(
         len(ring) if isinstance(ring, list) else 0
         for rings in _polygons(geometry)
@@ -244,7 +242,7 @@ def _outline(rings: object, frame: str, site: Site) -> list[Ring]:
     return placed
 
 
-def _crown(properties: dict[str, Any], geometry: dict[str, Any], frame: str, site: Site) -> Ring:
+def _crown(properties: Mapping[str, object], geometry: Mapping[str, object], frame: str, site: Site) -> Ring:
     """Return the outline of the crown of a tree that is a point."""
     ((north, east),) = _in_metres(_pairs([geometry.get("coordinates")]), frame, site)
     radius = (_length(properties, "diameter_crown") or _CROWN) / 2.0
@@ -263,7 +261,7 @@ def _placed(ring: object, frame: str, site: Site) -> Ring:
     return _in_metres(corners, frame, site)
 
 
-def _pairs(points: Any) -> Any:
+def _pairs(points: Any) -> NumpyArray:
     """Return points as GeoJSON has them as an array (k, 2); raises UsageError where they are none."""
     try:
         pairs = np.array([point[:2] for point in points], np.float64)
@@ -320,7 +318,7 @@ def _check(placed: list[Ring]) -> None:
     )
 
 
-def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
+def _heights(properties: Mapping[str, object]) -> tuple[float | None, float]:
     """Return height and base [m] over the ground of a building; None where the file has no height.
 
     The rules are those of OpenStreetMap's Simple 3D Buildings: ``height`` includes the roof, ``building:levels`` does
@@ -342,7 +340,7 @@ def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
     return height, base
 
 
-def _unread(properties: dict[str, Any]) -> str:
+def _unread(properties: Mapping[str, object]) -> str:
     """Return the first property of a building's height that has a value and is no height, "" where none has."""
     for names, read in ((_HEIGHTS, _length), (_LEVELS, _levels)):
         for name in names:
@@ -352,7 +350,7 @@ def _unread(properties: dict[str, Any]) -> str:
     return ""
 
 
-def _length(properties: dict[str, Any], *names: str) -> float | None:
+def _length(properties: Mapping[str, object], *names: str) -> float | None:
     """Return the first of some properties that is a number, of metres or feet; texts that are none do not count."""
     for name in names:
         value = properties.get(name)
@@ -369,7 +367,7 @@ def _length(properties: dict[str, Any], *names: str) -> float | None:
     return None
 
 
-def _levels(properties: dict[str, Any], *names: str) -> float | None:
+def _levels(properties: Mapping[str, object], *names: str) -> float | None:
     """Return the first of some properties that is a number of levels, or the largest of a list of them ("1,2").
 
     Levels below the ground do not count.

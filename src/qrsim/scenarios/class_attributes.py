@@ -20,7 +20,7 @@ def is_record(value: Any) -> bool:
         return False
     if inspect.isabstract(value):
         return True  # no object can be made of it; what it lacks is a fault of its own
-    item: Any = object.__new__(value)
+    item = object.__new__(value)
     for field in dataclasses.fields(value):
         object.__setattr__(item, field.name, 0)
     return not jax.tree_util.all_leaves([item])
@@ -45,9 +45,9 @@ _DECLARED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "ClassVar[bool]": (lambda value: isinstance(value, bool), "True or False"),
     "bool": (lambda value: isinstance(value, bool), "True or False"),
     "ClassVar[str]": (lambda value: isinstance(value, str), "a text"),
-    "ClassVar[type[Any]]": (lambda value: isinstance(value, type), "a class"),
-    "ClassVar[type[Any] | None]": (lambda value: value is None or isinstance(value, type), "a class or None"),
-    "ClassVar[tuple[type[Any], ...]]": (_tuple_of(type), "a tuple of classes, as (qrsim.WaypointSetpoint,)"),
+    "ClassVar[type]": (lambda value: isinstance(value, type), "a class"),
+    "ClassVar[type | None]": (lambda value: value is None or isinstance(value, type), "a class or None"),
+    "ClassVar[tuple[type, ...]]": (_tuple_of(type), "a tuple of classes, as (qrsim.WaypointSetpoint,)"),
     "ClassVar[tuple[Axis, ...]]": (_tuple_of(Axis), "a tuple of Axis (qrsim.tasks.agents)"),
     "Literal['measurements', 'truth', 'filter']": (_feed, "'measurements', 'truth' or 'filter'"),
 }
@@ -81,5 +81,5 @@ def _command_problems(component: Any) -> Iterator[str]:
         yield _wrong(component, "actions", actions, f"{own.__name__}, its command_type, among them")
 
 
-def _wrong(component: type, name: str, value: Any, words: str) -> str:
+def _wrong(component: type, name: str, value: object, words: str) -> str:
     return f"{component.__name__}.{name} is {value!r:.80}; expected {words}"

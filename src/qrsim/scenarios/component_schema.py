@@ -20,13 +20,14 @@ from pydantic_core import core_schema
 
 from qrsim.core.presets import filled, presets_of
 from qrsim.core.tree import FieldInfo, field_info
+from qrsim.files import Content
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 # Types that stand for nothing: who gives a parameter means another one.
 WITHOUT_PARAMETERS = ("calm", "still", "none", "clear", "given")
 
 
-def _add_degrees(schema: dict[str, Any]) -> None:
+def _add_degrees(schema: Content) -> None:
     """Say in the JSON schema that every angle can be given in degrees instead."""
     properties = schema.get("properties", {})
     for name in [name for name in properties if name.endswith("_rad")]:
@@ -36,7 +37,7 @@ def _add_degrees(schema: dict[str, Any]) -> None:
             schema["required"].remove(name)
 
 
-def _radians(degrees: object) -> Any:
+def _radians(degrees: object) -> object:
     """Convert a number or each of a list; anything else is left for the check to find."""
     if isinstance(degrees, list):
         return [_radians(entry) for entry in degrees]
@@ -48,7 +49,7 @@ def _radians(degrees: object) -> Any:
         return math.inf
 
 
-def with_default_types(model: type[BaseModel], data: dict[str, Any]) -> dict[str, Any]:
+def with_default_types(model: type[BaseModel], data: Mapping[str, object]) -> Content:
     """Return a copy in which components without a type have the type of the field's default, if it has parameters."""
     found = dict(data)
     for name, field in model.model_fields.items():
@@ -80,12 +81,12 @@ class Strict(BaseModel):
         return converted
 
 
-def _bounds(info: FieldInfo) -> dict[str, Any]:
+def _bounds(info: FieldInfo) -> Content:
     bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
-def _described(info: FieldInfo) -> dict[str, Any]:
+def _described(info: FieldInfo) -> Content:
     inherited = f" (default: that of {info.inherits})" if info.inherits else ""
     inherited = " (default: that of the sensors)" if info.of_sensors else inherited
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
@@ -100,7 +101,7 @@ def _one_or_each(value: object) -> str:
     return "each" if isinstance(value, list) else "one"
 
 
-def _for_each(info: FieldInfo) -> Any:
+def _for_each(info: FieldInfo) -> object:
     """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
     entry = number | None if _optional(info) else number
@@ -125,7 +126,7 @@ class _Numbers:
         )
 
 
-def _field(name: str, hint: object, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
+def _field(name: str, hint: object, field: dataclasses.Field[Any], each: bool) -> tuple[object, object]:
     info = field_info(field)
     required = field.default is dataclasses.MISSING
     usual = None if info.of_sensors else field.default

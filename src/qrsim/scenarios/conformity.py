@@ -225,7 +225,7 @@ def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[st
         yield name, *_arguments(component, function)
 
 
-def _arguments(component: Any, function: Any) -> tuple[list[str], list[str]]:
+def _arguments(component: object, function: Any) -> tuple[list[str], list[str]]:
     """Return the names of what a method is called with by place and by name."""
     positional: list[str] = []
     named: list[str] = []

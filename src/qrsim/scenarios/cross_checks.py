@@ -275,7 +275,7 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
 
 def _estimated(estimator: str) -> dict[str, str]:
     """Return what an estimator needs, and for each quantity a sensor that measures it."""
-    kind: Any = known.FILTERS[estimator]
+    kind = known.FILTERS[estimator]
     return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
 
 

@@ -7,10 +7,11 @@ Pydantic qualifies models of one name by their module and a number, such as thos
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 
-def with_short_names(schema: dict[str, Any]) -> dict[str, Any]:
+def with_short_names(schema: Mapping[str, object]) -> dict[str, Any]:
     """Return a schema in which the definitions of types are called by their key and their type.
 
     Args:
@@ -27,7 +28,7 @@ def with_short_names(schema: dict[str, Any]) -> dict[str, Any]:
     return renamed
 
 
-def _look(node: Any, key: str, names: dict[str, str]) -> None:
+def _look(node: object, key: str, names: dict[str, str]) -> None:
     """Collect long name -> short name from the choices of a component below ``key``."""
     if isinstance(node, list):
         for part in node:

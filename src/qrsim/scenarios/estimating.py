@@ -73,7 +73,7 @@ def left_out(spec: object) -> Iterator[str]:
             yield field.name
 
 
-def _imu(imu: Any, time: float, _: Any) -> Stds:
+def _imu(imu: Any, time: float, _: object) -> Stds:
     shaken = imu.vibration != "none"
     levels = imu.vibration_levels
 
@@ -113,7 +113,7 @@ def _imu(imu: Any, time: float, _: Any) -> Stds:
     }
 
 
-def _gyroscope(sensor: Any, time: float, _: Any) -> Stds:
+def _gyroscope(sensor: Any, time: float, _: object) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "gyroscope_noise": density,
@@ -125,7 +125,7 @@ def _gyroscope(sensor: Any, time: float, _: Any) -> Stds:
     }
 
 
-def _accelerometer(sensor: Any, _: float, __: Any) -> Stds:
+def _accelerometer(sensor: Any, _: float, __: object) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "accelerometer_noise": density,
@@ -135,7 +135,7 @@ def _accelerometer(sensor: Any, _: float, __: Any) -> Stds:
     }
 
 
-def _magnetometer(sensor: Any, _: float, __: Any) -> Stds:
+def _magnetometer(sensor: Any, _: float, __: object) -> Stds:
     own = np.square(sensor.soft_iron) + (np.square(sensor.scale) + 2.0 * np.square(sensor.misalignment)) / 3.0
     known = sum(np.square(getattr(sensor, f"interference_{axis}")) for axis in "xyz") / 3.0
     current = np.square(sensor.interference) / 3.0 + known
@@ -148,11 +148,11 @@ def _magnetometer(sensor: Any, _: float, __: Any) -> Stds:
     }
 
 
-def _barometer(sensor: Any, _: float, __: Any) -> Stds:
+def _barometer(sensor: Any, _: float, __: object) -> Stds:
     return {"height_std": sensor.white_std, "height_drift_std": sensor.drift_std}
 
 
-def _altimeter(sensor: Any, _: float, __: Any) -> Stds:
+def _altimeter(sensor: Any, _: float, __: object) -> Stds:
     ports = sum(np.square(getattr(sensor, f"port_{side}")) for side in ("forward", "backward", "right", "left")) / 4.0
     by_flow = ports * DYNAMIC**2
     felt = np.square(sensor.rotor_wash) + by_flow
@@ -164,7 +164,7 @@ def _altimeter(sensor: Any, _: float, __: Any) -> Stds:
     }
 
 
-def _attitude(sensor: Any, _: float, __: Any) -> Stds:
+def _attitude(sensor: Any, _: float, __: object) -> Stds:
     # One slow error: readings within its time constant are no more than one.
     readings = 2.0 * np.asarray(sensor.time_constant) / sensor.period
     return {"yaw_std": np.asarray(sensor.std) * np.sqrt(readings)}
@@ -190,7 +190,7 @@ def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
     }
 
 
-def _airspeed(sensor: Any, _: float, __: Any) -> Stds:
+def _airspeed(sensor: Any, _: float, __: object) -> Stds:
     # Of a pressure error at 10 m/s, where a pascal is 1/(1.2 * 10) m/s; and the scale's.
     pressure = np.square(sensor.noise_std) + np.square(sensor.offset_std)
     return {"airspeed_std": np.sqrt(pressure / 144.0 + np.square(5.0 * np.asarray(sensor.scale)))}

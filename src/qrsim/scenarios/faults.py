@@ -13,11 +13,13 @@ import numpy as np
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import did_you_mean
+from qrsim.models.sensors.contracts import Memoryless
 from qrsim.models.sensors.faults import Fault
 from qrsim.models.vehicles.faults import RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.schema import FaultSpec, FleetSpec, RotorFaultSpec, ScenarioSpec
+from qrsim.scenarios.fault_schema import FaultSpec, RotorFaultSpec
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.spans import moment_problems, span_problems
 from qrsim.scenarios.timing import is_multiple
 
@@ -82,7 +84,8 @@ def _number(value: float | None) -> Any:
 def reading_fields(sensor_type: str) -> list[str]:
     """Return the dotted names of what a type of sensor reports; none of one from outside whose step does not say it."""
     sensor: Any = known.SENSORS[sensor_type]
-    pair = typing.get_args(typing.get_type_hints(sensor.step).get("return"))
+    says = sensor.init if sensor.step is Memoryless.step else sensor.step
+    pair = typing.get_args(typing.get_type_hints(says).get("return"))
     if len(pair) != 2 or not dataclasses.is_dataclass(pair[1]):
         return []
     reading = pair[1]

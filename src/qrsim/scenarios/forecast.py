@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from qrsim.errors import ScenarioError, did_you_mean, nearest
@@ -21,7 +22,7 @@ LARGEST_GUST, LARGEST_FACTOR = 75.0, 10.0
 TURBULENT = ("dryden", "dryden_field", "dryden_first_order")
 
 
-def insert_forecast(content: dict[str, Any], source: str) -> None:
+def insert_forecast(content: Mapping[str, object], source: str) -> None:
     """Replace, in place, the ``FORECAST`` of a log_shear by its ``speed_20ft`` and a turbulence.
 
     A wind that is a number is a ``log_shear`` with that ``speed`` [m/s] from the north.
@@ -61,7 +62,7 @@ def turbulence_speed(sigma: float, height: float) -> float:
     return 10.0 * sigma * (0.177 + 0.000823 * feet) ** 0.4
 
 
-def _unknown(wind: dict[str, Any], forecast: bool) -> str:
+def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
     """Return what is wrong with a name that neither a forecast nor a log_shear has, "" for nothing.
 
     Args:

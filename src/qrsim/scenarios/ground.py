@@ -78,7 +78,7 @@ def put_on_ground(scenario: ScenarioSpec, ground: Ground, standing_height: Calla
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.on_ground and can_stand:
                 north, east, _ = vehicle.position_ned
-                place: Any = Vec3(*np.array([[north], [east], [0.0]], np.float32))
+                place = Vec3(*np.array([[north], [east], [0.0]], np.float32))
                 # Added to zero, because a ground at z = 0 may be at -0.
                 down = float(down_at(ground, place)[0]) - float(heights[i]) + 0.0
                 vehicle = vehicle.model_copy(update={"position_ned": [north, east, down], "on_ground": False})

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import warn_user
 from qrsim.models.gnss.receivers import HAND_LIST
 from qrsim.scenarios.schema import ScenarioSpec
@@ -19,7 +18,7 @@ def hand_lists(scenario: ScenarioSpec) -> list[str]:
     ]
 
 
-def warn_of_hand_lists(scenario: ScenarioSpec, satellite_ids: Any) -> None:
+def warn_of_hand_lists(scenario: ScenarioSpec, satellite_ids: NumpyArray) -> None:
     """Warn of receivers with fewer satellites to choose from than were published."""
     there = {int(number) & 0xFF for number in satellite_ids}
     absent = [f"{prn}" for prn in HAND_LIST if prn not in there]

@@ -74,7 +74,7 @@ def _shifted(point: list[float], off: tuple[float, ...]) -> list[float]:
     return [axis + shift for axis, shift in zip(point, off, strict=False)]
 
 
-def one_by_one(value: object) -> Any:
+def one_by_one(value: object) -> object:
     """Return vehicles that are given in rows one by one, and anything else as it is.
 
     Raises:

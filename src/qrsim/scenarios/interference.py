@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
@@ -60,7 +61,7 @@ def _model(kind: str) -> type[Strict]:
 InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PLACES}, key="kind")
 
 
-def interference(scenario: Any, ephemeris: Any) -> Interference | None:
+def interference(scenario: object, ephemeris: object) -> Interference | None:
     """Build what interferes; a jammer without power does not, and None is nothing."""
     kept = _kept(scenario)
     if not kept:
@@ -81,7 +82,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
     ]
 
 
-def _built(spec: Any, ephemeris: Any) -> Any:
+def _built(spec: Any, ephemeris: object) -> object:
     cls = _CLASSES[spec.kind]
     values: dict[str, Any] = {}
     for field in dataclasses.fields(cls):
@@ -95,7 +96,7 @@ def _built(spec: Any, ephemeris: Any) -> Any:
     return cls(**values)
 
 
-def _failing(spec: Any, ephemeris: Any) -> Any:
+def _failing(spec: Any, ephemeris: Any) -> NumpyArray:
     """Return which satellites (S,) an outage is of."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
@@ -121,7 +122,7 @@ def spoofed(scenario: object, names: Sequence[str]) -> tuple[Any, ...] | None:
     return chosen or None
 
 
-def interference_problems(scenario: Any, ephemeris: Any, names: Sequence[str], heard: bool) -> Iterator[str]:
+def interference_problems(scenario: Any, ephemeris: object, names: Sequence[str], heard: bool) -> Iterator[str]:
     """Yield what is wrong with it; ``names`` are those of all vehicles, ``heard``: a receiver of type gnss is there."""
     if scenario.world.interference and not heard:
         yield "world.interference: there is no sensor of type gnss, which alone feels it"

@@ -11,7 +11,7 @@ from typing import NoReturn
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.errors import UsageError, did_you_mean, readable
 from qrsim.files.user_files import LARGEST_TEXT, read_bytes
 from qrsim.models.scene.fence import polygon_problems
 
@@ -99,10 +99,8 @@ def _called(name: str) -> str:
 
 def _root(path: str) -> Element:
     """Return the document's first element."""
-    try:
+    with readable(path):
         data = read_bytes(path, LARGEST_TEXT)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}{did_you_mean_file(Path(path))}") from None
     if data.startswith(b"PK"):
         raise UsageError(f"{path}: is a KMZ archive; unpack it and give the KML file inside, usually doc.kml")
     parser = ElementTree.XMLParser(target=_Builder())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -123,7 +123,7 @@ class ReturnLeg(_LegSpec):
     land: bool = Field(True, description="land there, else stay above it")
 
 
-def _fly_by_default(value: object) -> Any:
+def _fly_by_default(value: object) -> object:
     """A leg without a type is flown to."""
     return {"type": "fly", **value} if isinstance(value, dict) and "type" not in value else value
 
@@ -134,7 +134,7 @@ LegSpec = Annotated[
 ]
 
 
-def _check_one(spec: Any, *names: str) -> None:
+def _check_one(spec: FlyLeg, *names: str) -> None:
     given = [name for name in names if name in spec.model_fields_set and getattr(spec, name) is not None]
     if len(given) > 1:
         raise ValueError(f"gives both '{given[0]}' and '{given[1]}'; give one")

@@ -73,7 +73,7 @@ def prism_model() -> Any:
     return component_model("prism", PrismObstacle, arrays=parts, base=_Prism, more=STEEL)
 
 
-def obstacle_slot(choices: Mapping[str, type]) -> Any:
+def obstacle_slot(choices: Mapping[str, type]) -> object:
     """Return the annotation of an obstacle of any kind."""
 
     @cache

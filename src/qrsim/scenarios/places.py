@@ -10,6 +10,7 @@ from pydantic import TypeAdapter
 
 from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.models.site import Site
+from qrsim.scenarios.area_schema import MOST_CORNERS, polygon_model
 from qrsim.scenarios.fence_file import fence_corners
 from qrsim.scenarios.ground import stands
 from qrsim.scenarios.legs import GeodeticSpec, LegSpec
@@ -19,14 +20,7 @@ from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
 from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
 from qrsim.scenarios.plan_site import far_from_home, home_of, in_feet, items_far_from_home
-from qrsim.scenarios.schema import (
-    LONGEST_ROUTE,
-    MOST_CORNERS,
-    FleetSpec,
-    ScenarioSpec,
-    VehicleSpec,
-    polygon_model,
-)
+from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.site_schema import SiteSpec
 
 LAND = "NAV_LAND"

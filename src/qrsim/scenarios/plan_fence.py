@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.scenarios.plan import FenceCircle, FencePolygon, Ignored
@@ -27,7 +27,7 @@ class PlannedFence:
         self.ignored: list[Ignored] = []
         self.problems: list[str] = []
 
-    def add_all(self, content: dict[str, Any]) -> None:
+    def add_all(self, content: Mapping[str, object]) -> None:
         """Add the fence of a plan; plans may have none, and no rally points."""
         has_rally = "rallyPoints" in content
         try:
@@ -52,7 +52,7 @@ class PlannedFence:
         if rally:
             self.ignored.append(Ignored(None, "rallyPoints.points", f"{len(rally)} not used"))
 
-    def _add_polygon(self, entry: dict[str, Any], path: str) -> None:
+    def _add_polygon(self, entry: Mapping[str, object], path: str) -> None:
         inclusion = part_of(entry, "inclusion", bool, path)
         where = f"{path}.polygon"
         corners = []
@@ -63,7 +63,7 @@ class PlannedFence:
             raise PlanFaultError(f"{where}: {problem}")
         self.polygons.append(FencePolygon(inclusion, tuple(corners)))
 
-    def _add_circle(self, entry: dict[str, Any], path: str) -> None:
+    def _add_circle(self, entry: Mapping[str, object], path: str) -> None:
         inclusion = part_of(entry, "inclusion", bool, path)
         circle = part_of(entry, "circle", dict, path)
         where = f"{path}.circle"

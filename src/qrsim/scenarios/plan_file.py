@@ -7,6 +7,7 @@ and MAV_FRAME. Altitudes are taken from an item's parameters and frame, as a veh
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -200,7 +201,7 @@ class _Route:
             except PlanFaultError as fault:
                 self.problems.append(str(fault))
 
-    def _add_survey(self, item: dict[str, Any], path: str) -> None:
+    def _add_survey(self, item: Mapping[str, object], path: str) -> None:
         key = "TransectStyleComplexItem"
         if key not in item:
             raise PlanFaultError(
@@ -214,7 +215,7 @@ class _Route:
             )
         self.add_all(part_of(inner, "Items", list, f"{path}.{key}"), f"{path}.{key}.Items", inside=True)
 
-    def _add(self, item: dict[str, Any], path: str) -> None:
+    def _add(self, item: Mapping[str, object], path: str) -> None:
         """Add a simple item: a waypoint, or something not flown."""
         command = part_of(item, "command", int, path)
         if command in NOT_FLOWN:
@@ -248,7 +249,9 @@ class _Route:
             raise PlanFaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it, whose height it would keep")
         return self.home.latitude_deg, self.home.longitude_deg, self.waypoints[-1].height_above_home
 
-    def _target(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> tuple[float, float, float]:
+    def _target(
+        self, item: Mapping[str, object], command: int, params: Sequence[object], path: str
+    ) -> tuple[float, float, float]:
         """Return latitude, longitude [deg] and height above home [m] of an item."""
         frame = part_of(item, "frame", int, path)
         if frame not in (*_ABOVE_SEA, *_ABOVE_HOME):
@@ -272,7 +275,9 @@ class _Route:
         where = (f"{places[0]} (latitude)", f"{places[1]} (longitude)")
         return (*degrees_of(params[4], params[5], where), height)
 
-    def _note_params(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> dict[str, float]:
+    def _note_params(
+        self, item: Mapping[str, object], command: int, params: Sequence[object], path: str
+    ) -> dict[str, float]:
         """Return what an item asks a mission for beside its place, and record what it does not fly.
 
         Null and 0 ask for nothing; but a heading of 0 is north.
@@ -297,7 +302,7 @@ class _Route:
             self.ignored.append(Ignored(self.number, name, _not_flown(missed), _not_flown(asked)))
         return flown
 
-    def _carry_out(self, command: int, params: list[Any], path: str) -> str:
+    def _carry_out(self, command: int, params: Sequence[object], path: str) -> str:
         """Do what an item asks of the way to come; return what of it is not flown, "" for nothing."""
         numbers = [
             None if value is None else number_of(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
@@ -346,7 +351,7 @@ def _name_of(command: object) -> str:
     return names.get(command, str(command)) if isinstance(command, int) else "?"
 
 
-def _params(item: dict[str, Any], path: str) -> list[Any]:
+def _params(item: Mapping[str, object], path: str) -> list[object]:
     params: list[Any] = part_of(item, "params", list, path)
     if len(params) != 7:
         raise PlanFaultError(f"{path}.params: expected 7 values, found {len(params)}")

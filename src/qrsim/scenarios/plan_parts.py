@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file, nearest
+from qrsim.files import Content
 from qrsim.files.user_files import read_text
 from qrsim.scenarios.local import swapped_hint
 
@@ -87,8 +89,8 @@ def _with_line(problem: str, part: object, lines: dict[int, int]) -> str:
     return problem if line is None else f"{path} (line {line}){colon}{words}"
 
 
-def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
+    found: Content = {}
     for key, value in pairs:
         if key in found:
             raise PlanFaultError(f"'{key}' is given twice in one object")
@@ -105,12 +107,12 @@ def check_kind(content: object) -> None:
     check_version(content, 1, "")
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value for a message: short, and null as JSON writes it."""
     return "null" if value is None else f"{value!r:.60}"
 
 
-def part_of(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
+def part_of(parent: Mapping[str, object], key: str, kind: type, where: str) -> Any:
     """Return a value of an object at a path, checked to be of a kind."""
     path = f"{where}.{key}" if where else key
     if key not in parent:
@@ -128,7 +130,7 @@ def of_kind(value: object, kind: type, where: str) -> Any:
     return value
 
 
-def check_version(parent: dict[str, Any], supported: int, where: str) -> None:
+def check_version(parent: Mapping[str, object], supported: int, where: str) -> None:
     """Refuse an object of another version."""
     found = part_of(parent, "version", int, where)
     if found != supported:
@@ -136,9 +138,9 @@ def check_version(parent: dict[str, Any], supported: int, where: str) -> None:
         raise PlanFaultError(f"{path}: version {found} is not supported; supported: {supported}")
 
 
-def section_of(content: dict[str, Any], key: str, version: int) -> dict[str, Any]:
+def section_of(content: Mapping[str, object], key: str, version: int) -> Content:
     """Return a section of a plan, of a version."""
-    section: dict[str, Any] = part_of(content, key, dict, "")
+    section: Content = part_of(content, key, dict, "")
     check_version(section, version, key)
     return section
 
@@ -163,7 +165,7 @@ def degrees_of(latitude: object, longitude: object, where: tuple[str, str]) -> t
         raise PlanFaultError(f"{fault}{swapped_hint(latitude, longitude)}") from None
 
 
-def place_of(values: list[Any], where: str, count: int) -> tuple[float, ...]:
+def place_of(values: Sequence[object], where: str, count: int) -> tuple[float, ...]:
     """Return latitude, longitude and, where ``count`` is 3, altitude."""
     if len(values) != count:
         words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"

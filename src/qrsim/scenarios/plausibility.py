@@ -114,7 +114,7 @@ def _estimator(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[
     """Warn of a filter that is told of much smaller errors than its sensors have."""
     if fleet.estimator is None or not issubclass(known.FILTERS[fleet.estimator.type], KalmanParameters):
         return
-    spec: Any = fleet.estimator
+    spec = fleet.estimator
     errors = component(scenario.world.sky.errors, known.SKY_ERRORS, scenario)
     sensors = [component(sensor, known.SENSORS, scenario) for sensor in fleet.sensors.values()]
     units = {field.name: field_info(field).unit for field in dataclasses.fields(KalmanParameters)}
@@ -144,7 +144,7 @@ class _Constants:
         return np.broadcast_to(np.asarray(getattr(self._spec, name), np.float64), (self.size,))
 
 
-def _worst(path: str, name: str, value: Any, score: Any) -> tuple[int, str]:
+def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
     """Return the vehicle with the largest score, and the path of its number."""
     i = int(np.argmax(score))
     return i, f"{path}.{name}" + (f".{i}" if isinstance(value, list) else "")
@@ -238,7 +238,7 @@ def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) ->
             yield f"{path}.vehicle.{name}: {rate:g} 1/s is too fast for a time step of {dt:g} s: it grows each step"
 
 
-def _lists(vehicle: Any) -> list[Any]:
+def _lists(vehicle: Any) -> list[object]:
     """Return the numbers of a vehicle that are given one for each."""
     return [name for name in type(vehicle).model_fields if isinstance(getattr(vehicle, name), list)]
 

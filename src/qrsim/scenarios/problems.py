@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from datetime import date
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -69,7 +70,7 @@ def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
 class _Fault:
     """One fault, with its place found again in the data and in the schema."""
 
-    def __init__(self, details: ErrorDetails, model: type[BaseModel], data: Any):
+    def __init__(self, details: ErrorDetails, model: type[BaseModel], data: object):
         self.details = details
         self.path: list[str] = []
         self.owner: type[BaseModel] | None = None
@@ -113,7 +114,7 @@ class _Fault:
             return model.__name__
         return self.path[-1]
 
-    def _descend(self, part: object, data: object) -> Any:
+    def _descend(self, part: object, data: object) -> object:
         name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
@@ -171,7 +172,7 @@ class _Fault:
             hint = "; write the number alone, without a unit"
         return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
-    def _fault(self, kind: str, context: dict[str, Any]) -> str:
+    def _fault(self, kind: str, context: Mapping[str, object]) -> str:
         if kind in _RANGES:
             return f"is out of range; allowed: {self._range()}{self._swapped()}"
         if kind == "string_pattern_mismatch":
@@ -280,13 +281,13 @@ def _given(annotation: object) -> Any:
     return others[0] if get_origin(annotation) in (Union, UnionType) and len(others) == 1 else annotation
 
 
-def _bare(annotation: object) -> Any:
+def _bare(annotation: object) -> object:
     """Return a type without what Annotated says about it, and without null."""
     annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
-def _tagged(annotation: object, tag: object) -> Any:
+def _tagged(annotation: object, tag: object) -> object:
     """Return the alternative of a union that carries a tag, None where there is none."""
     for branch in get_args(_bare(annotation)):
         if any(isinstance(note, Tag) and note.tag == tag for note in get_args(branch)[1:]):
@@ -294,12 +295,12 @@ def _tagged(annotation: object, tag: object) -> Any:
     return None
 
 
-def _entry(annotation: object) -> Any:
+def _entry(annotation: object) -> object:
     """Return the type of an entry of a list or a mapping, None where it is neither."""
     return (get_args(_bare(annotation)) or (None,))[-1]
 
 
-def _rules(annotation: object) -> list[Any]:
+def _rules(annotation: object) -> list[object]:
     """Return the bounds that Annotated says about a type."""
     annotation = _given(annotation)
     if get_origin(annotation) is not Annotated:

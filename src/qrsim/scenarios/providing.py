@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
-from qrsim.files import code
+from qrsim.files import Content, code
 from qrsim.scenarios import catalogue, registry
 from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
 
@@ -15,7 +15,7 @@ from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
 TRUST = "if you trust its author, --code loads it, in Python open_run(..., code=True)"
 
 
-def places(content: object) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def places(content: object) -> Iterator[tuple[str, str, Content]]:
     """Yield path, kind and content of every component with a type in a scenario."""
     for path, kind, part in _parts(content):
         if isinstance(part, dict) and isinstance(part.get("type"), str):

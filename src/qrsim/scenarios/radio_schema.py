@@ -12,7 +12,7 @@ from qrsim.scenarios.component_schema import Finite, Strict, component_model
 NONE = "none"
 
 
-def _of_a_name(data: object) -> Any:
+def _of_a_name(data: object) -> object:
     return {"preset": data} if isinstance(data, str) else data
 
 

@@ -70,7 +70,7 @@ def in_radians(item: RangeSpec) -> tuple[str, float, float]:
 
 def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[Any, str]:
     """Return the value at a path of the scenario, or the fault of the path."""
-    value: Any = scenario
+    value = scenario
     for i, part in enumerate(parts):
         if isinstance(value, list):
             known_names = [str(number) for number in range(len(value))]
@@ -112,7 +112,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
         spec, _ = _value_at(scenario, parts[:depth])
         if isinstance(spec, BaseModel) and "type" in type(spec).model_fields:
             group = _group(parts[:depth])
-            owner: Any = group[spec.type] if group else None  # type: ignore[attr-defined]
+            owner = group[spec.type] if group else None  # type: ignore[attr-defined]
             return owner is not None and _static(owner, parts[depth:])
     return False
 
@@ -147,7 +147,7 @@ def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) 
     _, low, high = in_radians(item)
     for end, value in (("low", low), ("high", high)):
         content = copy.deepcopy(scenario.model_dump(mode="json"))
-        target: Any = content
+        target = content
         *way, last = path.split(".")
         for part in way:
             target = target[int(part) if isinstance(target, list) else part]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import LONGEST_NAME, ScenarioError, UsageError, did_you_mean, shortened
+from qrsim.files import Content
 from qrsim.files.recordings import RECORDINGS, data_folder
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import DEEPEST
@@ -33,7 +34,7 @@ def built_in_names() -> list[str]:
     return sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml"))
 
 
-def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, Any]]:
+def read_scenario(source: str | Path | Content) -> tuple[str, Content]:
     """Read a scenario from a name, a YAML path or a dict; return (label of the source, content).
 
     What it extends is merged in, and every ``file:`` that a file names is absolute.
@@ -43,7 +44,7 @@ def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, A
     return _read(source if isinstance(source, dict) else str(source), [])
 
 
-def _read(source: str | dict[str, Any], children: list[tuple[str, str]]) -> tuple[str, dict[str, Any]]:
+def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, Content]:
     """Read a source that ``children``, as (identity, what to call it), extend, the first of them the user's."""
     identity, folder = _origin(source)
     name = "scenario" if isinstance(source, dict) else source
@@ -72,7 +73,7 @@ def _read(source: str | dict[str, Any], children: list[tuple[str, str]]) -> tupl
     return f"{name} (extends {parent})", merged(inherited, own)
 
 
-def _origin(source: str | dict[str, Any]) -> tuple[str, Path]:
+def _origin(source: str | Content) -> tuple[str, Path]:
     """Return an identifier of a source, and the folder that its paths are relative to."""
     if isinstance(source, dict):
         return "", Path.cwd()
@@ -87,7 +88,7 @@ def _is_file(name: str) -> bool:
     return Path(name).suffix in (".yaml", ".yml")
 
 
-def _read_file(name: str, folder: Path) -> dict[str, Any]:
+def _read_file(name: str, folder: Path) -> Content:
     """Return the content of a built-in scenario or a file, its files anchored to the folder."""
     if name in built_in_names():
         text = resources.files("qrsim.scenarios").joinpath(*f"{name}.yaml".split("/")).read_text("utf-8")
@@ -153,7 +154,7 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
     return found
 
 
-def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
+def merged(parent: Content, child: Content) -> Content:
     """Merge two mappings recursively; the child's values take precedence.
 
     A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
@@ -175,7 +176,7 @@ def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def anchor_files(content: dict[str, Any], folder: Path) -> None:
+def anchor_files(content: Content, folder: Path) -> None:
     """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
 
     ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, and ``wind: calm`` becomes ``wind: {type:
@@ -188,7 +189,7 @@ def anchor_files(content: dict[str, Any], folder: Path) -> None:
     _anchor(content, folder)
 
 
-def _with_plans(content: dict[str, Any]) -> Iterator[Any]:
+def _with_plans(content: Content) -> Iterator[object]:
     """Yield the site and the vehicles, whatever the user gave for them."""
     yield content.get("site")
     fleets = content.get("fleets")
@@ -197,7 +198,7 @@ def _with_plans(content: dict[str, Any]) -> Iterator[Any]:
         yield from vehicles if isinstance(vehicles, list) else ()
 
 
-def _spell_out(content: dict[str, Any], path: list[str]) -> None:
+def _spell_out(content: Content, path: list[str]) -> None:
     """Make each component that is named by its type alone a mapping, in place."""
     for key, value in content.items():
         inside = [*path, str(key)]
@@ -217,7 +218,7 @@ def _anchor(content: object, folder: Path) -> None:
         content["file"] = str(data_folder() / content["file"] if recorded else file)
 
 
-def _as_mapping(content: object, source: str) -> dict[str, Any]:
+def _as_mapping(content: object, source: str) -> Content:
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
@@ -225,7 +226,7 @@ def _as_mapping(content: object, source: str) -> dict[str, Any]:
     return content
 
 
-def apply_override(content: dict[str, Any], assignment: str) -> None:
+def apply_override(content: Content, assignment: str) -> None:
     """Set one value by its path, for example ``world.wind.speed_20ft=7`` or ``world.wind=calm``.
 
     A list entry is named by its index; a component is replaced by naming another type.
@@ -242,7 +243,7 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     if crowded := _without_a_space(value):
         spaced = ": ".join(crowded.split(":", 1))
         raise UsageError(f"--set {shortened(assignment)}: '{crowded}' is one key in YAML; write '{spaced}'")
-    target: Any = content
+    target = content
     for depth in range(len(parts) - 1):
         target = _enter(target, parts, depth, assignment)
     last = parts[-1]
@@ -275,7 +276,7 @@ _OF_ONE_WIND = {
 }
 
 
-def _drop_twin(target: dict[str, Any], name: str, kept: Container[str] = ()) -> None:
+def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
     """An angle that is overridden in one unit must not stay in the other, nor a wind at one height at the other.
 
     Those in ``kept`` are given with it, and stay for the check of the whole to refuse.
@@ -301,7 +302,7 @@ def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
     return child
 
 
-def _check_name(target: dict[str, Any], parts: list[str], depth: int, assignment: str) -> None:
+def _check_name(target: Content, parts: list[str], depth: int, assignment: str) -> None:
     """A mistyped fleet or sensor would otherwise be made, and complained about for what it lacks."""
     is_fleet = depth == 1 and parts[0] == "fleets"
     is_sensor = depth == 3 and parts[0] == "fleets" and parts[2] == "sensors" and parts[4:] != ["type"]

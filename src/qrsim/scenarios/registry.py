@@ -109,7 +109,7 @@ def made(kind: str, source: object) -> Any:
     Raises:
         UsageError: nothing is called so, it cannot be loaded, or is none.
     """
-    found: Any = source if not isinstance(source, str) else None
+    found = source if not isinstance(source, str) else None
     if found is None and isinstance(source, str) and not code.is_code(source) and provide(kind, source):
         found = catalogue.KINDS[kind][source]
     if found is None and isinstance(source, str):

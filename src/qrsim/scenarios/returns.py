@@ -17,7 +17,7 @@ from qrsim.errors import did_you_mean
 from qrsim.models.scene.area import REASONS
 from qrsim.models.vehicles.contracts import Load, Pose
 from qrsim.tasks.agents import Axis
-from qrsim.world.state import Piloted, Saying, Some, Start
+from qrsim.world.state import Piloted, Saying, Some, Start, World
 
 
 def _shape(value: Any) -> str:
@@ -110,16 +110,14 @@ def _tree(value: object) -> str:
 
 
 RETURNED = "it returned"
-Check = Callable[[Any, tuple[Any, ...], dict[str, Any], Any], Iterator[str]]
+# Takes the component, the arguments and the result of a method.
+Check = Callable[[Any, tuple[Any, ...], Any], Iterator[str]]
 
 
-def _size(args: tuple[Any, ...]) -> tuple[int, ...] | None:
+def _size(args: tuple[object, ...]) -> tuple[int, ...] | None:
     """Return (n,) of the first vector, angles or array with one number for each vehicle among some arguments."""
-    for value in args:
-        for leaf in jax.tree.leaves(value):
-            if len(np.shape(leaf)) == 1:
-                return tuple(np.shape(leaf))
-    return None
+    shapes = (tuple(np.shape(leaf)) for leaf in jax.tree.leaves(args))
+    return next((shape for shape in shapes if len(shape) == 1), None)
 
 
 def _own(self: Any) -> tuple[int, ...]:
@@ -127,7 +125,7 @@ def _own(self: Any) -> tuple[int, ...]:
     return () if self._size is None else (self._size,)
 
 
-def _reading(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _reading(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new state and the reading")
     yield from _each("the reading", result[1], _own(self))
     for field in dataclasses.fields(result[1]):
@@ -136,39 +134,32 @@ def _reading(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
             yield f"{name} has no unit; expected {field.name}: ... = qrsim.quantity(unit=..., doc=...)"
 
 
-def _next_reading(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
-    yield from _reading(self, args, kwargs, result)
+def _next_reading(self: object, args: Any, result: Any) -> Iterator[str]:
+    yield from _reading(self, args, result)
     yield from unchanged("the state", args[0], result[0])
 
 
-def _vector_of(position: int) -> Check:
-    def check(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
-        shape = _size(args[position : position + 1])
-        assert shape is not None
-        yield from _vector("the result", result, shape)
+def _alike(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position: int) -> Check:
+    """Return the check of a result that has as many numbers as an argument."""
 
-    return check
-
-
-def _array_of(position: int) -> Check:
-    def check(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    def checked(self: object, args: Any, result: object) -> Iterator[str]:
         shape = _size(args[position : position + 1])
         if shape is not None:
-            yield from _array("the result", result, shape)
+            yield from check("the result", result, shape)
 
-    return check
+    return checked
 
 
-def _state_only(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _state_only(self: object, args: Any, result: Any) -> Iterator[str]:
     yield from unchanged("the state", args[0], result)
 
 
-def _commanding(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _commanding(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _state_and_given(self, "the command", args, result)
     yield from _each("the command", result[1], _own(self))
 
 
-def _guiding(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
+def _guiding(self: object, args: object, result: object) -> Iterator[str]:
     yield from _state_and_given(self, "the set-point", args, result)
 
 
@@ -180,20 +171,20 @@ def _state_and_given(self: Any, what: str, args: Any, result: Any) -> Iterator[s
         yield f"{what} is {_name(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
 
 
-def _idle(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
+def _idle(self: object, args: object, result: object) -> Iterator[str]:
     own = getattr(type(self), "command_type", object)
     if not isinstance(result, own):
         yield f"the command is {_name(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
     yield from _each("the command", result, _own(self))
 
 
-def _vehicle_step(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _vehicle_step(self: Any, args: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new state and the specific force")
     yield from unchanged("the state", args[0], result[0])
     yield from _vector("the specific force", result[1], _own(self))
 
 
-def _vehicle_state(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
+def _vehicle_state(self: object, args: object, result: object) -> Iterator[str]:
     if isinstance(result, Pose):
         yield from _posed("the state", result, _own(self))
     yield from _each("the state", result, _own(self))
@@ -201,13 +192,13 @@ def _vehicle_state(self: object, args: object, kwargs: object, result: object) -
         yield "the state has no position_ned, a qrsim.Vec3"
 
 
-def _pose(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
+def _pose(self: object, args: object, result: object) -> Iterator[str]:
     if not isinstance(result, Pose):
         yield f"it returned {_name(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
     yield from _posed("the pose", result, _own(self))
 
 
-def _load(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _load(self: Any, args: object, result: Any) -> Iterator[str]:
     if not isinstance(result, Load):
         yield f"it returned {_name(result)}; expected a Load (qrsim.models.vehicles.contracts)"
     yield from _number("the load.thrust", result.thrust, _own(self))
@@ -216,18 +207,18 @@ def _load(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
         yield from _number("the load.power", result.power, _own(self))
 
 
-def _force(self: object, args: object, kwargs: object, result: object) -> Iterator[str]:
+def _force(self: object, args: object, result: object) -> Iterator[str]:
     yield from _vector("the specific force", result, _own(self))
 
 
-def _charged(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _charged(self: Any, args: object, result: Any) -> Iterator[str]:
     if self.drains and not hasattr(result, "charge"):
         yield f"the state is {_name(result)}; expected a record with the field charge, since drains is True"
     elif self.drains:
         yield from _array("the state.charge", result.charge, _own(self))
 
 
-def _voltage(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _voltage(self: object, args: Any, result: object) -> Iterator[str]:
     if result is not None:
         yield from _array("the voltage", result, _own(self))
     elif args[0] is None:
@@ -238,7 +229,7 @@ def _voltage(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
         )
 
 
-def _checks(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _checks(self: object, args: Any, result: object) -> Iterator[str]:
     shape = _size(args[:1])
     assert shape is not None
     if not isinstance(result, list | tuple):
@@ -256,7 +247,7 @@ def _checks(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
             yield f"broken of check {number} is {_name(broken)}; expected an array of bool of shape {shape}"
 
 
-def _placed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _placed(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _pair(result, "the start and whether a place was found")
     if not isinstance(result[0], Start):
         yield f"the start is {_name(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
@@ -265,14 +256,14 @@ def _placed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
         yield f"whether a place was found is {_name(result[1])}; expected one bool"
 
 
-def _judged(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _judged(self: Any, args: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new memory and the reward")
     yield from unchanged("the memory", args[0], result[0])
     yield from _for_each_fleet(self, args[1], "the reward", result[1], lambda what, n, part: _array(what, part, (n,)))
 
 
 def _for_each_fleet(
-    task: Any, world: Any, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
+    task: Any, world: World, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
 ) -> Iterator[str]:
     """Yield what a check of ``what``, number of agents and value finds; of several fleets in the value of each."""
     sizes = {fleet.name: fleet.size for fleet in world.fleets}
@@ -302,7 +293,7 @@ def _seen(whole: str, n: int, result: object) -> Iterator[str]:
             yield f"{what} has shape {found}; expected ({n}, O), a row for each vehicle"
 
 
-def _named(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _named(self: Any, args: Any, result: Any) -> Iterator[str]:
     """The names of an observation are axes, as many as it has numbers."""
     yield from _for_each_fleet(self, args[0], RETURNED, result, _axes)
 
@@ -314,7 +305,7 @@ def _axes(what: str, n: int, result: object) -> Iterator[str]:
             yield f"{what}{verb} {_name(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
 
 
-def _agreed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _agreed(self: Any, args: Any, result: Any) -> Iterator[str]:
     names = self.sees(args[1])
 
     def agreed(what: str, n: int, part: Any) -> Iterator[str]:
@@ -339,7 +330,7 @@ def _named_as(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
             yield f"{what} has {count} numbers, but {type(self).__name__}.sees names {len(axes)}; expected as many"
 
 
-def _commanded(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+def _commanded(self: object, args: Any, result: object) -> Iterator[str]:
     fleets = args[1].fleets
     if not isinstance(result, tuple) or len(result) != len(fleets):
         yield f"it returned {_name(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"
@@ -374,12 +365,12 @@ def _action(fleet: Any, action: Any) -> Iterator[str]:
 CHECKS: dict[tuple[str, str], Check] = {
     ("sensor", "init"): _reading,
     ("sensor", "step"): _next_reading,
-    ("wind", "velocity_ned"): _vector_of(0),
-    ("gust", "velocity_ned"): _vector_of(0),
-    ("updraft", "velocity_ned"): _vector_of(0),
+    ("wind", "velocity_ned"): _alike(_vector, 0),
+    ("gust", "velocity_ned"): _alike(_vector, 0),
+    ("updraft", "velocity_ned"): _alike(_vector, 0),
     ("turbulence", "step"): _state_only,
-    ("turbulence", "gust_ned"): _vector_of(1),
-    ("turbulence", "gust_rates_ned"): _vector_of(1),
+    ("turbulence", "gust_ned"): _alike(_vector, 1),
+    ("turbulence", "gust_rates_ned"): _alike(_vector, 1),
     ("vehicle", "initial_state"): _vehicle_state,
     ("vehicle", "pose"): _pose,
     ("vehicle", "idle_command"): _idle,
@@ -394,10 +385,10 @@ CHECKS: dict[tuple[str, str], Check] = {
     ("controller", "step"): _commanding,
     ("guidance", "step"): _guiding,
     ("area", "check"): _checks,
-    ("area", "margin"): _array_of(0),
-    ("area", "height_agl"): _array_of(0),
-    ("ground", "down"): _array_of(0),
-    ("ground", "normal"): _vector_of(0),
+    ("area", "margin"): _alike(_array, 0),
+    ("area", "height_agl"): _alike(_array, 0),
+    ("ground", "down"): _alike(_array, 0),
+    ("ground", "normal"): _alike(_vector, 0),
     ("sky", "step"): _state_only,
     ("placement", "place"): _placed,
     ("task", "judge"): _judged,

@@ -84,7 +84,9 @@ def _others_read(scenario: ScenarioSpec) -> bool:
     )
 
 
-def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any, site: Site, start: float) -> Any:
+def slotted_sky(
+    scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any, site: Site, start: float
+) -> SlottedSky:
     """Build the sky of receivers of type gnss."""
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
     lowest = math.sin(min(masks, default=MASK_LOWEST))
@@ -105,7 +107,7 @@ def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any
 
 def base_station(scenario: ScenarioSpec) -> BaseStation | None:
     """Build the base station, if any receiver takes its corrections."""
-    spec: Any = scenario.world.base_station
+    spec = scenario.world.base_station
     if spec is None or not any(
         _takes_base(sensor) and not sensor.moving_base for sensor in receivers(scenario).values()
     ):
@@ -116,7 +118,7 @@ def base_station(scenario: ScenarioSpec) -> BaseStation | None:
     return BaseStation(**{**values, **lists})
 
 
-def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
+def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> object:
     """Return a receiver of a fleet that knows which vehicle is its moving base, and which of them are spoofed."""
     if not isinstance(sensor, Gnss):
         return sensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -141,7 +141,7 @@ def _given(part: Any) -> str:
     return ", ".join(texts)
 
 
-def _of_content(content: dict[str, Any]) -> Scenario:
+def _of_content(content: Mapping[str, object]) -> Scenario:
     # Another process has yet to load the components from outside.
     provide_components(content, "scenario")
     return Scenario(ScenarioSpec.model_validate(content))

@@ -2,43 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache, partial
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     AwareDatetime,
     BeforeValidator,
-    Discriminator,
     Field,
-    Tag,
     model_validator,
 )
 
 from qrsim.control import PathSetpoint
+from qrsim.files import Content
 from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.scene.area import StateLimits
-from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.area_schema import AreaSlot
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.definitions import with_short_names
+from qrsim.scenarios.fault_schema import AnyFault
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import RowsSpec, one_by_one
 from qrsim.scenarios.interference import MOST, InterferenceSlot
-from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
+from qrsim.scenarios.legs import GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.radio_schema import FleetRadioSpec, RadioModel
 from qrsim.scenarios.sensor_sets import or_a_set
 from qrsim.scenarios.site_schema import PlanSpec, SiteSpec, or_its_file
 from qrsim.scenarios.sky_of_receivers import with_sky
-from qrsim.scenarios.slots import Maker, slot, slot_of
+from qrsim.scenarios.slots import slot_of
 from qrsim.scenarios.updraft_slot import MOST_UPDRAFTS, updraft_slot
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
-LONGEST_ROUTE, MOST_CORNERS, MOST_SPANS = 2000, 1000, 100
+LONGEST_ROUTE, MOST_SPANS = 2000, 100
 Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 # Where a vehicle flies is given in one of these.
 ROUTES = ("waypoints_ned", "waypoints_geodetic", "plan", "legs")
@@ -48,54 +48,11 @@ SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
 FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
-def _time_of_day(value: object) -> Any:
+def _time_of_day(value: object) -> object:
     """Refuse numbers, which pydantic would take for seconds since 1970."""
     if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
         return value
     raise ValueError("is not a time; expected for example 2026-06-21T10:00:00Z")
-
-
-class _Polygon(Strict):
-    """Shows the corners as a PolygonArea has them."""
-
-    @property
-    def north(self) -> list[float]:
-        """Corners [m]."""
-        return [north for north, _ in self.corners_ned]  # type: ignore[attr-defined]
-
-    @property
-    def east(self) -> list[float]:
-        """Corners [m]."""
-        return [east for _, east in self.corners_ned]  # type: ignore[attr-defined]
-
-
-@cache
-def polygon_model() -> Any:
-    """Return the schema of a polygon with its corners; a type checker cannot see into it."""
-    text = "[north, east] [m] of each corner, in order; the last is joined to the first"
-    corners = (list[Corner], Field(description=text, min_length=3, max_length=MOST_CORNERS))
-    return component_model("polygon", PolygonArea, arrays={"corners_ned": corners}, base=_Polygon)
-
-
-@cache
-def _fence_model() -> type[Strict]:
-    """Return the schema of a polygon whose corners are in a file."""
-    places = {
-        "file": (str, Field(description="a .kml file, or a QGroundControl .plan file with a geofence", min_length=1)),
-        "name": (str | None, Field(None, description="of the polygon; may be left out where the KML has one only")),
-    }
-    return component_model("fence", PolygonArea, arrays=places)
-
-
-@cache
-def _area_model(name: str, area: type) -> type[Strict]:
-    return component_model(name, area)
-
-
-def _areas() -> dict[str, Maker]:
-    """Return the makers of the schemas of areas: those of the catalogue, and a file with the polygon of one."""
-    others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if area is not PolygonArea}
-    return {**others, "polygon": polygon_model, "fence": _fence_model}
 
 
 class VehicleSpec(Strict):
@@ -161,7 +118,6 @@ TurbulenceSlot: Any = slot_of(known.TURBULENCES)
 SensorSlot: Any = slot_of(known.SENSORS, each=True, more=FITTING)
 OrbitsSlot: Any = slot_of(known.ORBITS)
 SkyErrorsSlot: Any = slot_of(known.SKY_ERRORS)
-AreaSlot: Any = slot(_areas)
 GroundSlot: Any = slot_of(known.GROUNDS)
 ObstacleSlot: Any = obstacle_slot(known.OBSTACLES)
 GustSlot: Any = slot_of(known.GUSTS)
@@ -179,7 +135,7 @@ EstimatorSlot: Any = slot_of(known.FILTERS, each=True)
 LimitsModel: Any = component_model("limits", StateLimits, tagged=False, each=True)
 
 
-def _base_model() -> Any:
+def _base_model() -> object:
     """Return the schema of a base station with its place, and the times at which it is silent."""
     places = {
         "position_ned": (Position, Field(description="where its antenna is [m]: north, east, down")),
@@ -234,44 +190,6 @@ class WorldSpec(Strict):
     collision_distance: Finite = Field(
         2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
     )
-
-
-class FaultSpec(Strict):
-    """A time during which the readings of a sensor are lost, frozen or biased."""
-
-    type: Literal["sensor"] = Field("sensor", description="what fails; may be left out")
-    sensor: str = Field(description="name of the sensor")
-    kind: Literal["lost", "frozen", "biased"] = Field(description="what happens to its readings")
-    start: Finite = Field(description="start [s]", ge=0)
-    end: Finite | None = Field(None, description="end [s]; default: the end of the run", gt=0)
-    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
-    field: str | None = Field(None, description="what is biased, for example position_ned.x or height")
-    bias: Finite | None = Field(None, description="what is added, in the unit of the field")
-
-
-class RotorFaultSpec(Strict):
-    """A rotor that turns slower than it is told from some time on, or stands still."""
-
-    type: Literal["rotor"] = Field(description="what fails")
-    rotor: int = Field(description="number of the rotor, from 0", ge=0, strict=True)
-    at: Finite = Field(description="when [s]", ge=0)
-    health: Finite = Field(
-        0.0, description="the part of its speed that it still reaches; 0: it stands still", ge=0, le=1
-    )
-    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
-
-
-def _what_fails(fault: object) -> str:
-    """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
-    if isinstance(fault, dict):
-        fault_type = fault.get("type", "sensor")
-        return fault_type if isinstance(fault_type, str) else "sensor"
-    return "rotor" if isinstance(fault, RotorFaultSpec) else "sensor"
-
-
-AnyFault = Annotated[
-    Annotated[FaultSpec, Tag("sensor")] | Annotated[RotorFaultSpec, Tag("rotor")], Discriminator(_what_fails)
-]
 
 
 class FleetSpec(Strict):
@@ -338,7 +256,7 @@ class FleetSpec(Strict):
         return {**data, "guidance": {"type": name if fits else "route", **guidance}}
 
 
-def _has_legs(fleet: dict[str, Any]) -> bool:
+def _has_legs(fleet: Mapping[str, object]) -> bool:
     """Return whether a vehicle of a fleet has legs, or a plan."""
     vehicles = fleet.get("vehicles")
     each = vehicles if isinstance(vehicles, list) else []
@@ -347,11 +265,11 @@ def _has_legs(fleet: dict[str, Any]) -> bool:
 
 def _takes_paths(controller: str) -> bool:
     """Return whether a controller follows the points of a path."""
-    kind: Any = known.CONTROLLERS.get(controller)
+    kind = known.CONTROLLERS.get(controller)
     return kind is not None and PathSetpoint in kind.setpoints
 
 
-def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
+def _with_limits(fleet: Content) -> Content:
     """Return a fleet with the state limits of its vehicle where it gives none."""
     vehicle, limits = fleet.get("vehicle"), fleet.get("limits", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
@@ -361,7 +279,7 @@ def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
     return {**fleet, "limits": {**own, **limits}} if own else fleet
 
 
-def _with_controller(fleet: dict[str, Any]) -> dict[str, Any]:
+def _with_controller(fleet: Content) -> Content:
     """Return a fleet that names no controller with that of its vehicle."""
     vehicle, controller = fleet.get("vehicle"), fleet.get("controller", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
@@ -381,7 +299,7 @@ class RangeSpec(Strict):
     high: Finite = Field(description="largest value, in the unit of the number")
 
 
-def _only_in_a_source(value: object) -> Any:
+def _only_in_a_source(value: object) -> object:
     """Whoever reads a scenario takes the key out; what arrives here comes too late."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 
@@ -443,6 +361,6 @@ _SLOTS: dict[str, Any] = {
 }
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema() -> Content:
     """Return the JSON schema of scenario files."""
     return with_short_names(ScenarioSpec.model_json_schema())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import Any
 
 from qrsim.errors import ScenarioError, did_you_mean
@@ -33,7 +34,7 @@ def or_a_set(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [named, {"type": "string", "enum": list(SETS)}]
 
 
-def insert_sensor_sets(content: dict[str, Any], source: str) -> None:
+def insert_sensor_sets(content: Mapping[str, object], source: str) -> None:
     """Replace, in place, the name of a set of sensors by the sensors.
 
     With "noisy" a fleet gets an estimator and, in a wind with a ``speed_20ft``, the world gets turbulence, unless the
@@ -61,7 +62,7 @@ def insert_sensor_sets(content: dict[str, Any], source: str) -> None:
         raise ScenarioError(source, problems)
 
 
-def _add_turbulence(content: dict[str, Any]) -> None:
+def _add_turbulence(content: Mapping[str, object]) -> None:
     """Add turbulence to a wind that says how strong its gusts are."""
     world = content.get("world")
     wind = world.get("wind") if isinstance(world, dict) else None

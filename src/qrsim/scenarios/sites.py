@@ -39,7 +39,7 @@ def air_of(scenario: ScenarioSpec) -> SiteAir:
     return SiteAir.of(scenario.site.height, scenario.site.temperature_offset)
 
 
-def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> Any:
+def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
     """Return a sensor of a vehicle that knows what the scenario's site has, where it asks for any of that."""
     if isinstance(sensor, Magnetometer | IdealMagnetometer):
         place = scenario.site

@@ -10,7 +10,7 @@ RECEIVERS = ("gnss", "gnss_receiver")
 ORBITS, ERRORS = {"type": "nominal_constellations"}, {"type": "error_budget"}
 
 
-def with_sky(data: Any) -> Any:
+def with_sky(data: Any) -> object:
     """Return a scenario's content with the sky that its receivers are made for, where it names none."""
     fleets = data.get("fleets") if isinstance(data, dict) else None
     world = data.get("world", {}) if isinstance(data, dict) else None

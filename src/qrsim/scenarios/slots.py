@@ -62,7 +62,7 @@ def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> Any:
     return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
 
 
-def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, Any] | None = None) -> Any:
+def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, Any] | None = None) -> object:
     """Return the annotation of a slot for the components of a mapping, which may change; see ``component_model``."""
     made: dict[tuple[str, type], type[Strict]] = {}
 

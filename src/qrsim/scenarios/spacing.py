@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -46,7 +47,7 @@ def columns(rows: list[list[float]]) -> Vec3:
     return record_of(Vec3, *(np.ascontiguousarray(array[:, axis]) for axis in range(3)))
 
 
-def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:
+def _close_pairs(points: NumpyArray, distance: float) -> list[tuple[int, int, float]]:
     """Return i < j and their distance of all pairs of points (n, 3) that are less than ``distance`` apart."""
     if len(points) < 2:
         return []

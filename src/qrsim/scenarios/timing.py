@@ -61,5 +61,5 @@ def _bandwidth_problems(path: str, sensor: Any) -> Iterator[str]:
 
 
 def _reads(sensor: str) -> tuple[str, ...]:
-    cls: Any = known.SENSORS[sensor]
+    cls = known.SENSORS[sensor]
     return tuple(cls.reads)

@@ -108,8 +108,8 @@ def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
         if key in _PASSED:
             return
 
-    def watched(part: Any, size: int | None) -> Any:
-        def watch(item: Any) -> Any:
+    def watched(part: object, size: int | None) -> Any:
+        def watch(item: Any) -> object:
             own: Any = type(item)
             if own not in kinds:
                 return item
@@ -165,7 +165,7 @@ class _Counted:
         where: component and method.
     """
 
-    def __init__(self, noise: Any, where: tuple[type, str]):
+    def __init__(self, noise: Draw | Drawn, where: tuple[type, str]):
         self._noise, self._where = noise, where
 
     def normals(self, count: int) -> Any:
@@ -178,7 +178,7 @@ class _Counted:
         return getattr(self._noise, name)
 
 
-def _tick(world: Any, key: Any) -> None:
+def _tick(world: Any, key: object) -> None:
     state = jax.eval_shape(ticks.reset, world, key)
     actions = (None,) * len(world.fleets)
     after = jax.eval_shape(
@@ -192,7 +192,7 @@ def _tick(world: Any, key: Any) -> None:
                     raise FaultError(_blamed(watched, "step", problem), watched)
 
 
-def _play(play: Play, key: Any) -> None:
+def _play(play: Play, key: Key) -> None:
     keys = play.keys(key)
     episode, _ = jax.eval_shape(lambda play, keys: play.reset(keys), play, keys)
     action = np.zeros((len(play.agents), play.width), np.float32)
@@ -243,7 +243,7 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]
             where = f" ({place})" if place else ""
             raise FaultError(_blamed(component, name, advice) + where, component) from None
         if check is not None:
-            for problem in check(self, args, kwargs, result):
+            for problem in check(self, args, result):
                 raise FaultError(_blamed(component, name, problem), component)
         return result
 

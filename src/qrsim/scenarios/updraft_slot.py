@@ -28,7 +28,7 @@ def _model(name: str, kind: type) -> type[Strict]:
     return component_model(name, kind, arrays=places)
 
 
-def updraft_slot(choices: Mapping[str, type]) -> Any:
+def updraft_slot(choices: Mapping[str, type]) -> object:
     """Return the annotation of an updraft of any kind."""
     return slot(lambda: {name: partial(_model, name, kind) for name, kind in choices.items()})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def read_vehicle_file(path: Path) -> dict[str, Any]:
     return vehicle
 
 
-def insert_vehicle_files(content: dict[str, Any], source: str) -> None:
+def insert_vehicle_files(content: Mapping[str, object], source: str) -> None:
     """Replace, in place, each ``vehicle: {file: NAME}`` of a scenario by the vehicle of the file.
 
     Other constants beside ``file`` count over those of the file.

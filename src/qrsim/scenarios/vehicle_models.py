@@ -10,6 +10,7 @@ from typing import Any
 from qrsim.core.presets import filled
 from qrsim.core.tree import field_info
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.models.vehicles.multirotor.geometry import Rotor
 from qrsim.models.vehicles.multirotor.own import (
     GEOMETRIES,
@@ -23,9 +24,9 @@ from qrsim.models.vehicles.multirotor.own import (
 from qrsim.models.vehicles.multirotor.sets import SETS
 
 
-def numbers_of(part: Any) -> dict[str, Any]:
+def numbers_of(part: Any) -> Content:
     """Return the parameters and settings of a component as a scenario writes them."""
-    found: dict[str, Any] = {}
+    found: Content = {}
     for field in dataclasses.fields(part):
         if field_info(field).derived:
             continue
@@ -48,7 +49,7 @@ def _written(value: object) -> Any:
     return {name: list(part) if isinstance(part, tuple) else part for name, part in vars(value).items()}
 
 
-def insert_vehicle_models(content: dict[str, Any], source: str) -> list[str]:
+def insert_vehicle_models(content: Content, source: str) -> list[str]:
     """Replace, in place, what names or derives the parameters of each multirotor by these; others beside it count.
 
     That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
@@ -86,14 +87,14 @@ def _note(odd: list[str], fleet: str, words: str) -> None:
 SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
 
 
-def _written_out(vehicle: dict[str, Any], warn: Callable[[str], None]) -> dict[str, Any]:
+def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
     """Return a multirotor with its parameters in place of what stands for them.
 
     Raises:
         UsageError: its message begins with the path below the vehicle.
     """
     beside = {key: value for key, value in vehicle.items() if key not in SHORT}
-    found: dict[str, Any] = {}
+    found: Content = {}
     if "own" in vehicle:
         if "model" in vehicle:
             raise UsageError("own: gives both 'own' and 'model'; give one")
@@ -108,7 +109,7 @@ def _written_out(vehicle: dict[str, Any], warn: Callable[[str], None]) -> dict[s
     return filled(found, beside)
 
 
-def _slow_down(fleet: dict[str, Any], attitude_bandwidth: float) -> None:
+def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
     """Give a cascade, in place, the gains that a vehicle can follow which leans as fast as it does, where none are."""
     controller = fleet.setdefault("controller", {"type": "cascade"})
     if isinstance(controller, dict) and controller.get("type") == "cascade":
@@ -116,7 +117,7 @@ def _slow_down(fleet: dict[str, Any], attitude_bandwidth: float) -> None:
         controller.setdefault("velocity_gain", min(2.2, attitude_bandwidth / 3.6))
 
 
-def _own(own: object, geometry: object, beside: dict[str, Any], warn: Callable[[str], None]) -> Any:
+def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], None]) -> Any:
     """Return the multirotor of the six numbers of a scenario."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
@@ -135,7 +136,7 @@ def _own(own: object, geometry: object, beside: dict[str, Any], warn: Callable[[
         raise UsageError(f"own.{error}") from None
 
 
-def _arranged(vehicle: dict[str, Any]) -> tuple[Rotor, ...]:
+def _arranged(vehicle: Content) -> tuple[Rotor, ...]:
     """Return the rotors of a usual arrangement."""
     if "geometry" not in vehicle:
         raise UsageError(f"arm: without geometry; give one of {', '.join(GEOMETRIES)}, or rotors")

@@ -12,7 +12,6 @@ import re
 import struct
 import zipfile
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 
@@ -98,7 +97,7 @@ def _array(content: bytes) -> NumpyArray:
     return np.frombuffer(content, dtype, offset=end).reshape(shape) if dtype.itemsize else np.zeros(shape, dtype)
 
 
-def _dtype(name: str) -> np.dtype[Any]:
+def _dtype(name: str) -> np.dtype[np.generic]:
     try:
         return np.dtype(name)
     except TypeError:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -93,7 +93,7 @@ class Setup:
         asks_nobody = self.policy is None and self.estimator is None
         return asks_nobody and self.metrics is FLIGHT_METRICS and own
 
-    def world(self, fixed: list[Any], own: list[Any]) -> World:
+    def world(self, fixed: Sequence[object], own: Sequence[object]) -> World:
         """Rebuild a world from shared leaves and its own leaves."""
         shares, owns = iter(fixed), iter(own)
         world: World = jax.tree.unflatten(self.structure, [next(owns if v else shares) for v in self.varied])
@@ -111,13 +111,13 @@ class Carry(NamedTuple):
     wrong_tick: Any  # (n,) int32 first tick at which the policy's answer for a vehicle was not finite, or -1
 
 
-def begin_world(setup: Setup, fixed: list[Any], keys: WorldKeys, own: list[Any]) -> Carry:
+def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Sequence[object]) -> Carry:
     """Start one world."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
     memories = [_first_memory(function, reading) for function in (setup.policy, setup.estimator)]
-    held: Any = ()
+    held = ()
     # All are asked here too, so that a wrong answer is found before anything is compiled.
     if setup.policy is not None:
         shapes, _ = jax.eval_shape(partial(_answer, setup.policy, world, reading, memories[0]))
@@ -146,7 +146,7 @@ def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> Non
         )
 
 
-def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
+def _first_memory(function: UserFunction | None, reading: Reading) -> object:
     """Return the memory that a function starts with."""
     if function is None:
         return ()
@@ -154,7 +154,7 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
         return jax.tree.map(jnp.asarray, function.init(reading))
 
 
-def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[Any, Any]:
+def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[object, object]:
     """Return a compiled function's actions or estimates for each fleet, and its memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
@@ -164,7 +164,7 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: obje
         return checker.estimates(result, needed=True), memory
 
 
-def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[Any, Any]:
+def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[object, object]:
     """Call a user's function in a program that is being compiled."""
     try:
         result, after = function(reading, memory)
@@ -179,8 +179,8 @@ def call_compiled(function: UserFunction, reading: Reading, memory: object) -> t
 
 def _check_memory(before: object, after: object) -> None:
     """Refuse a memory that a loop cannot carry from tick to tick."""
-    old: Any = jax.tree.structure(before)
-    new: Any = jax.tree.structure(after)
+    old = jax.tree.structure(before)
+    new = jax.tree.structure(after)
     if repr(old) != repr(new):
         raise UsageError(f"step must return a memory like that of init: expected {old}, found {new}")
     for was, now in zip(map(jax.typeof, jax.tree.leaves(before)), map(jax.typeof, jax.tree.leaves(after)), strict=True):
@@ -192,7 +192,7 @@ def _check_memory(before: object, after: object) -> None:
 
 
 def tick_of_world(
-    setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, given: tuple[Any, Any]
+    setup: Setup, fixed: Sequence[object], own: Sequence[object], carry: Carry, tick: Any, given: tuple[Any, Any]
 ) -> Carry:
     """Advance one world by one tick; ``given`` holds the actions and estimates computed in lock-step."""
     world = setup.world(fixed, own)
@@ -215,7 +215,7 @@ def tick_of_world(
     return Carry(state, memory, believed_memory, held, flight, wrong)
 
 
-def _finite(world: World, actions: tuple[Any, ...]) -> Any:
+def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
     """Return whether all that is asked of each vehicle (n,) is finite."""
     found = []
     for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
@@ -165,7 +165,7 @@ class LateRadio:
 class _Told:
     """What a reading takes of a world's state."""
 
-    def __init__(self, sky: Any, sky_keys: Any, fleets: list[Any], radios: LateRadio, world: int):
+    def __init__(self, sky: object, sky_keys: object, fleets: Sequence[object], radios: LateRadio, world: int):
         self.sky, self.sky_keys, self.fleets = sky, sky_keys, fleets
         self._radios, self._world = radios, world
 
@@ -217,7 +217,7 @@ class LockStep:
             found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying))
         return found
 
-    def ask(self, flight: Flight, tick: int, count: int) -> tuple[Any, Any]:
+    def ask(self, flight: Flight, tick: int, count: int) -> tuple[object, object]:
         """Compute actions and estimates, each leaf (count, ...); empty for parts without a function."""
         if not self.asked_every:
             return (), ()
@@ -240,7 +240,7 @@ class LockStep:
         return self._stack(self.policy, self.actions, count), self._stack(self.estimator, estimates, count)
 
     @staticmethod
-    def _stack(function: UserFunction | None, answers: list[Any], count: int) -> Any:
+    def _stack(function: UserFunction | None, answers: list[Any], count: int) -> object:
         # Where nothing is asked of any fleet of any world, it is as without a policy.
         if not jax.tree.leaves(answers):
             return ()

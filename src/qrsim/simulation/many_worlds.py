@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -38,11 +39,11 @@ def begin_function(setup: Setup) -> Function:
     return _function("begin", _begin, setup)
 
 
-def _begin(setup: Setup, fixed: list[Any], own: tuple[list[Any], WorldKeys]) -> Carry:
+def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], WorldKeys]) -> Carry:
     return begin_world(setup, fixed, own[1], own[0])
 
 
-def _tick(setup: Setup, fixed: list[Any], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
+def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 

@@ -11,7 +11,7 @@ from qrsim.core.structure import kinds
 from qrsim.files.code import FileModules, files_of, load_files
 
 
-def with_files(item: Any, tree: Any, protocol: Any) -> tuple[Any, ...] | None:
+def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None:
     """Return how an object is pickled, None where no class of its tree is in a file.
 
     Args:
@@ -24,7 +24,7 @@ def with_files(item: Any, tree: Any, protocol: Any) -> tuple[Any, ...] | None:
     return (_unpickled, (files, type(item), pickle.dumps(item.__getstate__(), protocol))) if files else None
 
 
-def _unpickled(files: FileModules, kind: Any, kept: bytes) -> Any:
+def _unpickled(files: FileModules, kind: Any, kept: bytes) -> object:
     load_files(files)
     item = kind.__new__(kind)
     item.__setstate__(pickle.loads(kept))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -29,7 +30,7 @@ class Pilot:
         RunError: it failed at its start.
     """
 
-    def __init__(self, simulation: Simulation, policy: Any = None, estimator: Any = None, policy_ticks: int = 1):
+    def __init__(self, simulation: Simulation, policy: object = None, estimator: object = None, policy_ticks: int = 1):
         check_counts(policy_ticks=policy_ticks)
         self.simulation = simulation
         self.policy = user_function("policy", policy)
@@ -54,7 +55,7 @@ class Pilot:
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_compiled"}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
+    def __setstate__(self, kept: Mapping[str, object]) -> None:
         vars(self).update(kept)
         self._compile()
 
@@ -99,6 +100,6 @@ class Pilot:
                 self._checker.estimates(result, needed=True)
             return result
 
-    def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[Any, Any]:
+    def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[object, object]:
         """Return the answer of a function that is compiled."""
         return call_compiled(function, Reading(self.simulation.world, state, tick, self.simulation.site), memory)

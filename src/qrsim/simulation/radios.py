@@ -40,7 +40,7 @@ class Radios(Alone):
     def _running(self) -> tuple[Packer, Buffers]:
         raise NotImplementedError
 
-    def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
+    def send(self, vehicle: str | int, payload: object, to: str | int | None = None) -> None:
         """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/howto/radio.md).
 
         Args:

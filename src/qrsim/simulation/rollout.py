@@ -243,7 +243,7 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     return structure, fixed, varied, which
 
 
-def _on_host(leaf: object) -> Any:
+def _on_host(leaf: object) -> NumpyArray:
     """Return a leaf as NumPy's array of a type that JAX computes with; JAX itself would compile for that."""
     array = np.asarray(leaf)
     return np.asarray(array, jax.dtypes.canonicalize_dtype(array.dtype))

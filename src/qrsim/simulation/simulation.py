@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -95,7 +95,7 @@ class Simulation(Radios, Tabled):
             kept = {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
             return kept | {"_state": None if self._state is None else tuple(map(np.array, self._state))}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
+    def __setstate__(self, kept: Mapping[str, object]) -> None:
         self.__init__(kept["world"], seed=kept["seed"], number=kept["number"])  # type: ignore[misc]
         vars(self).update(kept)
         if self._state is not None and self._layout is not None:
@@ -146,7 +146,7 @@ class Simulation(Radios, Tabled):
         return keys_of(self.world, Key.root(seed, number))
 
     # Here and in ``advance`` what ``alone`` does is written out: called so often, its own call counts.
-    def step(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
+    def step(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
         """Advance and return the reading at the end.
 
         Args:
@@ -291,9 +291,7 @@ class Simulation(Radios, Tabled):
         saved.check(self.name, self._fingerprint())
         with self.precision_context():
             keys = self._keys(saved.seed, saved.number)
-            layout, own = (self._layout, self._state) if self._layout is not None else self._ticks.reset(keys)
-            assert layout is not None
-            assert own is not None
+            layout, own = self._running() if self._layout is not None else self._ticks.reset(keys)
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._state = self._ticks.adopt(buffers)

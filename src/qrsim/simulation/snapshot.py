@@ -16,7 +16,8 @@ import numpy as np
 from qrsim.control import MissionState, RouteState
 from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, Packer
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.gnss.slots import SlottedSky
@@ -61,7 +62,7 @@ class SavedState:
     def to_bytes(self) -> bytes:
         """Write the state as a NumPy archive."""
         buffer = io.BytesIO()
-        content: dict[str, Any] = {name: getattr(self, name, FORMAT) for name in NAMES}
+        content: Content = {name: getattr(self, name, FORMAT) for name in NAMES}
         np.savez(buffer, **content)
         return buffer.getvalue()
 
@@ -185,7 +186,7 @@ def _integer(array: NumpyArray) -> int | None:
     return int(array) if array.shape == () and array.dtype.kind in "iu" else None
 
 
-def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int:
+def _number(where: str, name: str, content: Content, largest: int) -> int:
     found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
@@ -193,7 +194,7 @@ def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int
     return found
 
 
-def _text(where: str, name: str, content: dict[str, Any]) -> str:
+def _text(where: str, name: str, content: Content) -> str:
     array = content[name]
     try:
         if array.shape == () and array.dtype.kind == "U":
@@ -203,7 +204,7 @@ def _text(where: str, name: str, content: dict[str, Any]) -> str:
     raise UsageError(f"{where}: its {name} is no text")
 
 
-def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ...]) -> NumpyArray:
+def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> NumpyArray:
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(
@@ -245,7 +246,7 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, An
         yield "controller", (state.controller, state.setpoint)
 
 
-def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
+def _floats(where: str, tree: object, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]
@@ -283,10 +284,8 @@ def write(path: str | Path, data: bytes) -> None:
     Raises:
         RunError: it cannot be written.
     """
-    try:
+    with os_error_as(RunError, f"cannot write the saved state {path}"):
         write_atomically(Path(path), data)
-    except OSError as error:
-        raise RunError(f"cannot write the saved state {path}: {error.strerror or error}") from None
 
 
 def fingerprint(layout: Packer, buffers: Buffers) -> str:

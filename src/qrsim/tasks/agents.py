@@ -33,7 +33,7 @@ class Axis:
     high: float = float("inf")
 
 
-def penalty() -> Any:
+def penalty() -> Array:
     """Return the field of the reward of the step in which a vehicle stops."""
     return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle stops", maximum=0.0)
 

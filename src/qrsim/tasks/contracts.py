@@ -49,9 +49,9 @@ class Task(Protocol):
     penalty: Array
     leave: bool = False
     axes: ClassVar[tuple[Axis, ...]] = ()
-    asks_for: ClassVar[type[Any] | None] = None
+    asks_for: ClassVar[type | None] = None
     hands_in: ClassVar[bool] = False
-    baseline: ClassVar[type[Any] | None] = None
+    baseline: ClassVar[type | None] = None
 
     @property
     def ids(self) -> int:
@@ -63,7 +63,7 @@ class Task(Protocol):
         """Names of the fleets whose vehicles are the agents, ``fleet`` first."""
         return (self.fleet,)
 
-    def asks(self, fleet: str) -> type[Any] | None:
+    def asks(self, fleet: str) -> type | None:
         """Return the kind of set-points that the controller of a fleet of agents must take; see ``asks_for``."""
         return self.asks_for
 
@@ -79,12 +79,12 @@ class Task(Protocol):
     def commands(self, memory: Any, world: World, action: Any) -> tuple[Action, ...]:
         """Convert actions (n, A), in their units, to an action for each fleet."""
 
-    def each_tick(self, memory: Any, world: World, state: State) -> Any:
+    def each_tick(self, memory: Any, world: World, state: State) -> object:
         """Return the memory after a tick."""
         return memory
 
     @abstractmethod
-    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[Any, Any]:
+    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[object, object]:
         """Return the memory after step ``step`` () of ``steps``, counted from 1, and its reward (n,) while all fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:

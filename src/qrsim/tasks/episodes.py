@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ class Begun(NamedTuple):
 
 @lru_cache
 def _scored() -> Any:
-    def score(play: Play, episode: Episode, answer: Any) -> Any:
+    def score(play: Play, episode: Episode, answer: Any) -> jax.Array:
         found = play.task.score(episode.memory, play.world, episode.state, answer)
         return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 
@@ -79,7 +80,7 @@ class Episodes:
         state = self._all(lambda progress: progress) if self.started else None
         return {"play": self._play, "size": self._size, "dtype": self._dtype, "state": state}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
+    def __setstate__(self, kept: Mapping[str, object]) -> None:
         with jax.enable_x64(kept["dtype"] == np.float64):
             self.__init__(kept["play"], kept["size"], kept["dtype"])  # type: ignore[misc]
             if kept["state"] is not None:
@@ -106,7 +107,7 @@ class Episodes:
         self._play = jax.tree.map(np.asarray, play)
         self._worlds.share_at_starts(self._play)
 
-    def start(self, rows: NumpyArray, keys: Any) -> Begun:
+    def start(self, rows: NumpyArray, keys: object) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
         found: Begun = self._worlds.begin_some(rows, keys, _begun)
         return found

@@ -37,7 +37,7 @@ def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis,
     world = world.with_drawn(tuple(item.high for item in world.ranges))
     agents, axes = world.fleets[number_of(world, fleet)], []
     for name in names:
-        sensor: Any = agents.sensors[agents.sensor_names.index(name)]
+        sensor = agents.sensors[agents.sensor_names.index(name)]
         reach = float(np.max(np.asarray(_reach(sensor))))
         if isinstance(sensor, Looking):
             for slot in range(sensor.slots):
@@ -94,7 +94,7 @@ def _range(measured: Array, reach: Array) -> Array:
     return jnp.where(jnp.isfinite(measured), jnp.clip(measured, 0.0, reach), reach)
 
 
-def _reach(sensor: Any) -> Any:
+def _reach(sensor: Any) -> object:
     if isinstance(sensor, IdealScan):
         return scan.FARTHEST
     return rangefinder.FARTHEST if isinstance(sensor, IdealRangefinder) else sensor.range_max

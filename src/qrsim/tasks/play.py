@@ -128,7 +128,7 @@ class Play:
         episode = Episode(state, memory, jnp.int32(0), self.nobody_gone())
         return episode, self.observed(memory, state, jnp.int32(0))
 
-    def nobody_gone(self) -> Any:
+    def nobody_gone(self) -> Array | None:
         """Return who has left at the start, (n,) bool; None where agents do not leave."""
         return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
@@ -149,7 +149,7 @@ class Play:
         begun = episode.step * self.ticks
         commands = self._commands(episode, action)
 
-        def tick(number: Any, now: tuple[State, Any]) -> tuple[State, Any]:
+        def tick(number: object, now: tuple[State, Any]) -> tuple[State, Any]:
             return self._tick(*now, commands, begun, number)
 
         carry = (episode.state, episode.memory)
@@ -189,7 +189,7 @@ class Play:
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
 
-    def _commands(self, episode: Episode, action: Array) -> Any:
+    def _commands(self, episode: Episode, action: Array) -> object:
         acts, sides = self.width, self.sides
         says = self.message > 0 and action.shape[1] > acts
         flown = action[:, :acts] if says else action
@@ -198,7 +198,7 @@ class Play:
             commands = spoken(self.world, side.fleet, commands, action[side.rows, acts:])
         return commands
 
-    def observed(self, memory: Any, state: State, tick: Any) -> Any:
+    def observed(self, memory: object, state: State, tick: Array) -> Any:
         """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
         seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
         if not self.message:
@@ -207,7 +207,7 @@ class Play:
             return overheard(self.world, state, fleets[0], seen, tick)
         return {fleet: overheard(self.world, state, fleet, seen[fleet], tick) for fleet in fleets}
 
-    def _tick(self, state: State, memory: Any, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
+    def _tick(self, state: State, memory: object, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         tick, before = (number, begun) if self.in_step else (begun + number, None)
         commands = at_first_period(self.world, commands, tick, number)

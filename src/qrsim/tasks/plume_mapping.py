@@ -13,6 +13,7 @@ from qrsim.control import VelocitySetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import Area
 from qrsim.models.scene.plume import PuffPlume
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.concentration import ConcentrationReading
@@ -126,7 +127,7 @@ class PlumeMapping(Task):
         """Describe the named numbers of an observation."""
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
         # Locations are drawn within the area.
-        area: Any = world.area
+        area = world.area
         limits = [
             Axis(name, "m", float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max")))
             for name, axis in (("north", "x"), ("east", "y"), ("down", "z"))
@@ -155,7 +156,7 @@ class PlumeMapping(Task):
         reference = self.reference(memory, plume, sources, wind, world.area)
         return -jax.vmap(lambda samples: divergence(reference, samples.T))(answer)
 
-    def reference(self, memory: PlumeMemory, plume: PuffPlume, sources: Any, wind: Any, area: Any) -> Array:
+    def reference(self, memory: PlumeMemory, plume: PuffPlume, sources: Any, wind: Any, area: Area) -> Array:
         """Simulate the concentrations (K, L) of puffs at the locations, at times ``sample_gap`` apart.
 
         They are of a flight of puffs of its own that has gone on for long: of the same sources, other puffs.

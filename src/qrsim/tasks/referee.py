@@ -212,7 +212,7 @@ def _watched() -> Any:
     return quick_jit(_watch)
 
 
-def _watch(play: Play, carried: Any, states: Any, first: Array, count: Array) -> tuple[Any, Array, Array]:
+def _watch(play: Play, carried: object, states: object, first: Array, count: Array) -> tuple[Any, Array, Array]:
     """Return memory and who has left after ``count`` ticks from ``first`` on; of all rewards (T, n), what goes on (T,).
 
     What is returned of ticks that end no step has no meaning.

@@ -42,7 +42,7 @@ Crash = Literal["worst", "published"]
 SHORTEST_REACH = 1.0
 
 
-def axes_of(kind: type[Any]) -> tuple[Axis, ...]:
+def axes_of(kind: type) -> tuple[Axis, ...]:
     """Return the fields of a command record as axes of an action."""
     limits = limits_of(kind)
     return tuple(Axis(field.name, field_info(field).unit, *limits[field.name]) for field in fields(kind))
@@ -92,7 +92,7 @@ class Effort:
         throttle, yaw = self.throttle * (command.throttle - self.hover_throttle), self.yaw_rate * command.yaw_rate
         return tilt + throttle * throttle + yaw * yaw
 
-    def highest_rate(self, kind: type[Any] = Command) -> Array:
+    def highest_rate(self, kind: type = Command) -> Array:
         """Return () the cost per second of the command of a kind that costs most."""
         limits = limits_of(kind).values()
         low, high = (kind(*(jnp.full(1, each[end]) for each in limits)) for end in (0, 1))
@@ -146,7 +146,7 @@ class Commanded(Task):
         """Describe the command of the fleet's vehicles."""
         return axes_of(self.command_type(world))
 
-    def command_type(self, world: World) -> type[Any]:
+    def command_type(self, world: World) -> type:
         """Return the command record of the fleet's vehicles."""
         return world.fleets[number_of(world, self.fleet)].vehicle.command_type
 

@@ -102,7 +102,7 @@ def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
     """
     names, most = [side.fleet for side in sides], width(sides)
     by_fleet(given, names, what)
-    lib: Any = jnp if any(isinstance(part, jax.Array) for part in given.values()) else np
+    lib = jnp if any(isinstance(part, jax.Array) for part in given.values()) else np
     parts = []
     for side in sides:
         array, expected = lib.asarray(given[side.fleet]), (len(side.names), len(side.axes))

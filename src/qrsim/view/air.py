@@ -68,19 +68,12 @@ class Air(Contents):
         self._ask = jax.jit(air_at)
         self._placed: Any = None
         corners, faces = shapes.arrow()
-        self._handle: Any = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/arrows",
-            corners * [1.0, THICKNESS, THICKNESS],
-            faces,
-            batched_positions=self._offsets,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (ALONG**2, 1)),
-            batched_scales=np.zeros(ALONG**2, np.float32),
-            batched_colors=np.tile(shapes.linear(GUST_COLOUR), (ALONG**2, 1)),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
+        self._handle = self.several(
+            "arrows",
+            (corners * [1.0, THICKNESS, THICKNESS], faces),
+            self._offsets,
+            np.tile(shapes.linear(GUST_COLOUR), (ALONG**2, 1)),
+            np.zeros(ALONG**2, np.float32),
         )
 
     @property
@@ -106,7 +99,7 @@ class Air(Contents):
             self._handle.batched_positions = self._placed = places
         self._handle.batched_wxyzs = np.round(shapes.along(vector) * TURN_STEPS) / TURN_STEPS
         self._handle.batched_scales = (np.round(length * LENGTH_STEPS) / LENGTH_STEPS).astype(np.float32)
-        colours: Any = GUST_COLOUR if self.shows == GUST else shapes.speed_colours(speed, STRONG_WIND)
+        colours = GUST_COLOUR if self.shows == GUST else shapes.speed_colours(speed, STRONG_WIND)
         self._handle.batched_colors = np.broadcast_to(shapes.linear(colours), (ALONG**2, 3)).copy()
 
     def _places(self, frame: Frame) -> Floats:

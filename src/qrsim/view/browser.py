@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -145,7 +146,7 @@ class Browser:
         result: dict[str, Any] = message["result"]
         return result
 
-    def _send(self, method: str, parameters: dict[str, Any], **more: str) -> int:
+    def _send(self, method: str, parameters: Mapping[str, object], **more: str) -> int:
         with self._arrived:
             self._number += 1
             number = self._number

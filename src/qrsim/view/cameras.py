@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
@@ -44,21 +45,8 @@ class Cameras(Contents):
         self._drawn: list[Any] = []
         self._develop = jax.jit(_developed, static_argnums=(5, 6))
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
-        nothing = np.zeros((INSTANCES, 3), np.float32)
-        self._windows = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/windows",
-            *_window(),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (INSTANCES, 1)),
-            batched_positions=nothing,
-            batched_scales=nothing,
-            batched_colors=np.zeros((INSTANCES, 3), np.uint8),
-            opacity=0.85,
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        places, colours = np.zeros((INSTANCES, 3), np.float32), np.zeros((INSTANCES, 3), np.uint8)
+        self._windows = self.several("windows", _window(), places, colours, opacity=0.85)
         self._edges = self.stage.scene.add_line_segments(
             f"{self.path}/edges", np.zeros((8, 2, 3), np.float32), EDGE_COLOUR, thickness=1.5, thickness_units="screen"
         )
@@ -108,8 +96,15 @@ class Cameras(Contents):
 
 
 def _developed(
-    world: World, drawn: Any, contents: Any, keys: Any, reading: CameraReading, number: int, index: int, i: Any
-) -> Any:
+    world: World,
+    drawn: Any,
+    contents: ContentsState,
+    keys: Any,
+    reading: CameraReading,
+    number: int,
+    index: int,
+    i: Any,
+) -> object:
     """Return the last picture of vehicle ``i`` of a fleet, as one of (1,) vehicles."""
     world = world.with_drawn(drawn)
     fleet = world.fleets[number]

@@ -10,7 +10,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.runs import Run
-from qrsim.runs.reader import Batch
+from qrsim.runs.stream_arrays import Batch
 
 # Times of vehicles that are kept in memory; of longer logs only every so-many-th tick is shown.
 MOST_POSES = 3_000_000

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.models.scene.contents import ContentsState
 from qrsim.runs.colours import FOUND, MISSING, PLUME
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
@@ -109,17 +110,8 @@ class Persons(Contents):
             self._handle.batched_colors, self._handle.batched_scales = colours, scales
             return
         down = down_at(self.world.ground, np.asarray(persons.north), np.asarray(persons.east))
-        self._handle = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/persons",
-            *shapes.pin(),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(there), 1)),
-            batched_positions=np.stack([persons.north, persons.east, down], axis=1),
-            batched_scales=scales,
-            batched_colors=colours,
-            lod="off",
-            flat_shading=True,
-            cast_shadow=False,
-        )
+        places = np.stack([persons.north, persons.east, down], axis=1)
+        self._handle = self.several("persons", shapes.pin(), places, colours, scales, side="front", receive_shadow=True)
 
 
 class Plume(Contents):
@@ -135,18 +127,15 @@ class Plume(Contents):
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
         self._places = rng.uniform(low, high, (PLACES, 3)).astype(self._dtype)
         self._ask = jax.jit(_concentration)
-        self._handle = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/points",
-            *shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (DRAWN, 1)),
-            batched_positions=np.zeros((DRAWN, 3)),
-            batched_scales=np.zeros((DRAWN, 3), np.float32),
+        self._handle = self.several(
+            "points",
+            shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+            np.zeros((DRAWN, 3)),
+            shapes.linear(PLUME_COLOUR),
             batched_opacities=np.zeros(DRAWN, np.float32),
-            batched_colors=shapes.linear(PLUME_COLOUR),
             opacity=0.6,
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
+            flat_shading=False,
+            side="front",
         )
 
     def look(self, beside: Beside, time: float) -> None:
@@ -162,7 +151,7 @@ class Plume(Contents):
         self._handle.batched_opacities = np.sqrt(share).astype(np.float32)
 
 
-def _concentration(world: World, drawn: Any, contents: Any, tick: Any, places: Any) -> Any:
+def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any, places: Any) -> jax.Array:
     from qrsim.core.vectors import Vec3
     from qrsim.world.episode import surroundings
 

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from qrsim.core.arrays import Floats
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.export.output import replacing
 from qrsim.runs.layout import EVENTS
@@ -55,13 +55,11 @@ def export(recording: Recording, folder: Path, progress: Progress = untold) -> P
         RunError: it cannot be written, or has no room on the disk; nothing of it is left then.
     """
     path = folder / PAGE
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         there = folder.exists()
         if there and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"--export {folder}: it exists and is not empty; choose another folder")
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
     try:
         with replacing(path) as file:
             write_film(recording, file, progress, lambda: shutil.disk_usage(folder).free)

@@ -251,7 +251,7 @@ def axes_of(vector: object) -> Floats:
     return np.stack([np.asarray(axis) for axis in vars(vector).values()], axis=-1)
 
 
-def _fix(fleet: FleetState) -> Any:
+def _fix(fleet: FleetState) -> object:
     """Return the position that a fleet's first GNSS receiver reports, NaN without one."""
     for reading in fleet.readings:
         if isinstance(reading, GnssReading):

@@ -162,7 +162,7 @@ class Gate:
         with _installing:
             plain = library.serve
 
-            def serve(handler: Any, *place: Any, **options: Any) -> Any:
+            def serve(handler: Any, *place: Any, **options: Any) -> object:
                 if not getattr(handler, "__module__", "").startswith("viser."):
                     return plain(handler, *place, **options)
                 options["process_request"] = self._request(options["process_request"])

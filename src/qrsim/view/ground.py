@@ -147,19 +147,8 @@ class Obstacles(Layer):
 
     def _add(self, name: str, mesh: shapes.Mesh, middle: Floats, size: Floats) -> None:
         if len(middle):
-            self.stage.scene.add_batched_meshes_simple(
-                f"{self.path}/{name}",
-                *mesh,
-                batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1)),
-                batched_positions=middle,
-                batched_scales=np.asarray(size, np.float32),
-                batched_colors=shapes.linear(OBSTACLE_COLOUR),
-                lod="off",
-                flat_shading=True,
-                side="double",
-                opacity=0.8,
-                cast_shadow=False,
-            )
+            colour, scales = shapes.linear(OBSTACLE_COLOUR), np.asarray(size, np.float32)
+            self.several(name, mesh, middle, colour, scales, opacity=0.8, receive_shadow=True)
 
 
 def solids(prisms: Prisms) -> shapes.Mesh:

@@ -33,34 +33,10 @@ class Interference(Layer):
     def begin(self) -> None:
         """Add masts with what they are, and fences that are not there yet."""
         places = np.array([item.place_ned for item in self._found])
-        tall, still = 1.5 * self.stage.span, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1))
+        tall, colour = 1.5 * self.stage.span, shapes.linear(GREY)
         self._places, self._active = places, np.zeros(len(places), bool)
-        self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/masts",
-            *mast(),
-            batched_wxyzs=still,
-            batched_positions=places,
-            batched_scales=np.full((len(places), 3), tall, np.float32),
-            batched_colors=shapes.linear(GREY),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-        )
-        self._fences = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/fences",
-            *fence(),
-            batched_wxyzs=still,
-            batched_positions=places,
-            batched_scales=np.zeros((len(places), 3), np.float32),
-            batched_colors=shapes.linear(GREY),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            opacity=0.35,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self.several("masts", mast(), places, colour, np.full((len(places), 3), tall, np.float32), receive_shadow=True)
+        self._fences = self.several("fences", fence(), places, colour, opacity=0.35)
         for number, item in enumerate(self._found[:MOST_NAMED]):
             self.stage.scene.add_label(
                 f"{self.path}/words{number}", item.label, position=places[number] - [0.0, 0.0, 1.2 * tall]

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from viser import SceneApi
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.interface.arrays import quaternion_of
@@ -70,7 +70,7 @@ class Stage:
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
     """Return the down coordinate [m] of a ground at places of any shape."""
-    places: Any = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
+    places = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
     return np.asarray(ground.down(places))
 
 
@@ -112,21 +112,37 @@ class Layer:
 
     def batch(self, name: str, mesh: shapes.Mesh, colours: Any, members: Any = slice(None), **options: Any) -> Any:
         """Add one instance of a mesh for each vehicle, or for the members (k,) of all, at its start."""
-        start = self.stage.cast.start_ned[members]
-        count = len(start)
+        return self.several(name, mesh, self.stage.cast.start_ned[members], shapes.linear(colours), **options)
+
+    def several(
+        self,
+        name: str,
+        mesh: shapes.Mesh,
+        places: Floats,
+        colours: NumpyArray,
+        scales: Floats | None = None,
+        **options: object,
+    ) -> Any:
+        """Add one instance of a mesh at each place (k, 3) [m].
+
+        Args:
+            name: of the node.
+            mesh: corners and faces.
+            places: where they are.
+            colours: (k, 3) or one for all, as viser takes them.
+            scales: (k, 3); default: 0, so that none is seen.
+            options: of viser's ``add_batched_meshes_simple``.
+        """
+        usual: dict[str, Any] = {"lod": "off", "flat_shading": True, "side": "double"}
+        usual |= {"cast_shadow": False, "receive_shadow": False}
         return self.stage.scene.add_batched_meshes_simple(
             f"{self.path}/{name}",
             *mesh,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-            batched_positions=start,
-            batched_scales=np.zeros((count, 3), np.float32),
-            batched_colors=shapes.linear(colours),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-            **options,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)),
+            batched_positions=places,
+            batched_scales=np.zeros((len(places), 3), np.float32) if scales is None else scales,
+            batched_colors=colours,
+            **usual | options,
         )
 
 
@@ -141,7 +157,7 @@ class Bodies:
         batches: numbers (k,) of vehicles of one kind, and their node.
     """
 
-    def __init__(self, layer: Layer, colours: Any, **options: Any):
+    def __init__(self, layer: Layer, colours: Any, **options: object):
         every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
         self._start = layer.stage.cast.start_ned
         self.batches = [

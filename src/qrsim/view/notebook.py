@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from pathlib import Path
 
-from qrsim.errors import RunError, UsageError, warn_user
+from qrsim.errors import RunError, UsageError, os_error_as, warn_user
 from qrsim.files.atomic import write_atomically
 from qrsim.runs import Run, open_run
 from qrsim.simulation.rollout import Rollout
@@ -52,10 +52,8 @@ class Shown:
             raise UsageError(f"save: {path}: the name has to end in .html")
         if not path.parent.is_dir():
             raise UsageError(f"save: {path}: there is no folder {path.parent}")
-        try:
+        with os_error_as(RunError, f"cannot write {path}"):
             write_atomically(path, self.page.encode("utf-8"))
-        except OSError as error:
-            raise RunError(f"cannot write {path}: {error.strerror or error}") from None
         return path
 
 

@@ -7,6 +7,7 @@ first view and following are each browser's own. An exported page has them too.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -73,7 +74,7 @@ class Overlay:
 
     def __init__(
         self,
-        server: Any,
+        server: object,
         stage: Stage,
         bodies: Bodies,
         layers: dict[str, Layer],
@@ -129,7 +130,7 @@ class Overlay:
             self._said = found
             self._tell("reasons", found, None)
 
-    def choose(self, vehicle: int | None, browser: Any = None) -> None:
+    def choose(self, vehicle: int | None, browser: object = None) -> None:
         """Mark a vehicle, or none, in one browser or in all."""
         self._tell("choose", vehicle, browser)
 
@@ -137,7 +138,7 @@ class Overlay:
         """Follow a vehicle, or none, in one browser or in all."""
         self._tell("follow", vehicle, browser)
 
-    def sky(self, told: dict[str, Any] | None, browser: object) -> None:
+    def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
         """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
         self._tell("sky", told, browser)
 

@@ -5,8 +5,6 @@ See docs/explanation/models/radio.md.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from qrsim.core.arrays import Floats
@@ -38,18 +36,11 @@ class RadioLinks(Layer):
         """Make halves that are not there yet."""
         size = self.stage.cast.size
         room = self._room = min(MOST_DRAWN, size * (size - 1))
-        self._handle: Any = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/halves",
-            *shapes.box((0.0, -0.5, -0.5), (1.0, 0.5, 0.5)),
-            batched_positions=np.zeros((room, 3)),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)),
-            batched_scales=np.zeros((room, 3), np.float32),
-            batched_colors=np.tile(shapes.linear(WIND[-1]), (room, 1)),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
+        self._handle = self.several(
+            "halves",
+            shapes.box((0.0, -0.5, -0.5), (1.0, 0.5, 0.5)),
+            np.zeros((room, 3)),
+            np.tile(shapes.linear(WIND[-1]), (room, 1)),
         )
 
     def draw(self, frame: Frame) -> None:

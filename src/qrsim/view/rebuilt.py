@@ -78,7 +78,7 @@ class Rebuilt:
         asked = {event.field: event.value for event in self._winds if event.time <= time}
         return with_wind(self._world, asked) if asked else self._world
 
-    def _blown(self, tick: int) -> Any:
+    def _blown(self, tick: int) -> object:
         """Return the puffs at a tick: from those before it, or from the start again."""
         done = tick // period_ticks(self._world.contents.plume.period, self._world.time_step)
         if done < self._puffs_ticks:
@@ -106,7 +106,7 @@ def _drawn_again(world: World, keys: Any) -> tuple[Any, Any, object]:
     return drawn, contents, draw_field(world.with_drawn(drawn), episode_draws(world, keys, like))
 
 
-def _blown(world: World, keys: Any, puffs: Any, done: Any, wanted: Any) -> Any:
+def _blown(world: World, keys: Any, puffs: Any, done: object, wanted: object) -> object:
     """Return the puffs after ``wanted`` of their periods, from those after ``done``."""
     plume = world.contents.plume
     stream = keys.stream(0, jnp.arange(plume.ids, dtype=jnp.uint32))

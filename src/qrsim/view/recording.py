@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -104,7 +103,7 @@ class Recording:
 
     def _places(self) -> Places | None:
         """Return the places that the run's task is about, None without a task."""
-        scenario: Any = self.run.scenario
+        scenario = self.run.scenario
         task = scenario.get("task") if isinstance(scenario, dict) else None
         known = isinstance(task, dict) and task.get("type", "none") != "none"
         return surroundings_of(self.run).places if known else None

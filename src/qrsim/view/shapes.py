@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.runs.colours import RATIO, VEHICLES, WIND, on_scale
 
@@ -183,7 +182,7 @@ def along(direction: Floats) -> Floats:
     return quaternion / norm[:, None]
 
 
-def linear(colours: object) -> Any:
+def linear(colours: object) -> NumpyArray:
     """Return sRGB colours (..., 3) as the linear ones that a page wants of instances and corners (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255.0
     found = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)

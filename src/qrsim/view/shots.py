@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -81,7 +80,7 @@ class Camera:
 
 def _corners(scene: Scene, world: World | None) -> NumpyArray:
     """Return corners (K, 3) of the area of a world [m]; of where vehicles start, if it is no box or not known."""
-    area: Any = None if world is None else world.area
+    area = None if world is None else world.area
     if area is None or not area.is_box:
         return scene.cast.start_ned
     return np.array([[float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")])

@@ -7,7 +7,6 @@ what is new.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -43,7 +42,7 @@ def satellites(said: Mapping[str, Floats]) -> list[Satellite]:
     ]
 
 
-def told(vehicle: str, found: list[Satellite]) -> dict[str, Any] | None:
+def told(vehicle: str, found: list[Satellite]) -> dict[str, object] | None:
     """Return what a browser is told of the satellites of a vehicle; None where there are none."""
     return {"vehicle": vehicle, "satellites": found} if found else None
 

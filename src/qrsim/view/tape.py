@@ -50,7 +50,7 @@ class Packing:
             return {key: self._referring(item) for key, item in value.items()}
         return [self._referring(item) for item in value] if isinstance(value, list | tuple) else value
 
-    def text(self, content: Any) -> str:
+    def text(self, content: object) -> str:
         """Return the packed text of a content that refers to the arrays."""
         head = msgspec.json.encode({"content": content, "lengths": [array.nbytes for array in self.arrays]})
         squeeze = zlib.compressobj(6)
@@ -69,7 +69,7 @@ class Tape:
 
     def __init__(self, server: ViserServer):
         # viser has no other way to learn what it sends.
-        self._messages: Any = server._websock_server
+        self._messages = server._websock_server
         self._numbers: dict[int, int] = {}
         self._made: list[Any] = []
         self._nodes: list[dict[str, Any]] = []

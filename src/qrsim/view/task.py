@@ -36,20 +36,9 @@ class _Marks(Layer):
     def begin(self) -> None:
         """Add them."""
         count, (corners, faces) = len(self._places), self.mesh()
-        self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/marks",
-            corners.astype(np.float32),
-            faces.astype(np.uint32),
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-            batched_positions=self._places,
-            batched_scales=np.full((count, 3), self.spans * self.stage.span, np.float32),
-            batched_colors=shapes.linear(self.colour),
-            lod="off",
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        mesh = corners.astype(np.float32), faces.astype(np.uint32)
+        scales = np.full((count, 3), self.spans * self.stage.span, np.float32)
+        self.several("marks", mesh, self._places, shapes.linear(self.colour), scales)
 
 
 class Goals(_Marks):

@@ -50,7 +50,7 @@ def command_fleet(
     standing = on_ground(fleet, state)
     alone = replace(fed, position_low_ned=None)
     estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, state.estimate)
-    setpoint: Any = action
+    setpoint = action
     if setpoint is None:
         others = _others(world, whole, fleet) | seen_ground(fleet, standing)
         motion: dict[str, Any] = {}

@@ -120,7 +120,7 @@ def inputs_of(
     return cast(dict[str, object], mounted(fitting, scene, sensor.reads, before, time_step))
 
 
-def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> Any:
+def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> object:
     """Return what the fittings of a fleet remember at a start, with the first readings of its sensors."""
     if not fleet.fittings:
         return ()

@@ -175,7 +175,7 @@ class Flight:
         assert await drone.mission_raw.download_mission() == []
 
     async def offboard_position(self) -> None:
-        """Each vehicle starts at (0, 0, 0) of its frame, and flies to four places with headings, the last on the ground.
+        """Each vehicle starts at (0, 0, 0) of its frame, and flies to four places with headings, one on the ground.
 
         A new place every 10 s, as in the example: two that begin together fly side by side.
         """
@@ -193,7 +193,7 @@ class Flight:
             await rest
         await offboard.set_position_ned(module.PositionNedYaw(0.0, 10.0, 0.0, 180.0))
         await self.wait(10.0)
-        # The example ends here: on the ground, or above it by what the estimate of height has drifted since the first start.
+        # The example ends here: on the ground, or above it by what the estimate of height has drifted.
         await self.stop()
         if await first(self.drone.telemetry.armed()):
             await self.drone.action.land()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from qrsim.links.ros2.frames import angles_ned_frd, enu_of, flu_of, quaternion_enu_flu, yaw_enu
+from qrsim.links.ros2.frames import angles_ned_frd, enu_of, flu_of, quaternion_enu_flu
 
 H = math.sqrt(0.5)
 
@@ -53,9 +53,3 @@ def test_attitudes_turned_by_hand(ned: tuple[float, ...], enu: tuple[float, ...]
 )
 def test_angles_of_attitudes_turned_by_hand(enu: tuple[float, ...], angles: tuple[float, ...]):
     assert angles_ned_frd(np.array(enu)).tolist() == pytest.approx(angles, abs=1e-12)
-
-
-def test_headings():
-    assert yaw_enu(math.radians(30.0)) == pytest.approx(math.radians(60.0))
-    assert yaw_enu(math.radians(180.0)) == pytest.approx(math.radians(-90.0))
-    assert yaw_enu(yaw_enu(2.5)) == pytest.approx(2.5)

@@ -15,7 +15,7 @@ from tests.models.by_hand import Given, words
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.placement import RingPlaces, UniformPlaces
-from qrsim.models.scene.terrain import CLASSES, CLEAR, CLUTTER, OCCLUSION, PatchyGround
+from qrsim.models.scene.terrain import CLEAR, CLUTTER, OCCLUSION, PatchyGround
 from qrsim.models.scene.uniform import uniform, whole
 
 AREA = BoxArea(0.0, 100.0, 200.0, 300.0, -50.0, 0.0)  # type: ignore[arg-type]
@@ -147,7 +147,5 @@ def test_a_drop_walks_to_a_neighbour() -> None:
         assert (classes[classes != 1] == 0).all()
 
 
-def test_the_classes_are_named_by_their_numbers() -> None:
-    """A class is its place among the names: clear, clutter, occlusion."""
+def test_the_numbers_of_the_classes() -> None:
     assert (CLEAR, CLUTTER, OCCLUSION) == (0, 1, 2)
-    assert [CLASSES[number] for number in (CLEAR, CLUTTER, OCCLUSION)] == ["clear", "clutter", "occlusion"]

@@ -14,7 +14,7 @@ from tests.models.gnss import flown_receivers as receivers
 from qrsim.core.noise import Draw, Key
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.presets import PRESETS
-from qrsim.studies.slam import study as studies
+from qrsim.studies.slam import intervals
 from qrsim.studies.slam.example import MEMORY, CorrelatedGnss, base_world, world_of
 
 
@@ -85,7 +85,7 @@ def test_paired_counts_differences_of_pairs() -> None:
     one = generator.standard_normal(40)
     other = one + 0.3 + 0.5 * generator.standard_normal(40)
     other[3] = np.nan
-    found = studies.paired(one, other)
+    found = intervals.paired(one, other)
     left = np.delete(other - one, 3)
     assert found["pairs"] == 39
     assert found["p"] == pytest.approx(scipy.stats.wilcoxon(left).pvalue)
@@ -96,25 +96,25 @@ def test_paired_counts_differences_of_pairs() -> None:
 def test_what_the_remedy_recovers() -> None:
     """Half of the loss, exactly known for every seed."""
     white = np.linspace(0.1, 0.3, 20)
-    found = studies.recovered(white, white + 0.4, white + 0.2)
+    found = intervals.recovered(white, white + 0.4, white + 0.2)
     assert found == pytest.approx({"part": 0.5, "low": 0.5, "high": 0.5})
 
 
 def test_the_allan_slopes_of_known_noises() -> None:
     """White noise falls with -1/2, a random walk rises with +1/2; intervals of 95 % from 50 records of 600."""
     white = list(np.random.default_rng(1).standard_normal((50, 600, 2)))
-    found = studies.allan_slope(white, 0.2)
+    found = intervals.allan_slope(white, 0.2)
     assert found["low"] < -0.5 < found["high"]
     assert found["slope"] == pytest.approx(-0.5, abs=0.05)
     walk = [np.cumsum(record, axis=0) for record in white]
-    assert studies.allan_slope(walk, 0.2)["slope"] == pytest.approx(0.5, abs=0.1)
+    assert intervals.allan_slope(walk, 0.2)["slope"] == pytest.approx(0.5, abs=0.1)
     # One record says nothing of how far another would be from it.
-    assert set(studies.allan_slope(white[:1], 0.2)) == {"slope"}
+    assert set(intervals.allan_slope(white[:1], 0.2)) == {"slope"}
 
 
 def test_the_allan_deviation_is_that_of_an_independent_implementation() -> None:
     allantools = pytest.importorskip("allantools")
     record = np.cumsum(np.random.default_rng(2).standard_normal((300, 2)), axis=0)
-    windows, deviation = studies.allan([record], 0.2)
+    windows, deviation = intervals.allan([record], 0.2)
     theirs = [allantools.oadev(record[:, axis], rate=5.0, data_type="freq", taus=windows)[1] for axis in (0, 1)]
     np.testing.assert_allclose(deviation, np.sqrt(np.mean(np.square(theirs), axis=0)), rtol=1e-9)

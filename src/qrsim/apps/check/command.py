@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, progress_bar
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -227,31 +226,18 @@ def _check_picture(path: Path) -> None:
 
 
 @contextmanager
-def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None] | None]:
+def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
     """Show a bar with the real-time factor while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield None
-        return
     import time
 
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:.0f} %"),
-        TextColumn("{task.fields[factor]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(scenario.name, total=scenario.ticks * runs, factor="compiling")
-        begun = time.perf_counter()
+    begun, ticks = time.perf_counter(), 0
+    texts = "{task.percentage:.0f} %", "{task.fields[factor]}"
+    with progress_bar(scenario.name, scenario.ticks * runs, *texts, factor="compiling") as update:
 
         def show(done: int) -> None:
-            bar.advance(task, done)
-            simulated = bar.tasks[0].completed * scenario.spec.time_step
-            factor = simulated / max(time.perf_counter() - begun, 1e-9)
-            bar.update(task, factor=f"{factor:.0f} x real time")
+            nonlocal ticks
+            ticks += done
+            factor = ticks * scenario.spec.time_step / max(time.perf_counter() - begun, 1e-9)
+            update(completed=ticks, factor=f"{factor:.0f} x real time")
 
         yield show

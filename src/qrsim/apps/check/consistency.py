@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -55,7 +54,7 @@ class Row:
             return "errs by less than it states"
         return "as it states" if self.low <= 1.0 <= self.high else ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields by name, what is not known as None."""
         return {name: None if value != value else value for name, value in asdict(self).items()}
 

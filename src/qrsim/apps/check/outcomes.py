@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.scene.area import REASONS
 from qrsim.simulation.rollout import Rollout
 
@@ -76,7 +76,7 @@ class Outcome:
     seeds: tuple[int, ...]
     worst: Moment | None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields by name."""
         return asdict(self)
 
@@ -98,7 +98,7 @@ def outcomes(flown: Rollout) -> list[Outcome]:
     return [*found, _outcome(flown, ANY, any_first, where)]
 
 
-def _outcome(flown: Rollout, name: str, times: Any, places: Any) -> Outcome:
+def _outcome(flown: Rollout, name: str, times: NumpyArray, places: NumpyArray) -> Outcome:
     """Return an outcome from the times (W, n) at which it happened, NaN where it did not, and the places (W, n, 3)."""
     from scipy.stats import binomtest
 
@@ -115,7 +115,9 @@ def _outcome(flown: Rollout, name: str, times: Any, places: Any) -> Outcome:
     return Outcome(name, runs, runs / total, float(interval.low), float(interval.high), seeds, worst)
 
 
-def _moment(flown: Rollout, world: int, vehicle: int, times: Any, places: Any, value: float | None = None) -> Moment:
+def _moment(
+    flown: Rollout, world: int, vehicle: int, times: NumpyArray, places: NumpyArray, value: float | None = None
+) -> Moment:
     north, east, down = (float(x) for x in places[world, vehicle])
     return Moment(
         int(flown.seeds[world]), flown.vehicles[vehicle], float(times[world, vehicle]), (north, east, down), value

@@ -45,7 +45,7 @@ def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path:
 
 def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
     figure = new_figure(12, 5.5)
-    axes: Any = figure.subplots(1, 2, width_ratios=(3, 2))
+    axes = figure.subplots(1, 2, width_ratios=(3, 2))
     _plan(axes[0], scenario, flown)
     _bars(axes[1], found)
     figure.suptitle(f"{scenario.name}: {len(flown.seeds)} runs of {scenario.duration:g} s")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ def to_si(values: NumpyArray, units: Units) -> NumpyArray:
     """Convert commands of shape (T, 5); no limits are applied."""
     if units == "si":
         return values
-    command: Any = raw_to_command(*values.T)
+    command = raw_to_command(*values.T)
     return np.column_stack([getattr(command, name) for name in COMMAND_FIELDS])
 
 

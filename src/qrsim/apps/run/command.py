@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, progress_bar
 from qrsim.apps.run.page import OFF, replay, shown, stay
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
@@ -237,26 +237,11 @@ def _new_folder(name: str, seed: int) -> Path:
 @contextmanager
 def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
     """Show a bar with the real-time factor while the context lasts, on a terminal only."""
-    if not sys.stderr.isatty():
-        yield lambda simulated_s, wall_s: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f} of {task.total:g} s"),
-        TextColumn("{task.fields[factor]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(scenario.name, total=scenario.duration, factor="compiling")
-
-        def show(simulated_s: float, wall_s: float) -> None:
-            bar.update(task, completed=simulated_s, factor=f"{simulated_s / max(wall_s, 1e-9):.0f} x real time")
-
-        yield show
+    texts = "{task.completed:.0f} of {task.total:g} s", "{task.fields[factor]}"
+    with progress_bar(scenario.name, scenario.duration, *texts, factor="compiling") as update:
+        yield lambda simulated_s, wall_s: update(
+            completed=simulated_s, factor=f"{simulated_s / max(wall_s, 1e-9):.0f} x real time"
+        )
 
 
 # Each heading in lines, as narrow as its numbers: with names of up to 17 letters the table has 80 columns.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array
@@ -68,7 +68,7 @@ def mates_wanted(mates: int, fleet: int) -> int:
     return max(1, min(mates, fleet - 1))
 
 
-def mates_heard(number: Array, payload: Any, age: Array, position_ned: Vec3, reach: Array) -> Mates:
+def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, reach: Array) -> Mates:
     """Return what vehicles (n,) know of those of their fleet whose beacons they have received.
 
     Args:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, aligned
 from qrsim.engine.llvm.background import compile_later
 from qrsim.engine.llvm.compiler import Loaded
@@ -107,7 +108,7 @@ class Program:
         if count > 0:
             self._call(*addresses, scratch, tick, count)
 
-    def each(self, table: Any, scratch: int, tick: int, count: int) -> None:
+    def each(self, table: NumpyArray, scratch: int, tick: int, count: int) -> None:
         """Do so for each row of a table of addresses, (rows, two for each input) uint64 and contiguous."""
         begin = perf_counter()
         self._call_each(table.ctypes.data, len(table), scratch, tick, count)

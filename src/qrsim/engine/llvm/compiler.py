@@ -15,7 +15,6 @@ import llvmlite.binding as llvm
 
 # Sessions of a server compile in threads of their own; here one does at a time.
 _LOCK = threading.Lock()
-TIERS = ("quick", "better")
 
 
 @lru_cache(maxsize=1)
@@ -54,7 +53,7 @@ def machine_code(text: str, tier: str = "better") -> bytes:
 
     Args:
         text: of the module.
-        tier: one of TIERS.
+        tier: "quick" or "better".
     """
     with _LOCK:
         machine = _machine(tier)

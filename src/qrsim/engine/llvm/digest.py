@@ -89,7 +89,7 @@ class _Walk:
             return self.closed(value)
         raise UnknownError
 
-    def _several(self, values: Any) -> Any:
+    def _several(self, values: Any) -> object:
         return type(values).__name__, [self._value(value) for value in values]
 
     _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (
@@ -103,7 +103,7 @@ class _Walk:
     )
 
 
-def _array(array: np.ndarray[Any, Any]) -> Any:
+def _array(array: np.ndarray[Any, Any]) -> object:
     return array.shape, array.dtype.name, hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 

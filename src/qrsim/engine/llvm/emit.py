@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.scattering import write_scatter
 from qrsim.engine.llvm.schedule import Step
-from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_type, vector
+from qrsim.engine.llvm.text import DType, literal, scalar_type, splat, stored_type, vector
 from qrsim.engine.llvm.writing import Place, Scope
 
 
@@ -367,7 +366,7 @@ class Emitter(Loops):
         self.scalars = outside
 
 
-def neutral(how: str, dtype: Any) -> str:
+def neutral(how: str, dtype: DType) -> str:
     """Choose the number that a reduction begins with."""
     if how in ("add", "or"):
         return literal(0, dtype)

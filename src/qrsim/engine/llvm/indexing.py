@@ -19,7 +19,7 @@ class Indexing(Nodes):
     be out of range, so ranges are checked for every axis of the program's own, and before nodes are read.
     """
 
-    def dynamic_slice(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def dynamic_slice(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
         """Return a part that begins where the program computes, brought into range."""
         operand, shape = inputs[0], tuple(out.shape)
         # Where the whole extent is taken, JAX brings any start to zero.
@@ -133,7 +133,7 @@ class Indexing(Nodes):
             found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
         return found
 
-    def reshape(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def reshape(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
         """Return the same numbers in the order of rows, in another shape."""
         (operand, *dynamic), shape = inputs, tuple(out.shape)
         if dynamic:
@@ -168,7 +168,7 @@ class Indexing(Nodes):
         return self.spread(self.graph.constant(np.int32(value)), shape)
 
 
-def _filling(value: Any, dtype: Any) -> Any:
+def _filling(value: object, dtype: Any) -> object:
     """Choose the value that JAX puts where an index is out of range."""
     if value is not None:
         return value

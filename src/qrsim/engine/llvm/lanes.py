@@ -75,7 +75,7 @@ class Lanes:
         found: Array = self._buffers[0][0, : layout.sizes[0]]
         return found
 
-    def put(self, worlds: Array, tree: Any) -> None:
+    def put(self, worlds: Array, tree: object) -> None:
         """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
         tile, lane = np.divmod(worlds, self._lanes)
         for number, leaf in enumerate(jax.tree.leaves(tree)):

@@ -26,7 +26,7 @@ class Nodes:
     def __init__(self, graph: Graph):
         self.graph = graph
 
-    def apply(self, name: str, shape: Shape, dtype: object, *inputs: View, attributes: tuple[Any, ...] = ()) -> View:
+    def apply(self, name: str, shape: Shape, dtype: object, *inputs: View, attributes: tuple[object, ...] = ()) -> View:
         """Return an elementwise operation on arrays of one shape, or of none."""
         accesses = tuple([view.access(shape) for view in inputs])
         return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from functools import partialmethod
 
 import numpy as np
 
@@ -196,8 +197,14 @@ class Operations:
         signed = "" if op in ("eq", "ne") else "s" if kind == "i" else "u"
         return self.emit(f"icmp {signed}{op} {of} {values[0]}, {values[1]}")
 
-    def _fma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        return self._intrinsic("fma", node.dtype, lanes, values)
+    def _same(self, name: str, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the intrinsic function of a name, of all arguments."""
+        return self._intrinsic(name, node.dtype, lanes, values)
+
+    _fma = partialmethod(_same, "fma")
+    _sqrt = partialmethod(_same, "sqrt")
+    _floor = partialmethod(_same, "floor")
+    _ceil = partialmethod(_same, "ceil")
 
     def _fms(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         # To change a sign is exact, so one rounding is left.
@@ -233,12 +240,6 @@ class Operations:
         ones = "true" if node.dtype.kind == "b" else "-1"
         return self.emit(f"xor {of} {values[0]}, {splat(ones, scalar_type(node.dtype), lanes)}")
 
-    def _min(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        return self._ordered("min", node, of, values, lanes)
-
-    def _max(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        return self._ordered("max", node, of, values, lanes)
-
     def _ordered(self, how: str, node: Node, of: str, values: list[str], lanes: int) -> str:
         known = [_known_number(arg.node) for arg in node.args]
         if node.dtype.kind == "f":
@@ -248,6 +249,9 @@ class Operations:
                 if number is not None and not math.isnan(number):
                     return self._limited(how, of, values[1 - which], values[which], number, lanes)
         return self._extreme(how, node.dtype, of, values[0], values[1], lanes)
+
+    _min = partialmethod(_ordered, "min")
+    _max = partialmethod(_ordered, "max")
 
     def _limited(self, how: str, of: str, value: str, limit: str, number: float, lanes: int) -> str:
         """Return min or max of a value and a number that is known."""
@@ -280,19 +284,10 @@ class Operations:
         result = vector(scalar_type(node.dtype), lanes)
         return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
 
-    def _sqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        return self._intrinsic("sqrt", node.dtype, lanes, values)
-
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         # Not from the estimate of the processor, which rounds in another way on each kind of processor.
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
-
-    def _floor(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        return self._intrinsic("floor", node.dtype, lanes, values)
-
-    def _ceil(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        return self._intrinsic("ceil", node.dtype, lanes, values)
 
     def _round(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         to_even = int(node.attributes[0]) == 1

@@ -16,7 +16,7 @@ from qrsim.engine.llvm.program import Input
 from qrsim.engine.llvm.refusal import refusing
 
 
-def trace_of(function: Callable[..., Any], inputs: Sequence[Input]) -> tuple[Any, Any]:
+def trace_of(function: Callable[..., Any], inputs: Sequence[Input]) -> tuple[object, object]:
     """Return the closed jaxpr of a function of some trees, and the shapes (jax.ShapeDtypeStruct) of what it returns."""
     found: tuple[Any, Any] = jax.make_jaxpr(function, return_shape=True)(*(each.layout.template() for each in inputs))
     return found

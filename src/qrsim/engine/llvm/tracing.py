@@ -131,7 +131,7 @@ class Tracer(Indexing):
         attributes = (int(parameters[_ATTRIBUTES[op]]),) if op in _ATTRIBUTES else ()
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
-    def kernel(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def kernel(self, op: str, inputs: list[View], out: Any, parameters: object) -> list[View]:
         """Return the results of an elementwise function whose body is compiled as a function."""
         return [
             self.apply("kernel", tuple(out.shape), np.dtype(dtype), *inputs, attributes=(op, i))
@@ -142,7 +142,7 @@ class Tracer(Indexing):
         """Pass the arguments on."""
         return inputs
 
-    def call(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def call(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
         """Trace an inner function."""
         closed = parameters[op]
         inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
@@ -176,7 +176,7 @@ class Tracer(Indexing):
         node = self.graph.node("running", (inputs[0].access(),), squeezed(shape), out.dtype, attributes)
         return View.whole(node, shape)
 
-    def nearest(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def nearest(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
         """Return the squared distance of each point's nearest neighbour."""
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
@@ -215,7 +215,7 @@ class Tracer(Indexing):
         grows = {axis: to[axis] for axis, extent in enumerate(operand.shape) if extent != 1}
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
-    def squeeze(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def squeeze(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
         """Return an array without some axes of one element."""
         return self.without_unit_axes(inputs[0], tuple(out.shape))
 
@@ -230,7 +230,7 @@ class Tracer(Indexing):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
-    def split(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def split(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
         """Return parts side by side along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
         for size in map(int, parameters["sizes"]):
@@ -239,7 +239,7 @@ class Tracer(Indexing):
             begin += size
         return parts
 
-    def unstack(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def unstack(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
         """Return the parts of one element along an axis, without it."""
         (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
         parts = []
@@ -283,7 +283,7 @@ class Tracer(Indexing):
         accesses = tuple(part.access() for part in parts)
         return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
 
-    def cond(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def cond(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
         """Return the results of one of two branches."""
         which, operands = inputs[0], inputs[1:]
         branches = parameters["branches"]
@@ -311,7 +311,7 @@ class Tracer(Indexing):
         )
         return View.whole(node, first.shape)
 
-    def while_(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def while_(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
         """Trace a loop; its result is the carry at which its condition no longer holds."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
@@ -333,7 +333,7 @@ class Tracer(Indexing):
         node.attributes = (tuple(carries), tuple(outputs))
         return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
 
-    def scan(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def scan(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
         """Trace a loop of a fixed number of turns, which goes through no arrays."""
         constants, length = parameters["num_consts"], parameters["length"]
         carries = len(inputs) - constants

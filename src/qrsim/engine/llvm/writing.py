@@ -259,7 +259,7 @@ class Writer:
         wide = [self.widened(start, dtype, lanes) for start, dtype in zip(starts, dtypes, strict=True)]
         return self._picked(node, place, wide, lanes)
 
-    def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any]) -> Place:
+    def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[object]) -> Place:
         """Return a place moved by starts, each brought into its range."""
         pointer = place.pointer
         for axis, move in enumerate(moved):
@@ -310,7 +310,7 @@ class Writer:
         every = splat("true", "i1", lanes)
         return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
 
-    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any], lanes: int) -> str:
+    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[object], lanes: int) -> str:
         """Return whether all starts are in range."""
         inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
         for move in moved:
@@ -378,7 +378,7 @@ class Writer:
             self._constant_places[node.number] = Place(symbol, 0, tuple(map(int, array.strides)), own=False)
         return self._constant_places[node.number]
 
-    def write(self, place: Place, dtype: Any, value: str, lanes: int, variables: Sequence[str]) -> None:
+    def write(self, place: Place, dtype: object, value: str, lanes: int, variables: Sequence[str]) -> None:
         """Store a value of the present loop at its element of a place."""
         wanted = self.lanes if place.own and self.side_by_side else lanes
         value = self.widened((value, lanes), dtype, wanted)

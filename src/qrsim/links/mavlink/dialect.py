@@ -8,6 +8,7 @@ follow from them by the rules of the protocol (mavlink.io/en/guide/serialization
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -164,7 +165,7 @@ class Field:
 class Message:
     """A message as it arrived: its fields are attributes; arrays are tuples, texts are bytes without trailing zeros."""
 
-    def __init__(self, layout: Layout, values: dict[str, Any]):
+    def __init__(self, layout: Layout, values: Mapping[str, object]):
         self.layout = layout
         self.__dict__.update(values)
 

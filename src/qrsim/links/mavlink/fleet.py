@@ -47,10 +47,10 @@ def prepared(scenario: Scenario) -> Scenario:
     """
     content = scenario.spec.model_dump(mode="json")
     for fleet in content["fleets"].values():
-        model: Any = VEHICLES[fleet["vehicle"]["type"]]
+        model = VEHICLES[fleet["vehicle"]["type"]]
         if model.tilt_command is Vehicle.tilt_command:
             continue
-        controller: Any = CONTROLLERS[fleet["controller"]["type"]]
+        controller = CONTROLLERS[fleet["controller"]["type"]]
         if not {SETPOINTS[kind] for kind in NEEDED} <= set(controller.setpoints):
             feed = fleet["controller"].get("feed")
             fleet["controller"] = {"type": "cascade"} | ({"feed": feed} if feed else {})

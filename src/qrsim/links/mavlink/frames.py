@@ -12,8 +12,6 @@ from qrsim.links.mavlink.dialect import BY_NUMBER, Layout, Message
 VERSION_1, VERSION_2 = 0xFE, 0xFD
 SIGNED = 0x01
 SIGNATURE_SIZE = 13
-# A stream that makes no sense for so long is no MAVLink.
-LARGEST_FRAME = 280
 _HEAD = struct.Struct("<BBBBBBBHB")
 _CHECK = struct.Struct("<H")
 _EXTRA = {number: bytes([layout.extra]) for number, layout in BY_NUMBER.items()}

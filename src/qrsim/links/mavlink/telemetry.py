@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.codes import ARDUPILOT, Sensor
@@ -388,7 +387,7 @@ def sendable(number: int, view: View) -> bool:
     """Return whether a vehicle has a message of this kind to send: now, or once it has something to say."""
     if number not in ENCODERS:
         return False
-    later: tuple[Any, ...] = (
+    later: tuple[object, ...] = (
         home_position,
         position_target_local_ned,
         position_target_global_int,

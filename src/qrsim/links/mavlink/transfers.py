@@ -7,7 +7,6 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from qrsim.links.mavlink.dialect import Message
 from qrsim.links.mavlink.link import Link
@@ -193,7 +192,7 @@ class Transfers:
         item = home or items[message.seq]
         x, y = (item.x, item.y) if integers else (_as_float(item.frame, axis) for axis in (item.x, item.y))
         current = kind is PlanKind.MISSION and self._stack.mission().seq == item.seq
-        values: dict[str, Any] = dict(zip(("param1", "param2", "param3", "param4"), item.params, strict=True))
+        values: dict[str, float] = dict(zip(("param1", "param2", "param3", "param4"), item.params, strict=True))
         link.say(
             "MISSION_ITEM_INT" if integers else "MISSION_ITEM",
             **_to(partner),

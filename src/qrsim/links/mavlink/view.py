@@ -42,7 +42,7 @@ class View:
         self.around: Around | None = None
         self.number = self.turn = 0
 
-    def look(self, numbers: Any) -> None:
+    def look(self, numbers: object) -> None:
         """Take the numbers of another tick (WIDTH,)."""
         self.numbers, self._row = numbers, None
 

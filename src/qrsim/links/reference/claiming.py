@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class SharedCalls(ABC):
         """Give claimed vehicles back to the guidance of their scenario; without names all."""
         self._ask(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
 
-    def command(self, orders: Mapping[str, Any], *, computed_from: int | None = None) -> int:
+    def command(self, orders: Mapping[str, object], *, computed_from: int | None = None) -> int:
         """Have claimed vehicles fly by orders until the next ones; return the tick from which they do (pace "free").
 
         Args:
@@ -132,7 +133,7 @@ class SharedCalls(ABC):
             self._pushed.clear()
         return sensed_of(found)
 
-    def say(self, words: Mapping[str, Any], *, to: str | None = None) -> None:
+    def say(self, words: Mapping[str, object], *, to: str | None = None) -> None:
         """Hand messages to the radios of vehicles, which send them as soon as their turns come; all or none.
 
         In a shared world of claimed vehicles only, and of several messages of one in a tick the last one counts.
@@ -226,7 +227,7 @@ def _given(found: Any, name: str) -> Any:
     return getattr(found, name) if found.HasField(name) else None
 
 
-def numbers_of(vehicle: str, said: Any) -> list[float]:
+def numbers_of(vehicle: str, said: object) -> list[float]:
     """Return what somebody says as numbers; raises UsageError for what is none."""
     try:
         values = np.asarray(said, np.float64)

@@ -202,7 +202,7 @@ def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
     return columns[: WIDTHS[kind]].T, record_of(KINDS[kind], columns, Command)
 
 
-def _command(kind: int, rows: NumpyArray) -> Any:
+def _command(kind: int, rows: NumpyArray) -> object:
     """Return the command of a fleet from the vectors (n, width) of a STEP."""
     if KINDS[kind] == CONTROL:
         return rows

@@ -112,10 +112,7 @@ class Connection(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Drop the client."""
-        self.leaving.set()
-        self.gone.set()
-        self._can_write.set()
-        self._wake()
+        self.gone_soon()
 
     def gone_soon(self) -> None:
         """Close after the present request."""
@@ -275,7 +272,8 @@ class Connection(asyncio.Protocol):
                     raise UsageError("message: a required field is missing, or a kind is unknown")
                 if message.type != Message.STEP:
                     self.send_held()
-                    return await self.server.answer(self, message)
+                    await self.server.answer(self, message)
+                    return message.type != Message.DISCONNECT
                 asked = parsed_step(self, message, payload)
             await step(self, *asked)
             return True

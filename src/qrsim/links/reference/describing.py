@@ -81,7 +81,7 @@ def _limits(fleet: Fleet) -> Part:
     return found
 
 
-def _part(spec: Any, known: Mapping[str, Any]) -> Part:
+def _part(spec: Any, known: Mapping[str, object]) -> Part:
     """Return a component from its place in a scenario."""
     content = {"type": spec} if isinstance(spec, str) else dict(spec)
     kind = str(content.pop("type"))
@@ -96,7 +96,7 @@ def _part(spec: Any, known: Mapping[str, Any]) -> Part:
     return found
 
 
-def _units(kind: Any) -> dict[str, str]:
+def _units(kind: object) -> dict[str, str]:
     if not dataclasses.is_dataclass(kind):
         return {}
     return {field.name: field_info(field).unit for field in dataclasses.fields(kind)}
@@ -121,6 +121,6 @@ def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]
                 yield name, str(value)
 
 
-def _is_several(value: Any) -> bool:
+def _is_several(value: object) -> bool:
     """Return whether a value is a list of lists of points."""
     return bool(isinstance(value, list) and value and isinstance(value[0], list) and isinstance(value[0][0], list))

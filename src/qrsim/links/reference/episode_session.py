@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -214,7 +214,7 @@ class EpisodeSession:
         self.thread.shutdown(wait=False)
 
 
-def _flat(arrays: dict[str, Any], before: str = "") -> dict[str, Any]:
+def _flat(arrays: Mapping[str, object], before: str = "") -> dict[str, Any]:
     """Return the arrays of a dict of dicts, with the names on the way to each."""
     found: dict[str, Any] = {}
     for name, array in arrays.items():
@@ -222,7 +222,7 @@ def _flat(arrays: dict[str, Any], before: str = "") -> dict[str, Any]:
     return found
 
 
-def _values(arrays: dict[str, Any]) -> list[pb.Values]:
+def _values(arrays: Mapping[str, object]) -> list[pb.Values]:
     """Return arrays (1, n, ...) as messages."""
     found = []
     for name, array in arrays.items():

@@ -241,7 +241,7 @@ class _Posed:
             return np.asarray(self._compiled(self._vehicle, state))
 
 
-def _vectors(vehicle: Vehicle, state: Any) -> Any:
+def _vectors(vehicle: Vehicle, state: Any) -> jax.Array:
     pose, like = vehicle.pose(state), state.position_ned.x
     thrust = jnp.broadcast_to(jnp.asarray(vehicle.load(state).thrust), like.shape)
     return jnp.stack([*jax.tree.leaves(pose), thrust], axis=1)

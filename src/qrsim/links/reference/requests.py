@@ -32,7 +32,7 @@ INVALID = "invalid uav state"
 MOST_TICKS_OF_ACT = 10_000
 
 
-async def init(connection: Client, message: Message) -> bool:
+async def init(connection: Client, message: Message) -> None:
     """Start a task."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
@@ -41,7 +41,6 @@ async def init(connection: Client, message: Message) -> bool:
     connection.send_frame(session.states.frame(connection.reasons))
     connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
     server.broadcast(session)
-    return True
 
 
 def _session_options(
@@ -63,21 +62,20 @@ def _info(session: Session) -> pb.TaskInfo:
     return pb.TaskInfo(timestep=session.time_step, numUAVs=session.simulation.size)
 
 
-async def reset(connection: Client, message: Message) -> bool:
+async def reset(connection: Client, message: Message) -> None:
     """Start the next episode of the task."""
     session = connection.required_session()
     await connection.server.run(session, session.restart)
     _say_episode(connection, session)
     connection.acknowledge()
     connection.server.broadcast(session)
-    return True
 
 
 def _say_episode(connection: Client, session: Session) -> None:
     connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
-async def disconnect(connection: Client, message: Message) -> bool:
+async def disconnect(connection: Client, message: Message) -> None:
     """End the session, and the server if requested and allowed."""
     await connection.server.close_session(connection)
     if connection.server.sharing is not None:
@@ -89,16 +87,14 @@ async def disconnect(connection: Client, message: Message) -> bool:
         connection.server.stop()
     else:
         connection.acknowledge(note="the server goes on: its operator has not allowed clients to end it (--allow-quit)")
-    return False
 
 
-async def set_state(connection: Client, message: Message) -> bool:
+async def set_state(connection: Client, message: Message) -> None:
     """Set the vehicles' states."""
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
     connection.acknowledge()
     connection.server.broadcast(session)
-    return True
 
 
 def known_step(connection: Client, payload: bytes) -> tuple[Any, int] | None:
@@ -123,7 +119,7 @@ def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[A
     return command, ticks
 
 
-async def step(connection: Client, command: Any, ticks: int) -> None:
+async def step(connection: Client, command: object, ticks: int) -> None:
     """Advance the session; in real time, reply no earlier than the wall clock.
 
     Raises:
@@ -148,7 +144,7 @@ async def step(connection: Client, command: Any, ticks: int) -> None:
 # ---- extensions ----
 
 
-async def hello(connection: Client, message: Message) -> bool:
+async def hello(connection: Client, message: Message) -> None:
     """Report the server's version, capabilities, tasks and sessions."""
     server = connection.server
     connection.reasons = message.hello.reasons
@@ -160,10 +156,9 @@ async def hello(connection: Client, message: Message) -> bool:
         largest_request=LARGEST_REQUEST,
     )
     connection.send(Message(type=Message.SERVER, server=found))
-    return True
 
 
-async def open_session(connection: Client, message: Message) -> bool:
+async def open_session(connection: Client, message: Message) -> None:
     """Start a session with the client's seed, pace or scenario."""
     server, request = connection.server, message.open
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
@@ -173,7 +168,6 @@ async def open_session(connection: Client, message: Message) -> bool:
     )
     session = await server.open(connection, lambda number: Session(number, session_options, server.options.view))
     _send_session(connection, session)
-    return True
 
 
 def _chosen(connection: Client, request: pb.Open | pb.Play) -> dict[str, Any]:
@@ -197,14 +191,13 @@ def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
     return request.seed
 
 
-async def restart(connection: Client, message: Message) -> bool:
+async def restart(connection: Client, message: Message) -> None:
     """Start the next episode of the task, or the first one of a seed."""
     session, seed = connection.required_session(), _seed(message.restart)
     async with _still(connection, "RESTART"):
         await connection.server.run(session, lambda: session.restart(seed))
         _say_episode(connection, session)
         _send_session(connection, session)
-    return True
 
 
 def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[Any]:
@@ -239,20 +232,19 @@ def _send_session(connection: Client, session: Session) -> None:
     connection.server.broadcast(session)
 
 
-async def get_readings(connection: Client, message: Message) -> bool:
+async def get_readings(connection: Client, message: Message) -> None:
     """Send every sensor's reading, or the reason it is missing."""
     session = connection.required_session()
     async with _still(connection):
         told = session.sensors.frame()
         if told is not None:
             connection.send_frame(told)
-            return True
+            return
         found = await connection.server.run(session, lambda: sensor_readings(session.simulation))
     connection.send(Message(type=Message.READINGS, readings=found))
-    return True
 
 
-async def watch(connection: Client, message: Message) -> bool:
+async def watch(connection: Client, message: Message) -> None:
     """Begin sending the states of a session."""
     request = message.watch
     if connection.session is not None:
@@ -263,10 +255,9 @@ async def watch(connection: Client, message: Message) -> bool:
     number = request.session if request.HasField("session") else None
     connection.server.watch(connection, number, period, request.stop)
     connection.acknowledge()
-    return True
 
 
-async def get_events(connection: Client, message: Message) -> bool:
+async def get_events(connection: Client, message: Message) -> None:
     """Send the events since the last request."""
     session = connection.required_session()
     if isinstance(session, SharedSession):
@@ -276,10 +267,9 @@ async def get_events(connection: Client, message: Message) -> bool:
     else:
         found = session.events()
     connection.send(Message(type=Message.EVENTS, events=found))
-    return True
 
 
-async def pace(connection: Client, message: Message) -> bool:
+async def pace(connection: Client, message: Message) -> None:
     """Send the pace statistics, and change the pace if requested."""
     session = connection.any_session()
     report = session.pacer.report()
@@ -287,18 +277,16 @@ async def pace(connection: Client, message: Message) -> bool:
         async with _still(connection, "PACE"):
             session.start_clock(message.pace.factor)
     connection.send(Message(type=Message.PACING, pacing=pb.Pacing(**vars(report))))
-    return True
 
 
-async def describe(connection: Client, message: Message) -> bool:
+async def describe(connection: Client, message: Message) -> None:
     """Say what the world is made of."""
     session = connection.required_session()
     found = await connection.server.run(session, lambda: description(session.scenario, session.simulation))
     connection.send(Message(type=Message.WORLD, world=found))
-    return True
 
 
-async def play(connection: Client, message: Message) -> bool:
+async def play(connection: Client, message: Message) -> None:
     """Start an episode of a task, or the next one."""
     server, request = connection.server, message.play
     if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, EpisodeSession):
@@ -324,8 +312,7 @@ async def play(connection: Client, message: Message) -> bool:
         info=session.info(),
     )
     connection.send(Message(type=Message.EPISODE, episode=found))
-    _show(connection, session)
-    return True
+    connection.server.broadcast(session)
 
 
 def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptions:
@@ -347,13 +334,7 @@ def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptio
     return session_options
 
 
-def _show(connection: Client, session: EpisodeSession) -> None:
-    """Send the state of an episode to those who watch it."""
-    if connection.server.watched(session):
-        connection.server.broadcast(session)
-
-
-async def act(connection: Client, message: Message) -> bool:
+async def act(connection: Client, message: Message) -> None:
     """Advance an episode by a step."""
     session = connection.required_episodes()
     found = await connection.server.run(session, lambda: session.act(message.act))
@@ -361,11 +342,10 @@ async def act(connection: Client, message: Message) -> bool:
     if wait > 0.0:
         await connection.pause(wait)
     connection.send(Message(type=Message.OUTCOME, outcome=found))
-    _show(connection, session)
-    return True
+    connection.server.broadcast(session)
 
 
-async def say(connection: Client, message: Message) -> bool:
+async def say(connection: Client, message: Message) -> None:
     """Hand messages to the radios of vehicles."""
     session, words = connection.required_session(), words_of(message.say)
     if isinstance(session, SharedSession):
@@ -373,11 +353,9 @@ async def say(connection: Client, message: Message) -> bool:
     else:
         await connection.server.run(session, lambda: hand_over(session.simulation, words))
     connection.acknowledge()
-    return True
 
 
-Handler = Callable[["Client", Message], Awaitable[bool]]
-# Each returns whether the connection goes on.
+Handler = Callable[["Client", Message], Awaitable[None]]
 HANDLERS: dict[int, Handler] = {
     Message.INIT: init,
     Message.RESET: reset,

@@ -73,8 +73,8 @@ class Host(Protocol):
     def forget(self, connection: Any) -> Awaitable[None]:
         """End what a connection had."""
 
-    def answer(self, connection: Any, message: Message) -> Awaitable[bool]:
-        """Handle a request; return whether the connection goes on."""
+    def answer(self, connection: Any, message: Message) -> Awaitable[None]:
+        """Answer a request."""
 
     def open(self, connection: Any, make: Callable[[int], S]) -> Awaitable[S]:
         """Begin a session, in place of the one that the connection had."""
@@ -93,9 +93,6 @@ class Host(Protocol):
 
     def watch(self, connection: Any, session: int | None, period: float, stop: bool) -> None:
         """Let a connection watch a session, or no more."""
-
-    def watched(self, session: Session | EpisodeSession) -> bool:
-        """Return whether anybody watches a session."""
 
     def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
         """Send the state of a session to who watches it."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TypeVar
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.reference.connection import MOST_WAITING, Connection
@@ -26,9 +26,6 @@ from qrsim.links.reference.shared_requests import has_no_owner
 from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.sharing import Sharing
 from qrsim.links.reference.tasks import Tasks
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T")
 S = TypeVar("S", Session, EpisodeSession)
@@ -208,8 +205,8 @@ class Server:
 
     # ---- requests ----
 
-    async def answer(self, connection: Connection, message: Message) -> bool:
-        """Answer a request; return whether the connection goes on.
+    async def answer(self, connection: Connection, message: Message) -> None:
+        """Answer a request.
 
         Raises:
             QrsimError: it was wrong; nothing was sent.
@@ -229,7 +226,7 @@ class Server:
                 )
         elif message.type in OWNED:
             raise has_no_owner(self, name)
-        return await handler(connection, message)
+        await handler(connection, message)
 
     async def open(self, connection: Connection, make: Callable[[int], S]) -> S:
         """Start a session for a connection, in place of the one it has.
@@ -315,7 +312,7 @@ class Server:
         """Run slow work on a session in a thread."""
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
-    async def advance(self, connection: Connection, session: Session, command: Any, ticks: int) -> None:
+    async def advance(self, connection: Connection, session: Session, command: object, ticks: int) -> None:
         """Advance a session in its own thread.
 
         Raises:
@@ -351,10 +348,6 @@ class Server:
             session = next(iter(self.sessions))
         self._watching[connection] = Watching(session, period)
 
-    def watched(self, session: Session | EpisodeSession) -> bool:
-        """Return whether a session has watchers."""
-        return any(watching.session in (None, session.number) for watching in self._watching.values())
-
     def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
         """Send the state of a session to its watchers; slow ones miss it.
 
@@ -362,8 +355,6 @@ class Server:
             session: whose state.
             states: its frames with and without reasons, as far as they are there already.
         """
-        if not self._watching:
-            return
         states = states or {}
         for connection, watching in self._watching.items():
             if watching.session not in (None, session.number):

@@ -220,19 +220,19 @@ class Session:
             raise UsageError(f"dt: {dt:g} s is {count:.0f} time steps; allowed: up to {MOST_TICKS} in one STEP")
         return round(count)
 
-    def expected_s(self, command: Any, ticks: int) -> float:
+    def expected_s(self, command: object, ticks: int) -> float:
         """Return the expected wall time of some ticks [s]; infinite for a kind of command not seen yet."""
         seconds, measured = self._seconds.get(_kind(command), (math.inf, 1))
         return seconds * max(1.0, ticks / measured)
 
-    def piece(self, command: Any, ticks: int) -> int:
+    def piece(self, command: object, ticks: int) -> int:
         """Return how many of the ticks to advance at once."""
         if _kind(command) not in self._seconds:
             return min(ticks, PIECE_TICKS)
         seconds, measured = self._seconds[_kind(command)]
         return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
 
-    def advance(self, command: Any, ticks: int) -> None:
+    def advance(self, command: object, ticks: int) -> None:
         """Advance by some ticks.
 
         Raises:
@@ -247,7 +247,7 @@ class Session:
         known = _kind(command) in self._seconds
         self._seconds[_kind(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
 
-    def _advance(self, command: Any, ticks: int) -> None:
+    def _advance(self, command: object, ticks: int) -> None:
         if self.ticks_are_kept:
             for done in range(0, ticks, PIECE_TICKS):
                 self._keep(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
@@ -350,7 +350,7 @@ class Session:
         self.thread.shutdown(wait=False)
 
 
-def _kind(command: Any) -> Any:
+def _kind(command: object) -> Any:
     """Return the kind of a command; of commands by fleet that of each."""
     if isinstance(command, Mapping):
         return tuple((name, type(part)) for name, part in command.items())

@@ -39,7 +39,7 @@ def _texts(names: Sequence[object]) -> list[str]:
     return [str(name) for name in names]
 
 
-async def claim(client: Client, message: Message) -> bool:
+async def claim(client: Client, message: Message) -> None:
     """Claim vehicles."""
     sharing, request = _sharing(client), message.claim
     session, default = sharing.session, client.server.options.silence
@@ -63,17 +63,15 @@ async def claim(client: Client, message: Message) -> bool:
         hold=(silence or default).after,
     )
     client.send(Message(type=Message.CLAIMED, claimed=found))
-    return True
 
 
-async def release(client: Client, message: Message) -> bool:
+async def release(client: Client, message: Message) -> None:
     """Give vehicles back to the guidance of their scenario."""
     _sharing(client).release(client, _texts(message.release.vehicle))
     client.acknowledge()
-    return True
 
 
-async def command(client: Client, message: Message) -> bool:
+async def command(client: Client, message: Message) -> None:
     """Take orders; at a barrier, wait for the tick that they are to be flown until."""
     sharing, request = _sharing(client), message.command
     orders = [order_of(order) for order in request.order]
@@ -90,7 +88,7 @@ async def command(client: Client, message: Message) -> bool:
     if sharing.session.pace == "barrier":
         await sharing.meet(client, orders, source, until)
         client.send_frame(sharing.sensed(client, None, request.truth))
-        return True
+        return
     if until is not None:
         raise UsageError(
             "COMMAND: until_tick and ticks are for --pace barrier; this world runs by itself (--pace free), and an "
@@ -98,7 +96,6 @@ async def command(client: Client, message: Message) -> bool:
         )
     tick = sharing.order(client, orders, source)
     client.send(Message(type=Message.COMMANDED, commanded=pb.Commanded(tick=tick)))
-    return True
 
 
 def _check_once(orders: Sequence[Order]) -> None:
@@ -107,13 +104,13 @@ def _check_once(orders: Sequence[Order]) -> None:
             raise UsageError(f"COMMAND: '{name}' is given {count} orders; one is allowed")
 
 
-async def subscribe(client: Client, message: Message) -> bool:
+async def subscribe(client: Client, message: Message) -> None:
     """Begin to push what vehicles sense."""
     sharing, request = _sharing(client), message.subscribe
     if request.stop:
         sharing.subscribe(client, None)
         client.acknowledge()
-        return True
+        return
     session = sharing.session
     rate = request.rate if request.HasField("rate") else MOST_RATE_HZ
     if not (math.isfinite(rate) and rate > 0.0):
@@ -122,10 +119,9 @@ async def subscribe(client: Client, message: Message) -> bool:
     every = max(1, round(1.0 / (min(rate, MOST_RATE_HZ) * session.time_step)))
     sharing.subscribe(client, Subscription(rows or None, every, request.truth))
     client.acknowledge()
-    return True
 
 
-async def get_status(client: Client, message: Message) -> bool:
+async def get_status(client: Client, message: Message) -> None:
     """Say who flies what, and how old its orders are."""
     session = _sharing(client).session
     plant = session.plant
@@ -140,4 +136,3 @@ async def get_status(client: Client, message: Message) -> bool:
         holder = plant.claims.holder(name)
         found.vehicle.add(name=name, client=holder, flies=now.flies, misses=now.misses, **given)
     client.send(Message(type=Message.STATUS, status=found))
-    return True

@@ -113,7 +113,7 @@ class SharedSession(Session):
 
     # ---- what is kept ----
 
-    def _advance(self, command: Any, ticks: int) -> None:
+    def _advance(self, command: object, ticks: int) -> None:
         if not self.ticks_are_kept:
             self.simulation.advance(command, ticks)
         elif ticks > 1:

@@ -244,7 +244,7 @@ class Sharing:
         except Exception as error:
             self._server.report_bug(error)
 
-    async def _advance(self, actions: Any, ticks: int) -> None:
+    async def _advance(self, actions: object, ticks: int) -> None:
         session = self.session
         if session.expected_s(actions, ticks) < SHORT_S:
             session.advance(actions, ticks)

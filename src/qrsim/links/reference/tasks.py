@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from itertools import accumulate
-from typing import Any
 
 import yaml
 
@@ -56,7 +55,7 @@ def offboard(scenario: Scenario) -> Scenario:
     for fleet in content["fleets"].values():
         if OffboardController.gives not in VEHICLES[fleet["vehicle"]["type"]].actions:
             continue
-        own: Any = CONTROLLERS[fleet["controller"]["type"]]
+        own = CONTROLLERS[fleet["controller"]["type"]]
         if set(own.setpoints) >= set(OffboardController.setpoints):
             continue
         gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}
@@ -156,7 +155,7 @@ def _refuse_aliases(text: str) -> None:
         return  # the parser says what is wrong
 
 
-def _upload_problems(content: Any) -> Iterator[str]:
+def _upload_problems(content: object) -> Iterator[str]:
     if not isinstance(content, dict):
         yield "expected keys and values such as name: hover"
         return
@@ -185,11 +184,11 @@ def _upload_problems(content: Any) -> Iterator[str]:
         yield f"fleets: {vehicles} vehicles; allowed: up to {MOST_VEHICLES}"
 
 
-def _count(value: Any) -> int:
+def _count(value: object) -> int:
     return len(value) if isinstance(value, list | dict) else 0
 
 
-def _entries(part: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+def _entries(part: object, path: str) -> Iterator[tuple[str, str, object]]:
     """Return path, key and value of everything that has a key."""
     for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
         where = f"{path}.{key}" if path else str(key)

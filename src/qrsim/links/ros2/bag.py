@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -74,7 +74,7 @@ def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9
     ]
     count = 0
     with Writer(folder, version=version, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[int, Any] = {}
+        connections: dict[int, object] = {}
 
         def put(number: int, topic: t.Topic, nanoseconds: int, cdr: bytes) -> None:
             if number not in connections:

@@ -41,8 +41,3 @@ def angles_ned_frd(quaternion: NumpyArray) -> NumpyArray:
     pitch = np.arcsin(np.clip(2.0 * (w * y - x * z) / norm, -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return np.stack([roll, pitch, yaw], axis=-1)
-
-
-def yaw_enu(yaw_ned: float) -> float:
-    """Return a heading from east, anticlockwise [rad], of one from north, clockwise, or the reverse; -pi to pi."""
-    return math.remainder(0.5 * math.pi - yaw_ned, 2.0 * math.pi)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,7 @@ class Messages:
         self._perceived = Perceived(types, simulation, self.namespaces, sight, own.add)
         self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
         self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
-        self._told: list[tuple[Any, float]] = [(None, -math.inf)] * simulation.size
+        self._told: list[tuple[object, float]] = [(None, -math.inf)] * simulation.size
         clock = types["rosgraph_msgs/msg/Clock"](types["builtin_interfaces/msg/Time"](0, 0))
         self._clock = Template(types, clock)
         self._put_clock = self._clock.putter("clock.sec", "clock.nanosec")

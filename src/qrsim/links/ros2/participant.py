@@ -21,7 +21,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.links.ros2.profiles import PROFILES, Profile
 from qrsim.links.ros2.rtps.services import RawService, Request, Services
 from qrsim.links.ros2.topics import Topic
@@ -99,12 +99,10 @@ class Participant:
     def service(self, name: str, kind: str) -> Service:
         """Return a new service, for clients of rmw_fastrtps and rmw_cyclonedds."""
         if self._rtps is None:
-            try:
+            with os_error_as(RunError, f"services do not start in domain {self._domain}"):
                 self._rtps = Services(self._domain)
                 # So that clients do not wait for who has left.
                 atexit.register(self._rtps.close)
-            except OSError as error:
-                raise RunError(f"services do not start in domain {self._domain}: {error.strerror or error}") from None
         raw = self._rtps.service(name, dds_name(f"{kind}_Request"), dds_name(f"{kind}_Response"))
         self._services.append(raw)
         return Service(self._types, kind, self._rtps, raw)
@@ -113,7 +111,7 @@ class Participant:
         """Tell other nodes which readers and writers are this node's."""
         if self._info is None:
             kind = self._types.sample(_INFO)
-            topic: Any = DdsTopic(self._participant, _DISCOVERY, kind)
+            topic = DdsTopic(self._participant, _DISCOVERY, kind)
             self._info = Writer(DataWriter(self._participant, topic, qos=_plain(Profile(True, 1, True))), kind)
         readers = [*(each.entity.guid.bytes for each in self._readers), *(each.reader for each in self._services)]
         writers = [*(each.entity.guid.bytes for each in self._writers), *(each.writer for each in self._services)]

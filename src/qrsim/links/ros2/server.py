@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.pacing import Metronome, PaceReport
@@ -21,8 +20,6 @@ from qrsim.links.ros2.radio import hand_over, said_topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.simulation.simulation import Simulation
 
-# By the wall clock; as fast as it computes; or each tick when all who are flown have been asked for something.
-PACES = ("free", "fast", "barrier")
 CONTROLS = ("pause", "resume", "reset", "step")
 MOST_STEPS = 1_000_000
 BARRIER_EVERY_S = 2e-4
@@ -40,7 +37,8 @@ class Options:
         hold: silence [s] after which a vehicle holds its place.
         paused: whether it begins standing.
         rate: how often estimates, TF and truth are published at most [Hz].
-        pace: one of PACES.
+        pace: "free", by the wall clock; "fast", as fast as it computes; "barrier", each tick when all who are flown
+            have been asked for something.
     """
 
     factor: float = 1.0
@@ -232,7 +230,7 @@ class Server:
             return
         self._told_status = now
         report, simulation = self._pacer.report(), self.simulation
-        status: dict[str, Any] = {
+        status: dict[str, object] = {
             "time": simulation.time,
             "tick": simulation.tick,
             "paused": self.paused,

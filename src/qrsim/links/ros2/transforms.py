@@ -99,7 +99,7 @@ def static_transforms(types: Types, world: World, namespaces: Sequence[str], sit
     return types[TYPE](found)
 
 
-def on_earth(types: Types, site: Site) -> Any:
+def on_earth(types: Types, site: Site) -> object:
     """Return the transform of the map, east, north, up, in the frame of the Earth: ECEF of WGS-84."""
     latitude, longitude = site.latitude_rad, site.longitude_rad
     # About z by the longitude and a quarter turn, which brings x to the east, then about x by the colatitude.
@@ -113,7 +113,7 @@ def on_earth(types: Types, site: Site) -> Any:
     return transform(types, EARTH, MAP, site.origin_ecef().tolist(), turn)
 
 
-def _beacons(types: Types, world: World) -> list[Any]:
+def _beacons(types: Types, world: World) -> list[object]:
     """Return the transforms from the map to beacons that a sensor ranges to."""
     found: dict[str, Any] = {}
     for sensor in (each for fleet in world.fleets for each in fleet.sensors):
@@ -124,7 +124,7 @@ def _beacons(types: Types, world: World) -> list[Any]:
     return list(found.values())
 
 
-def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:
+def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[object]:
     found: dict[str, Any] = {}
     for number, sensor in enumerate(fleet.sensors):
         turn: Sequence[float] = _LEVEL

@@ -45,7 +45,7 @@ class Types:
         if distro not in DISTROS:
             raise UsageError(f"distribution '{distro}': expected {', '.join(DISTROS)}{did_you_mean(distro, DISTROS)}")
         self.distro = distro
-        self.store: Any = get_typestore(Stores[f"ROS2_{distro.upper()}"])
+        self.store = get_typestore(Stores[f"ROS2_{distro.upper()}"])
         self.store.register(definitions_of(*packages))
         self._structs: dict[str, Any] = {}
         self._samples: dict[str, Any] = {}
@@ -75,7 +75,7 @@ class Types:
         """Return a message as CDR."""
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
-    def decode(self, cdr: bytes, name: str) -> Any:
+    def decode(self, cdr: bytes, name: str) -> object:
         """Return the message of a type in CDR."""
         return self.store.deserialize_cdr(cdr, name)
 
@@ -115,7 +115,7 @@ class Types:
             self._structs[name] = struct
         return struct
 
-    def _type(self, description: Any) -> Any:
+    def _type(self, description: Any) -> object:
         kind, content = description
         if kind == Nodetype.NAME:
             return self._struct(content)

@@ -89,7 +89,7 @@ class ZenohNode:
         options: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
         if profile.latched:
             cache = zenoh.ext.CacheConfig(profile.depth)
-            made: Any = zenoh.ext.declare_advanced_publisher(
+            made = zenoh.ext.declare_advanced_publisher(
                 self._session, key, cache=cache, publisher_detection=True, **options
             )
         else:
@@ -103,7 +103,7 @@ class ZenohNode:
         self._read.setdefault(topic.name, set()).add(dds_name(topic.type))
         channel = zenoh.handlers.RingChannel(_MOST_AT_ONCE)
         if PROFILES[topic.quality].latched:
-            made: Any = zenoh.ext.declare_advanced_subscriber(
+            made = zenoh.ext.declare_advanced_subscriber(
                 self._session, self._key(topic), channel, history=zenoh.ext.HistoryConfig(detect_late_publishers=True)
             )
         else:
@@ -118,7 +118,7 @@ class ZenohNode:
         self._declare("SS", told)
         key = f"{self._domain}/{name.strip('/')}/{dds_name(kind)}/{own}"
         channel = zenoh.handlers.RingChannel(_MOST_AT_ONCE)
-        made: Any = self._session.declare_queryable(key, channel, complete=True)
+        made = self._session.declare_queryable(key, channel, complete=True)
         self._kept.append(made)
         return ZenohService(self._types, kind, key, made)
 
@@ -164,7 +164,7 @@ class ZenohNode:
         return token
 
 
-def _config(router: str, listen: str) -> Any:
+def _config(router: str, listen: str) -> object:
     """Return the settings of a session, as rmw_zenoh's for nodes, except that it goes on without a router."""
     config = zenoh.Config()
     for path, value in (

@@ -71,11 +71,11 @@ def kinds_of(fleet: Fleet) -> dict[str, tuple[Field, ...]]:
     return {**taken, CONTROL: tuple(Field(name, units[name], *span) for name, span in limits.items())}
 
 
-def _units(command: type[Any]) -> dict[str, str]:
+def _units(command: type) -> dict[str, str]:
     return {field.name: field_info(field).unit or "1" for field in dataclasses.fields(command)}
 
 
-def record_of(kind: str, columns: NumpyArray, command: type[Any]) -> Any:
+def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
     """Return the set-point or command of n vehicles.
 
     Args:

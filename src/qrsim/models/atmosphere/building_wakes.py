@@ -84,7 +84,7 @@ class BuildingWakes(Updraft):
         fraction: Array,
         *,
         wind: Wind,
-        **reads: Any,
+        **reads: object,
     ) -> Vec3:
         """Return what the wakes take from the wind (n,) [m/s]; of several the one that takes most.
 

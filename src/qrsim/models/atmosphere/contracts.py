@@ -105,7 +105,7 @@ class Turbulence(Protocol):
     field_ids: int = 0
     sees_wind: ClassVar[bool] = False
 
-    def draw_field(self, draw: Draw, wind: Any = None) -> object:
+    def draw_field(self, draw: Draw, wind: object = None) -> object:
         """Draw the field shared by the gusts of all vehicles of an episode.
 
         Args:

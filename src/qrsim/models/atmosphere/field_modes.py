@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-Floats = np.ndarray[Any, np.dtype[np.float64]]
+Floats = npt.NDArray[np.float64]
 
 SEGMENTS, GROUPS = 2, 2
 # The lowest wavenumber is half of one over the longest length of the Dryden form, 1750 ft [rad/m].

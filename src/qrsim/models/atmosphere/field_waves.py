@@ -10,10 +10,10 @@ variance at any time. In the frame that moves with the field, gusts are uncorrel
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array, lax
 
 from qrsim.core.fastmath import sincos_turns
@@ -80,7 +80,7 @@ def draw_ages(draw: Draw, index: int, lifetime: Array) -> Ages:
     return Ages(draw.stream.words(draw.tick, index)[0][0], lax.bitcast_convert_type(rate, jnp.uint32))
 
 
-def stagger(chains: int) -> np.ndarray[Any, np.dtype[np.uint32]]:
+def stagger(chains: int) -> npt.NDArray[np.uint32]:
     """Return the ages (SEGMENTS chains,) by which chains are ahead, in 2^-20 lifetimes; chains a multiple of 4."""
     number = np.arange(chains)
     share = np.array([0, 2, 1, 3])[number % 4] / 4.0 + (number // 4) / chains

@@ -39,7 +39,7 @@ class RidgeLift(Updraft):
         fraction: Array,
         *,
         ground: Any,
-        **reads: Any,
+        **reads: object,
     ) -> Vec3:
         """Return the vertical velocity (n,) [m/s].
 

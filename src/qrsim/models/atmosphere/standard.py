@@ -6,7 +6,7 @@ Heights are geopotential ones above mean sea level; that of a site is taken for 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -44,7 +44,7 @@ def density(height: float) -> float:
     return pressure(height) / (GAS * temperature(height))
 
 
-def air_above(above: Array, base_temperature: Any, base_pressure: Any) -> Air:
+def air_above(above: Array, base_temperature: Array, base_pressure: Array) -> Air:
     """Return pressure [Pa], temperature [K] and density [kg/m^3] (n,) of the standard atmosphere above a place.
 
     Args:

@@ -116,7 +116,7 @@ class Thermals(Updraft):
         *,
         wind: Wind,
         drawn: Vec3 | None,
-        **reads: Any,
+        **reads: object,
     ) -> Vec3:
         """Return the vertical velocity (n,) [m/s] of the nearest thermal, or of the sink around it.
 

@@ -42,7 +42,7 @@ class WindGrid(Wind):
     reads: ClassVar[tuple[str, ...]] = ("position_ned",)
 
     def velocity_ned(
-        self, height_agl: Array, seconds: Array, fraction: Array, *, position_ned: Vec3, **reads: Any
+        self, height_agl: Array, seconds: Array, fraction: Array, *, position_ned: Vec3, **reads: object
     ) -> Vec3:
         """Return the air's velocity (n,) [m/s], linear in place and time.
 
@@ -76,7 +76,7 @@ class WindGrid(Wind):
         times = np.asarray(self.seconds) + np.asarray(self.fraction, np.float64)
         # By trapezoids, as the velocity is linear between two times.
         weights = np.convolve(np.diff(times), [0.5, 0.5]) if len(times) > 1 else np.ones(1)
-        whole: Any = self.air_ned
+        whole = self.air_ned
         means = whole.map(
             lambda axis: weights @ np.mean(np.asarray(axis), axis=(2, 3), dtype=np.float64) / weights.sum()
         )
@@ -95,7 +95,7 @@ class WindGrid(Wind):
         if points > MOST_POINTS:
             raise UsageError(f"{self.file}: {points} points in world.area; allowed: {MOST_POINTS}, so resample it")
         air = whole.map(lambda axis: np.ascontiguousarray(np.asarray(axis)[:, :, rows, columns]))
-        begins: Any = tuple(
+        begins = tuple(
             low + part.start * step for low, part, step in zip(self.corner, (rows, columns), self.spacing, strict=True)
         )
         return replace(self, air_ned=air, corner=begins).averaged()

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from qrsim import extras
 from qrsim.core.arrays import Floats
-from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.errors import UsageError, did_you_mean, readable
 from qrsim.files.user_files import LARGEST_DATA, open_file
 
 SPEED_UNITS = ("m s-1", "m/s", "m s^-1", "m s**-1", "m.s-1", "meter second-1", "metre second-1", "meters/second")
@@ -84,11 +83,8 @@ def read_grid(file: str, layout: Layout) -> GridFile:
     Raises:
         UsageError: no such file, or no such grid: it names the variable, what it has and what it should have.
     """
-    try:
-        with open_file(file, LARGEST_DATA):
-            status = os.stat(os.path.expanduser(file))
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be read: {error.strerror or error}{did_you_mean_file(Path(file))}") from None
+    with readable(file), open_file(file, LARGEST_DATA):
+        status = os.stat(os.path.expanduser(file))
     return _read(file, layout, status.st_mtime_ns, status.st_size)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -31,11 +31,11 @@ class BudgetState:
     troposphere: GaussMarkov2State = quantity(doc="(1,) zenith troposphere")
 
 
-def _std(default: float, unit: str, doc: str) -> Any:
+def _std(default: float, unit: str, doc: str) -> Array:
     return parameter(default=default, unit=unit, doc=doc, minimum=0.0)
 
 
-def _time(default: float, doc: str) -> Any:
+def _time(default: float, doc: str) -> Array:
     return parameter(default=default, unit="s", doc=doc, above=0.0)
 
 

@@ -154,7 +154,7 @@ class NominalConstellations(Ephemeris):
         check_start(start_gps_seconds)
         parts = [self._orbits(letter, site, start_gps_seconds) for letter in self._letters]
         first = parts[0]
-        joined: Any = {
+        joined = {
             name: _joined([getattr(part, name) for part in parts])
             for name in ("argument", "node", "radius", "cos_inclination", "sin_inclination")
         }

@@ -210,7 +210,7 @@ def _said(receiver: Any, link: Link, slots: Slots, got: Received, outer: Vec3, w
 
 def _quality(receiver: Any, link: Link, now: Geometry, got: Received, fixes: Array) -> Quality:
     """Return what receivers say about their fixes. Of wrong fixes and of the base's own error they know nothing."""
-    part: Any = now.differential
+    part = now.differential
     horizontal, vertical = part.horizontal, part.vertical
     fix_type: Any = CORRECTED
     if receiver.corrections == "rtk":

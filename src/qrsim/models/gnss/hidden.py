@@ -80,7 +80,7 @@ def solved(
     slots: Slots,
     whole: Geometry,
     before: Tracking | None,
-    same: Any,
+    same: object,
     position_ned: Vec3,
     fast: Array,
     slow: Array,
@@ -128,7 +128,7 @@ def _as_seen(receiver: object, slots: Slots, whole: Geometry, tracking: Tracking
 
 
 def _looked(
-    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
+    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: object,
     position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
 ) -> Tracking:  # fmt: skip
     """Return solutions that are new, ``passed`` () [s] after the last ones."""
@@ -174,7 +174,9 @@ def weaker_by(slow: Array) -> Array:
     return _WEAKER - _SPREAD * slow
 
 
-def _tracked(receiver: Any, before: Any, same: Any, there: Array, blocked: Array, passed: Array) -> tuple[Array, Array]:
+def _tracked(
+    receiver: Any, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
+) -> tuple[Array, Array]:
     """Return ``held`` and ``away`` (K, n) of ``Tracking``, ``passed`` () [s] later, with signals that are blocked."""
     blocked = there & blocked
     if before is None:

@@ -35,11 +35,11 @@ _RAMP_S = 60.0
 _NEAREST = 1.0
 
 
-def _start() -> Any:
+def _start() -> Array:
     return parameter(default=0.0, unit="s", doc="when it begins", minimum=0.0)
 
 
-def _end() -> Any:
+def _end() -> Array:
     return parameter(default=None, unit="s", doc="when it ends; null: not before the run", above=0.0, nullable=True)
 
 

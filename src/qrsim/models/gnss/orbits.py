@@ -313,7 +313,7 @@ def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, floa
     design = np.column_stack((-directions, np.ones(len(directions))))
     if np.linalg.matrix_rank(design) < 4:
         raise UsageError("line_of_sight_ned: the satellites lie on a cone around the receiver, which gives no fix")
-    variance: Any = np.diag(np.linalg.inv(design.T @ design))
+    variance = np.diag(np.linalg.inv(design.T @ design))
     pdop = math.sqrt(variance[:3].sum())
     return math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2]), pdop, math.sqrt(variance[3])
 

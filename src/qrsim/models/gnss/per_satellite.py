@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -14,6 +13,7 @@ from qrsim.models.gnss.fixes import GnssFix
 from qrsim.models.gnss.geometry import FOUND, Geometry, sights, strengths, weakness
 from qrsim.models.gnss.hidden import weaker_by
 from qrsim.models.gnss.interference import Effect
+from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import NOBODY, Slots
 
 # States of a satellite.
@@ -23,14 +23,14 @@ _SPOOFED_CN0, _SPOOFED_SPREAD = 45.0, 1.0
 
 
 def with_satellites(
-    receiver: Any,
+    receiver: object,
     reading: GnssFix,
     now: Geometry,
     slots: Slots,
     effect: Effect | None,
     position_ned: Vec3,
-    ground: Any,
-    skyline: Any,
+    ground: object,
+    skyline: Skyline | None,
     slow: Array,
 ) -> GnssFix:
     """Return a reading with what each satellite in a slot is to receivers (n,).

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from qrsim.core.presets import Presets
+
 DEFAULT = "f9p_single"
 # What all have in common, and what is different in each.
 _COMMON: dict[str, Any] = {
@@ -48,7 +50,7 @@ _F9P: dict[str, Any] = {
     "doppler_noise": 0.05,
     "smoothing_time": 10.0,
 }
-_OWN: dict[str, dict[str, Any]] = {
+_OWN: Presets = {
     "m8n": {
         "systems": "GR",
         "frequencies": "single",
@@ -69,7 +71,7 @@ _OWN: dict[str, dict[str, Any]] = {
         "period": 0.4,
     },
 }
-PRESETS: dict[str, dict[str, Any]] = {name: {**_COMMON, **own} for name, own in _OWN.items()}
+PRESETS: Presets = {name: {**_COMMON, **own} for name, own in _OWN.items()}
 
 
 def default(name: str) -> Any:

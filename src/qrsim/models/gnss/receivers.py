@@ -21,7 +21,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.contracts import RangeErrors, Sky
 from qrsim.models.gnss.orbits import Orbits
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 
 # Position and clock are four unknowns.
 FEWEST_SATELLITES = 4
@@ -226,7 +226,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix, as if reported for some time already; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
@@ -244,7 +244,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
@@ -263,7 +263,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)
@@ -339,7 +339,7 @@ def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tu
 
 
 @record
-class IdealGnss(Sensor):
+class IdealGnss(Memoryless):
     """The truth at the same period, without delay."""
 
     period: float = setting(
@@ -353,9 +353,3 @@ class IdealGnss(Sensor):
         zero = jnp.zeros_like(position_ned.x)
         count = jnp.full_like(zero, sky.range_error.shape[0])
         return None, GnssReading(position_ned, velocity_ned, count, zero, zero)
-
-    def step(
-        self, state: None, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
-    ) -> tuple[None, GnssReading]:
-        """Return the true position and velocity."""
-        return self.init(draw, position_ned, velocity_ned, sky)

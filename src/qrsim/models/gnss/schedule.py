@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -19,7 +17,7 @@ def since(start: object, seconds: Array, fraction: Array) -> Array:
     return (seconds - whole.astype(np.int32)).astype(fraction.dtype) + (fraction - (begin - whole))
 
 
-def is_on(start: Any, end: Any, seconds: Array, fraction: Array) -> Array:
+def is_on(start: Array, end: Array, seconds: Array, fraction: Array) -> Array:
     """Return whether a time is within [start, end) [s]."""
     passed = since(start, seconds, fraction)
     return (passed > -_HALF_STEP) & (passed < jnp.asarray(end, fraction.dtype) - start - _HALF_STEP)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from qrsim.core.noise import Draw
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, record, replace, select, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss import fixing
@@ -135,7 +136,7 @@ class Gnss(Sensor):
     spoofed: Any = derived(default=None, doc="for each spoofer of the world (n,) bool: which vehicles it is for")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned", "ground", "skyline")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     def init(
         self,
@@ -144,8 +145,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
-        skyline: Any = None,
+        ground: object = None,
+        skyline: object = None,
     ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers that have long been running."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
@@ -159,8 +160,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
-        skyline: Any = None,
+        ground: object = None,
+        skyline: object = None,
     ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         shared = state.geometry
@@ -185,7 +186,7 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: object = None,
         skyline: Any = None,
     ) -> tuple[GnssState, GnssFix]:
         """Compute a fix of receivers at position_ned (n,), and report the one of ``delay`` periods ago."""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.gnss.skyline import ANGLE, Skyline
 from qrsim.models.scene.prisms import edges_of
 
@@ -214,7 +215,7 @@ def _block(
     return ordered[0], ordered[1], ordered[2]
 
 
-def _quantized(tangent: Float64) -> Any:
+def _quantized(tangent: Float64) -> NumpyArray:
     return np.round(np.arctan(tangent) * (1.0 / ANGLE)).astype(np.uint8)
 
 

@@ -162,7 +162,7 @@ class SlottedSky(Sky):
         slots = replace(slots, part=jnp.where(tick % epoch == 0, part, old))
         return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
 
-    def _knot(self, state: SkyState, draw: Draw) -> tuple[Any, ...]:
+    def _knot(self, state: SkyState, draw: Draw) -> tuple[object, ...]:
         """Advance to a knot: what was to come is here, and the next one is computed."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
         here = memory.after_ned
@@ -194,7 +194,7 @@ class SlottedSky(Sky):
             slots = replace(slots, interference=self.interference.at(slots.places, seconds, fraction))
         return slots
 
-    def _advanced(self, errors: object, draw: Draw) -> Any:
+    def _advanced(self, errors: object, draw: Draw) -> object:
         """Return errors at the next knot; those that are stepped at every epoch wait for theirs."""
         return self.errors.step(errors, draw, self.knot_s) if self.errors.needs_sight else errors
 

@@ -267,7 +267,7 @@ class Sp3Ephemeris(Ephemeris):
     def _received(self, site: Site, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
         """Return positions (T, S, 3) [m] in NED, received at times (T,) [s] after the first epoch."""
         origin, to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
-        flight: Any = _FIRST_FLIGHT_S
+        flight = _FIRST_FLIGHT_S
         # Each round shrinks the error of the travel time, 0.02 s at first, by 1e5.
         for _ in range(3):
             x, y, z = np.moveaxis(self._interpolate(since_first[:, None] - flight, intervals), -1, 0)

@@ -18,7 +18,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from qrsim.errors import UsageError, did_you_mean_file
+from qrsim.errors import UsageError, readable
 from qrsim.files.user_files import LARGEST_TABLE, read_bytes
 from qrsim.models.site import GPS_EPOCH, Float64, gps_minus_utc
 
@@ -103,11 +103,8 @@ class _Lines:
 
     def __init__(self, path: str):
         self.path = path
-        try:
+        with readable(path):
             data = read_bytes(path, LARGEST_TABLE)
-        except OSError as error:
-            hint = did_you_mean_file(Path(path).expanduser())
-            raise UsageError(f"{path}: cannot be read: {error.strerror}{hint}") from None
         if data[:2] in (b"\x1f\x8b", b"\x1f\x9d", b"PK"):
             raise UsageError(f"{path}: is compressed; unpack it first")
         self.text = data.decode("latin-1").splitlines()

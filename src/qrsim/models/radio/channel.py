@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import LARGEST_NORMAL
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, setting
 from qrsim.models.radio.parameters import PRESETS, Delay, InboxSize, Mac, ManMade, Packet, PathLoss, PresetName
 from qrsim.models.radio.propagation import lora_air_time, noise_floor, with_man_made
@@ -50,7 +51,7 @@ def _own(own: Array, usual: Array) -> Array:
 class Channel:
     """One channel for all vehicles of a world."""
 
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     preset: PresetName = setting(default="sik_915", doc="what says all that is not given")
     frequency_mhz: Array = parameter(default=915.0, unit="MHz", doc="of the carrier", above=0.0)

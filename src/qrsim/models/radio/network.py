@@ -108,7 +108,7 @@ class Network(Channel, Radio):
             mask=mask.T,
         )
 
-    def heard(self, state: NetworkState, tick: Any, time_step: float) -> Heard:
+    def heard(self, state: NetworkState, tick: Array, time_step: float) -> Heard:
         """Return the newest known message of each sender, the newest first, without those that are forgotten."""
         both = state.coming.joined(state.table)
         fresh = (tick - both.sent) <= round(self.inbox.forget / time_step)
@@ -122,7 +122,7 @@ class Network(Channel, Radio):
         """Return the links of the last period."""
         return state.links
 
-    def handed(self, state: NetworkState, vehicle: int, payload: Any, to: int, tick: int) -> NetworkState:
+    def handed(self, state: NetworkState, vehicle: int, payload: object, to: int, tick: int) -> NetworkState:
         """Return a state, of arrays on the host, with a message of a vehicle behind those that wait."""
         words, receivers, since = (
             np.array(part) for part in (state.waiting.payload, state.waiting.to, state.waiting.since)
@@ -135,7 +135,7 @@ class Network(Channel, Radio):
             words[:-1, :, vehicle], receivers[:-1, vehicle] = words[1:, :, vehicle], receivers[1:, vehicle]
             since[:-1, vehicle] = since[1:, vehicle]
         words[length, :, vehicle], receivers[length, vehicle], since[length, vehicle] = payload, to, tick
-        waiting: Any = record_of(Waiting, words, receivers, since)
+        waiting = record_of(Waiting, words, receivers, since)
         return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from jax import Array
 
+from qrsim.core.presets import Presets
 from qrsim.core.tree import parameter, record, setting
 
 # Built-up land about a station, by what its buildings do (models/radio/propagation.py).
@@ -116,7 +117,7 @@ class InboxSize:
 
 
 # What a preset says is a default; its sources are in docs/explanation/models/radio.md.
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: Presets = {
     "sik_915": {
         "frequency_mhz": 915.0, "power_dbm": 20.0, "bandwidth_khz": 250.0, "rate_kbps": 64.0, "noise_figure_db": 6.0,
         "packet": {"model": "fsk"},

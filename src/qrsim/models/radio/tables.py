@@ -62,7 +62,7 @@ def newest(heard: Heard, counts: Any, size: int) -> Heard:
     return taken(heard, first_of(keep, size))
 
 
-def first_of(which: Any, size: int) -> Any:
+def first_of(which: Array, size: int) -> Any:
     """Return the first rows (size, n) int32 of those (E, n) that count for each vehicle; E where there are no more."""
     library = library_of(which)
     rows = which.shape[0]
@@ -84,7 +84,7 @@ def taken(heard: Heard, chosen: Any) -> Heard:
 
     vehicle = library.arange(row.shape[1], dtype=library.int32)
 
-    def of(leaf: Any, nothing: Any) -> Any:
+    def of(leaf: Array, nothing: Any) -> Any:
         # Single elements, which both compilers take.
         place: tuple[Any, ...]
         if leaf.ndim == 3:

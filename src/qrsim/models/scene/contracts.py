@@ -85,7 +85,7 @@ class Ground(Protocol):
     hides: ClassVar[bool] = False
     flat: ClassVar[bool] = False
 
-    def at(self, site: Any, box: Any) -> Ground:
+    def at(self, site: object, box: object) -> Ground:
         """Return the ground for a site and the bounds of an area (south, north, west, east [m], or None)."""
         return self
 
@@ -180,7 +180,7 @@ class Plume(Protocol):
     def ids(self) -> int:
         """Numbers of what is drawn for."""
 
-    def init(self, draw: Draw, area: Any) -> object:
+    def init(self, draw: Draw, area: object) -> object:
         """Return the state at the start of an episode; ``draw`` is for ``ids`` ids."""
         return None
 
@@ -189,7 +189,7 @@ class Plume(Protocol):
         return state
 
     @abstractmethod
-    def concentration(self, state: Any, position_ned: Vec3, wind: Any, area: Any, since: Array) -> Array:
+    def concentration(self, state: Any, position_ned: Vec3, wind: Any, area: Area, since: Array) -> Array:
         """Return the concentration (n,) at positions (n,) [m], ``since`` () [s] after the last step."""
 
 
@@ -208,7 +208,7 @@ class GroundCover(Protocol):
         return None
 
     @abstractmethod
-    def class_at(self, state: Any, position_ned: Vec3, area: Any) -> Array:
+    def class_at(self, state: Any, position_ned: Vec3, area: Area) -> Array:
         """Return the class (int32, terrain.py) of the ground below positions of any shape."""
 
     @abstractmethod
@@ -232,7 +232,7 @@ class People(Protocol):
     most: int = 0
     size: Any = 0.5
 
-    def init(self, draw: Draw, cells: Array, area: Any) -> object:
+    def init(self, draw: Draw, cells: Array, area: object) -> object:
         """Return the persons (P,) of an episode; ``draw`` is for P ids, ``cells`` are the classes of the ground."""
         return None
 
@@ -252,7 +252,7 @@ class Placement(Protocol):
     random: ClassVar[bool] = True
 
     @abstractmethod
-    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: object, area: object) -> tuple[Any, Array]:
         """Return the start of vehicles (n,), and () bool whether one was found.
 
         Args:

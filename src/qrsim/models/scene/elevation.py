@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.errors import UsageError, did_you_mean, readable
 from qrsim.files.numpy_file import read_arrays
 from qrsim.files.user_files import LARGEST_TABLE, read_bytes
 from qrsim.models.site import Site
@@ -193,11 +193,9 @@ def read_elevations(file: str, frame: str) -> Elevations:
         hint = f"; gdal_translate -of AAIGrid '{path.name}' '{path.stem}.asc' makes one of it"
         tiff = path.suffix.lower() in (".tif", ".tiff", ".hgt", ".vrt", ".img")
         raise UsageError(f"{file}: expected an ESRI ASCII grid (.asc) or a NumPy archive (.npz){hint if tiff else ''}")
-    try:
+    with readable(file):
         status = os.stat(os.path.expanduser(file))
         return _read(file, frame, status.st_mtime_ns, status.st_size)
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from None
 
 
 @lru_cache(maxsize=2)

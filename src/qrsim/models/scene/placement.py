@@ -39,7 +39,7 @@ class UniformPlaces(Placement):
     tries: int = setting(default=100, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
     random: ClassVar[bool] = True
 
-    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: Any, area: object) -> tuple[Any, Array]:
         """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
         low, high = inner_box(area, self.inner)
 
@@ -72,7 +72,7 @@ class RingPlaces(Placement):
     tries: int = setting(default=1000, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
     random: ClassVar[bool] = True
 
-    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: Any, area: object) -> tuple[Any, Array]:
         """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
 
         def candidate(number: Array) -> tuple[Array, Array]:

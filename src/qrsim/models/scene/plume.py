@@ -79,11 +79,11 @@ def _count(which: str) -> Any:
     return setting(default=1, unit="1", doc=f"{which} sources of an episode", minimum=1, maximum=100)
 
 
-def _spread_factor() -> Any:
+def _spread_factor() -> Array:
     return parameter(default=0.33, unit="m^(2-b)", doc="a of the spread s = 2 a x'^b", above=0.0)
 
 
-def _spread_exponent() -> Any:
+def _spread_exponent() -> Array:
     return parameter(default=0.86, unit="1", doc="b of the spread s = 2 a x'^b", above=0.0, maximum=2.0)
 
 
@@ -98,7 +98,7 @@ class NoPlume(Plume):
         """Nothing is drawn."""
         return 0
 
-    def concentration(self, state: None, position_ned: Vec3, wind: Wind, area: Any, since: Array) -> Array:
+    def concentration(self, state: None, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
         """Return zero at every position (n,)."""
         return jnp.zeros_like(position_ned.x)
 
@@ -128,14 +128,14 @@ class GaussianPlume(Plume):
         """Number of sources drawn."""
         return self.most
 
-    def init(self, draw: Draw, area: Any) -> GaussianState:
+    def init(self, draw: Draw, area: object) -> GaussianState:
         """Return the sources (S,) of an episode."""
         position, there = _placed(draw, area, self.fewest, self.most)
         std = Vec3(*(uniform(draw, 4 + axis, self.std_min, self.std_max) for axis in range(3)))
         strength = jnp.where(there, self.peak, 0.0).astype(position.x.dtype)
         return GaussianState(Sources(position, strength), std, uniform(draw, 7, 0.0, math.pi))
 
-    def concentration(self, state: GaussianState, position_ned: Vec3, wind: Wind, area: Any, since: Array) -> Array:
+    def concentration(self, state: GaussianState, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
         """Return the concentration at positions (n,)."""
         offset = _offsets(position_ned, state.sources.position_ned)
         sine, cosine = (part[None] for part in sincos(state.yaw))
@@ -190,12 +190,12 @@ class DispersionPlume(Plume):
         """Number of sources drawn."""
         return self.most
 
-    def init(self, draw: Draw, area: Any) -> Sources:
+    def init(self, draw: Draw, area: object) -> Sources:
         """Return the sources (S,) of an episode."""
         position, there = _placed(draw, area, self.fewest, self.most)
         return Sources(position, jnp.where(there, uniform(draw, 4, self.rate_min, self.rate_max), 0.0))
 
-    def concentration(self, state: Sources, position_ned: Vec3, wind: Wind, area: Any, since: Array) -> Array:
+    def concentration(self, state: Sources, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
         """Return the concentration at positions (n,)."""
         along, across = wind.along_across(_offsets(position_ned, state.position_ned))
         spread = _spread_at(self.spread_factor, self.spread_exponent, along)
@@ -253,7 +253,7 @@ class PuffPlume(Plume):
         """Number of sources drawn."""
         return self.most
 
-    def init(self, draw: Draw, area: Any) -> PuffState:
+    def init(self, draw: Draw, area: object) -> PuffState:
         """Draw the sources (S,) of an episode, before their first release."""
         position, there = _placed(draw, area, self.fewest, self.most)
         sources = Sources(position, there.astype(position.x.dtype))
@@ -279,7 +279,7 @@ class PuffPlume(Plume):
             )
         return state
 
-    def concentration(self, state: PuffState, position_ned: Vec3, wind: Wind, area: Any, since: Array) -> Array:
+    def concentration(self, state: PuffState, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
         """Return the concentration at positions (n,), ``since`` [s] the last step."""
         source = state.sources.position_ned
         along, across = wind.along_across(_offsets(position_ned, source))

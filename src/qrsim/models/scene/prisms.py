@@ -58,7 +58,7 @@ class PrismObstacle:
 
     def distance(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the prism, 0 inside."""
-        lib: Any = np if isinstance(position_ned.x, np.ndarray) else jnp
+        lib = np if isinstance(position_ned.x, np.ndarray) else jnp
         column = (-1,) + (1,) * position_ned.x.ndim
         north, east, north_to, east_to = (
             lib.reshape(lib.asarray(part), column) for part in (self.north, self.east, self.north_to, self.east_to)

@@ -111,7 +111,7 @@ def _met_before(met: Array, owner: Array) -> Array:
     return before > jnp.take_along_axis(before, row, axis=0, mode="promise_in_bounds")
 
 
-def _each(solids: object, column: tuple[int, ...]) -> Any:
+def _each(solids: object, column: tuple[int, ...]) -> object:
     import jax
 
     return jax.tree.map(lambda leaf: jnp.reshape(jnp.asarray(leaf), column), solids)

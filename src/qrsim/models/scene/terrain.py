@@ -16,7 +16,6 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import GroundCover
 
 CLEAR, CLUTTER, OCCLUSION = 0, 1, 2
-CLASSES = ("clear", "clutter", "occlusion")
 _STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
@@ -26,7 +25,7 @@ class ClearGround(GroundCover):
 
     random: ClassVar[bool] = False
 
-    def class_at(self, state: None, position_ned: Vec3, area: Any) -> Array:
+    def class_at(self, state: None, position_ned: Vec3, area: object) -> Array:
         """Return the class (int32) of the ground below positions of any shape."""
         return jnp.full(position_ned.x.shape, CLEAR, jnp.int32)
 

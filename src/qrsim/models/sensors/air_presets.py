@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from qrsim.core.presets import Presets
+
 DEFAULT_ALTIMETER, DEFAULT_AIRSPEED = "ms5611", "sdp33"
 _PSI = 6894.757
 
 # Noise of a reading, and offset: [Pa]. A tolerance that is called typical is taken for one standard deviation, one that
 # is a limit for three.
-ALTIMETERS: dict[str, dict[str, Any]] = {
+ALTIMETERS: Presets = {
     "ms5611": {"noise_std": 1.2, "offset_std": 50.0},
     "bmp280": {"noise_std": 1.3, "offset_std": 100.0},
     "bmp390": {"noise_std": 0.3, "offset_std": 50.0},
 }
 # Noise of a reading, offset that zeroing leaves, range and step: [Pa]; std of the scale.
-AIRSPEEDS: dict[str, dict[str, Any]] = {
+AIRSPEEDS: Presets = {
     "ms4525do": {
         "noise_std": 2.0,
         "offset_std": 3.0,
@@ -27,7 +29,7 @@ AIRSPEEDS: dict[str, dict[str, Any]] = {
 }
 
 
-def default_altimeter(name: str) -> Any:
+def default_altimeter(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return ALTIMETERS[DEFAULT_ALTIMETER][name]
 

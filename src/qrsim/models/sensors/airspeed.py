@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.atmosphere.standard import DENSITY, PRESSURE, TEMPERATURE, air_above
 from qrsim.models.sensors.air_presets import AIRSPEEDS, default_airspeed
-from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.contracts import Explained, Memoryless, Sensor
 from qrsim.models.sensors.quantization import quantized
 
 
-def _number(name: str, unit: str, doc: str) -> Any:
+def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default_airspeed(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -79,7 +80,7 @@ class Airspeed(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "velocity_body", "wind_ned")
     normals: ClassVar[int] = 1
     first_normals: ClassVar[int] = 3
-    presets: ClassVar[dict[str, dict[str, Any]]] = AIRSPEEDS
+    presets: ClassVar[Presets] = AIRSPEEDS
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
@@ -136,7 +137,7 @@ class Airspeed(Sensor):
 
 
 @record
-class IdealAirspeed(Sensor):
+class IdealAirspeed(Memoryless):
     """The truth at the same period: the speed of the air from ahead, with its sign, however small."""
 
     period: float = setting(
@@ -145,7 +146,6 @@ class IdealAirspeed(Sensor):
     site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
     site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "velocity_body", "wind_ned")
-    normals: ClassVar[int] = 0
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
@@ -155,12 +155,6 @@ class IdealAirspeed(Sensor):
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         pressure = 0.5 * density * (speed * jnp.abs(speed))
         return None, AirspeedReading(pressure, speed * root(density / DENSITY), speed)
-
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
-    ) -> tuple[None, AirspeedReading]:
-        """Return the true airspeed and its pressure."""
-        return self.init(draw, position_ned, attitude, velocity_body, wind_ned)
 
 
 def _ahead(attitude: Euler, velocity_body: Vec3, wind_ned: Vec3) -> Array:

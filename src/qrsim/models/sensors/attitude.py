@@ -10,7 +10,7 @@ from qrsim.core.fastmath import wrap_angle
 from qrsim.core.noise import Noise, ou_step
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 
 
 @record
@@ -60,19 +60,14 @@ class AttitudeEstimator(Sensor):
 
 
 @record
-class IdealAttitude(Sensor):
+class IdealAttitude(Memoryless):
     """The truth at the same period."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("attitude",)
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, attitude: Euler) -> tuple[None, AttitudeReading]:
         """Return the true attitude."""
         return None, AttitudeReading(attitude)
-
-    def step(self, state: None, draw: Noise, attitude: Euler) -> tuple[None, AttitudeReading]:
-        """Return the true attitude."""
-        return self.init(draw, attitude)

@@ -9,7 +9,7 @@ from jax import Array
 from qrsim.core.noise import Noise, ou_step
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 
 
 @record
@@ -71,19 +71,14 @@ class Barometer(Sensor):
 
 
 @record
-class IdealBarometer(Sensor):
+class IdealBarometer(Memoryless):
     """The truth at the same period."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned")
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3) -> tuple[None, BarometerReading]:
         """Return the true height and its rate."""
         return None, BarometerReading(-position_ned.z, -velocity_ned.z)
-
-    def step(self, state: None, draw: Noise, position_ned: Vec3, velocity_ned: Vec3) -> tuple[None, BarometerReading]:
-        """Return the true height and its rate."""
-        return self.init(draw, position_ned, velocity_ned)

@@ -29,7 +29,7 @@ _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
 class TakesPictures(Protocol):
     """What a sensor that ``takes_pictures`` has beside its contract."""
 
-    def develop(self, reading: Any, around: Surroundings, stream: Stream, size: Array) -> Picture:
+    def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
         """Return the last picture of each vehicle (n,), see ``Camera.develop``."""
         ...
 
@@ -147,7 +147,6 @@ class Camera(Sensor):
         default=1.0, unit="s", doc="interval between pictures, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude")
-    normals: ClassVar[int] = 0
     noisy: ClassVar[bool] = True
     takes_pictures: ClassVar[bool] = True
 

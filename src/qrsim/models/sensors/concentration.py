@@ -10,7 +10,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contents import Surroundings
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless
 
 
 @record
@@ -21,7 +21,7 @@ class ConcentrationReading:
 
 
 @record
-class ConcentrationSensor(Sensor):
+class ConcentrationSensor(Memoryless):
     """The concentration at the vehicle, plus white noise."""
 
     white_std: Array = parameter(default=0.01, unit="1", doc="white noise of each reading", minimum=0.0)
@@ -36,29 +36,16 @@ class ConcentrationSensor(Sensor):
         smelt = surroundings.concentration(position_ned)
         return None, ConcentrationReading(smelt + self.white_std * draw.normals(1)[0])
 
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, surroundings: Surroundings
-    ) -> tuple[None, ConcentrationReading]:
-        """Return a reading of vehicles at position_ned (n,)."""
-        return self.init(draw, position_ned, surroundings)
-
 
 @record
-class IdealConcentration(Sensor):
+class IdealConcentration(Memoryless):
     """The truth at its own period."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "surroundings")
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, position_ned: Vec3, surroundings: Surroundings) -> tuple[None, ConcentrationReading]:
         """Return the true concentration."""
         return None, ConcentrationReading(surroundings.concentration(position_ned))
-
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, surroundings: Surroundings
-    ) -> tuple[None, ConcentrationReading]:
-        """Return the true concentration."""
-        return self.init(draw, position_ned, surroundings)

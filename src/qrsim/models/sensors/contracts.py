@@ -109,3 +109,11 @@ class Sensor(Protocol):
         ticks = max(1, round(self.period / time_step))
         since = tick // ticks - self.delay
         return ticks * since * (since > 0)
+
+
+class Memoryless(Sensor):
+    """Base of sensors without a state, whose readings are all made as the first one is."""
+
+    def step(self, state: object, draw: object, *args: Any, **reads: Any) -> tuple[object, Record]:
+        """Return the reading (n,) of now, as ``init`` does."""
+        return self.init(draw, *args, **reads)

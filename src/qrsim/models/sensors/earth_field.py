@@ -8,7 +8,6 @@ The model's coefficients are those of pygeomag, which is imported when it is ask
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -79,7 +78,7 @@ def inclination(field_ned: npt.ArrayLike) -> float:
     return float(np.arctan2(down, np.hypot(north, east)))
 
 
-def compass_heading(field_body: Vec3, roll: Any, pitch: Any, declination: Any = 0.0) -> Array:
+def compass_heading(field_body: Vec3, roll: object, pitch: object, declination: Array | float = 0.0) -> Array:
     """Return the heading (n,) [rad], from -pi to pi, of a magnetometer whose tilt is known: a levelled compass.
 
     With a declination it is against true north, else against magnetic north. An error of the tilt turns it by about the

@@ -118,7 +118,9 @@ def start_fitted(
     return Fitted(transit, rates_body if lever else None)
 
 
-def mounted(fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float) -> Any:
+def mounted(
+    fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float
+) -> object:
     """Return what is true at a sensor, by its name in ``reads``, in the sensor's axes where those of the body stand.
 
     With r from the centre of mass: position + D^T r, velocity + omega x r, and for the mean specific force of a step

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import computed, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.contracts import Sensor
@@ -42,7 +43,7 @@ _START = AXES + 3 * _MATRIX + AXES * len(TIMES) + 1
 Six = tuple[Array, ...]
 
 
-def _number(name: str, unit: str, doc: str) -> Any:
+def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -131,7 +132,7 @@ class Imu(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     @computed
     def normals(self) -> int:
@@ -327,7 +328,6 @@ class IdealImu(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[Vec3, ImuReading]:
         """Return the true rates, and the first reading."""
@@ -342,7 +342,7 @@ class IdealImu(Sensor):
         return rates_body, ImuReading(rates_body, specific_force, angle, specific_force * self.period)
 
 
-def _rows(given: Any, diagonal: Any, beside: Any) -> tuple[Vec3, Vec3, Vec3]:
+def _rows(given: Any, diagonal: Array, beside: Array) -> tuple[Vec3, Vec3, Vec3]:
     """Return the rows of a matrix with independent elements of the two spreads."""
     rows = [Vec3(*((diagonal if i == j else beside) * next(given) for j in range(3))) for i in range(3)]
     return cast(tuple[Vec3, Vec3, Vec3], tuple(rows))

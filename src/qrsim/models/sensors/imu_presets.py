@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from qrsim.core.presets import Presets
+
 DEFAULT = "icm42688p"
 G = 9.80665
 _DEG, _PERCENT = math.pi / 180.0, 0.01
@@ -63,7 +65,7 @@ def _chip(
     }
 
 
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: Presets = {
     "mpu6000": _chip(
         0.005, 400.0, 20.0, 80.0, 10.0, 100.0, (3.0, 3.0), (2.0, 2.0), 0.1, (2000.0, 16.0), (1 / 16.4, 1 / 2.048)
     ),

@@ -9,7 +9,7 @@ from jax import Array
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless
 
 
 @record
@@ -32,7 +32,7 @@ def _with_white(value: Vec3, std: Array, draw: Noise) -> Vec3:
 
 
 @record
-class Gyroscope(Sensor):
+class Gyroscope(Memoryless):
     """Body rates plus white noise."""
 
     white_std: Array = parameter(default=0.0002, unit="rad/s", doc="white noise of each reading, per axis", minimum=0.0)
@@ -50,32 +50,23 @@ class Gyroscope(Sensor):
         """Return the first reading."""
         return None, GyroscopeReading(_with_white(rates_body, self.white_std, draw))
 
-    def step(self, state: None, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
-        """Return a reading of the rates (n,)."""
-        return self.init(draw, rates_body)
-
 
 @record
-class IdealGyroscope(Sensor):
+class IdealGyroscope(Memoryless):
     """The truth at the same period."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
         """Return the true rates."""
         return None, GyroscopeReading(rates_body)
 
-    def step(self, state: None, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
-        """Return the true rates."""
-        return self.init(draw, rates_body)
-
 
 @record
-class Accelerometer(Sensor):
+class Accelerometer(Memoryless):
     """Mean specific force over the last step plus white noise."""
 
     white_std: Array = parameter(default=0.0025, unit="m/s^2", doc="white noise of each reading, per axis", minimum=0.0)
@@ -93,25 +84,16 @@ class Accelerometer(Sensor):
         """Return the first reading."""
         return None, AccelerometerReading(_with_white(specific_force, self.white_std, draw))
 
-    def step(self, state: None, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
-        """Return a reading of the specific force (n,)."""
-        return self.init(draw, specific_force)
-
 
 @record
-class IdealAccelerometer(Sensor):
+class IdealAccelerometer(Memoryless):
     """The truth at the same period."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
         """Return the true specific force."""
         return None, AccelerometerReading(specific_force)
-
-    def step(self, state: None, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
-        """Return the true specific force."""
-        return self.init(draw, specific_force)

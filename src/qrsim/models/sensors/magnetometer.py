@@ -17,9 +17,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 from qrsim.models.sensors.magnetometer_presets import PRESETS, default
 from qrsim.models.sensors.quantization import quantized
 from qrsim.models.vehicles.contracts import Load
@@ -33,7 +34,7 @@ _AXES = 3
 Rows = tuple[Vec3, Vec3, Vec3]
 
 
-def _number(name: str, unit: str, doc: str) -> Any:
+def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -130,7 +131,7 @@ class Magnetometer(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
     normals: ClassVar[int] = 2 * _AXES
     first_normals: ClassVar[int] = _ONCE + _AXES
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
@@ -200,7 +201,7 @@ class Magnetometer(Sensor):
 
 
 @record
-class IdealMagnetometer(Sensor):
+class IdealMagnetometer(Memoryless):
     """The truth at the same period: Earth's field and that of steel obstacles, in body axes."""
 
     period: float = setting(
@@ -209,17 +210,10 @@ class IdealMagnetometer(Sensor):
     earth_field_ned: Vec3 = derived(default=USUAL_FIELD, doc="field of the site and date [uT], in NED")
     steel: Any = derived(default=None, doc="steel obstacles (Steel); None without any")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
-    normals: ClassVar[int] = 0
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load) -> tuple[None, MagnetometerReading]:
         """Return the true field."""
         return None, MagnetometerReading(true_field_body(self.earth_field_ned, self.steel, position_ned, attitude))
-
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
-    ) -> tuple[None, MagnetometerReading]:
-        """Return the true field."""
-        return self.init(draw, position_ned, attitude, load)
 
 
 def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitude: Euler) -> Vec3:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from qrsim.core.presets import Presets
+
 DEFAULT = "rm3100"
 # Microtesla in a milligauss.
 _MILLIGAUSS = 0.1
@@ -37,7 +39,7 @@ def _chip(
     }
 
 
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: Presets = {
     # Gain 1090 LSB/G in +-1.3 G, 2 mG.
     "hmc5883l": _chip(2.0 * _MILLIGAUSS, 75.0, 1000.0 / 1090.0 * _MILLIGAUSS, 130.0, 0.02, 0.002, 0.2),
     "ist8310": _chip(0.3, 100.0, 0.3, 1600.0, 0.02, 0.005, 0.3),

@@ -69,7 +69,7 @@ class Looking(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
 
     def init(
-        self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
+        self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[Array | None, NeighboursReading]:
         """Return whom vehicles (n,) see."""
         start = None
@@ -80,7 +80,7 @@ class Looking(Sensor):
     def step(
         self,
         state: Array | None,
-        draw: Any,
+        draw: object,
         position_ned: Vec3,
         attitude: Euler,
         obstacles: Obstacles,
@@ -92,7 +92,7 @@ class Looking(Sensor):
         return None if state is None else state + crowded.astype(jnp.int32), reading
 
     def restart(
-        self, state: Array | None, draw: Any, since: Array, *args: Any, **scene: Any
+        self, state: Array | None, draw: object, since: Array, *args: Any, **scene: Any
     ) -> tuple[Array | None, NeighboursReading]:
         """Return whom vehicles (n,) see that were put elsewhere; what was counted before counts."""
         return self.step(state, draw, *args, **scene)
@@ -190,11 +190,10 @@ class IdealNeighbours(Looking):
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
-    normals: ClassVar[int] = 0
     identity: ClassVar[bool] = True  # type: ignore[misc]
 
     def look(
-        self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
+        self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
         """Return where others are, and around whom (n,) there were more than are looked at."""
         reach, direction = jnp.asarray(self.range_max), rotation(attitude)

@@ -7,12 +7,13 @@ Signs are those of MAVLink's OPTICAL_FLOW_RAD: a right-handed turn about an axis
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Unpack
+from typing import ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
@@ -29,13 +30,13 @@ WHY = {
 }
 # How far [m] an ideal one sees.
 FARTHEST = 1000.0
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: Presets = {
     "pmw3901": {"range_min": 0.08, "flow_max": 7.4, "illuminance_half": 60.0},
     "paa3905": {"range_min": 0.08, "flow_max": 7.2, "illuminance_half": 5.0},
 }
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)
 
 
@@ -96,7 +97,7 @@ class OpticalFlow(Sensor):
         "ground",
     )
     normals: ClassVar[int] = 5
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     def init(
         self,
@@ -166,7 +167,6 @@ class IdealOpticalFlow(Sensor):
         "obstacles",
         "ground",
     )
-    normals: ClassVar[int] = 0
 
     def init(
         self,

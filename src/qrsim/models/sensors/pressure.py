@@ -6,22 +6,23 @@ standard atmosphere: what acts on the pressure acts on the height.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.atmosphere.standard import GAS, GRAVITY, LAPSE, PRESSURE, TEMPERATURE, air_above
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.sensors.air_presets import ALTIMETERS, default_altimeter
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Memoryless, Sensor
 from qrsim.models.vehicles.contracts import Load
 
 
-def _port(side: str) -> Any:
+def _port(side: str) -> Array:
     return parameter(
         default=-0.1, unit="1", doc=f"pressure at the port over the dynamic pressure, for air that comes {side}"
     )
@@ -107,7 +108,7 @@ class PressureAltimeter(Sensor):
     )
     normals: ClassVar[int] = 2
     first_normals: ClassVar[int] = 3
-    presets: ClassVar[dict[str, dict[str, Any]]] = ALTIMETERS
+    presets: ClassVar[Presets] = ALTIMETERS
 
     def init(
         self,
@@ -212,7 +213,7 @@ class PressureAltimeter(Sensor):
 
 
 @record
-class IdealPressureAltimeter(Sensor):
+class IdealPressureAltimeter(Memoryless):
     """The truth at the same period, in the standard atmosphere."""
 
     period: float = setting(
@@ -221,7 +222,6 @@ class IdealPressureAltimeter(Sensor):
     site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
     site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load")
-    normals: ClassVar[int] = 0
 
     def init(
         self,
@@ -236,17 +236,3 @@ class IdealPressureAltimeter(Sensor):
         """Return the true height and its rate, and the air there."""
         air = air_above(-position_ned.z, self.site_temperature, self.site_pressure)
         return None, PressureReading(-position_ned.z, -velocity_ned.z, air.pressure, air.temperature)
-
-    def step(
-        self,
-        state: None,
-        draw: Noise,
-        position_ned: Vec3,
-        velocity_ned: Vec3,
-        attitude: Euler,
-        velocity_body: Vec3,
-        wind_ned: Vec3,
-        load: Load,
-    ) -> tuple[None, PressureReading]:
-        """Return the true height and its rate, and the air there."""
-        return self.init(draw, position_ned, velocity_ned, attitude, velocity_body, wind_ned, load)

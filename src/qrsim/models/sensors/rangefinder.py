@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Unpack
+from typing import ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Noise
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.rays import any_of, first_hit, ray_distance
-from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.contracts import Explained, Memoryless
 from qrsim.models.sensors.quantization import quantized
 from qrsim.models.sensors.rangefinder_presets import RANGEFINDERS, default_rangefinder
 
@@ -33,7 +34,7 @@ FARTHEST = 1000.0
 Axis = Literal["down", "up", "forward", "backward", "right", "left"]
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default_rangefinder(name), unit=unit, doc=doc, **bounds)
 
 
@@ -50,7 +51,7 @@ class RangefinderReading(Explained):
 
 
 @record
-class Rangefinder(Sensor):
+class Rangefinder(Memoryless):
     """Distance to the ground or to an obstacle along a beam, with noise that grows with it.
 
     A surface that is seen at a slant, or that reflects less, is seen less far.
@@ -83,7 +84,7 @@ class Rangefinder(Sensor):
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground")
     normals: ClassVar[int] = 3
-    presets: ClassVar[dict[str, dict[str, Any]]] = RANGEFINDERS
+    presets: ClassVar[Presets] = RANGEFINDERS
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground
@@ -105,15 +106,9 @@ class Rangefinder(Sensor):
         shown = jnp.where(status > 0.0, jnp.nan, jnp.maximum(measured, 0.0))
         return None, RangefinderReading(shown, status)
 
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground
-    ) -> tuple[None, RangefinderReading]:
-        """Return a reading of vehicles (n,)."""
-        return self.init(draw, position_ned, attitude, obstacles, ground)
-
 
 @record
-class IdealRangefinder(Sensor):
+class IdealRangefinder(Memoryless):
     """The true distance along the beam, to whatever is within a kilometre."""
 
     axis: Axis = setting(default="down", doc="axis of the body along which it looks")
@@ -121,7 +116,6 @@ class IdealRangefinder(Sensor):
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground")
-    normals: ClassVar[int] = 0
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground
@@ -132,12 +126,6 @@ class IdealRangefinder(Sensor):
         near = jnp.isfinite(distance)
         status = jnp.where(near, MEASURED, NOTHING).astype(distance.dtype)
         return None, RangefinderReading(jnp.where(near, distance, jnp.nan), status)
-
-    def step(
-        self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground
-    ) -> tuple[None, RangefinderReading]:
-        """Return the true distance."""
-        return self.init(draw, position_ned, attitude, obstacles, ground)
 
 
 def axes_along(direction: Rotation, axis: str) -> tuple[Vec3, Vec3, Vec3]:

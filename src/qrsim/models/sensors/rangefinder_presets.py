@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from qrsim.core.presets import Presets
+
 # Of the TFmini: 4 cm at 0.3 to 6 m and 6 cm at 6 to 12 m.
 _SLOPE = (0.06 - 0.04) / (9.0 - 3.15)
 # Reflectivity is over that of what the longest range was measured at.
-RANGEFINDERS: dict[str, dict[str, Any]] = {
+RANGEFINDERS: Presets = {
     "generic": {
         "noise_std": 0.02, "noise_per_range": 0.002, "range_min": 0.1, "range_max": 50.0, "reflectivity": 1.0,
         "dropouts": 0.0, "resolution": 0.01, "period": 0.02,
@@ -29,7 +31,7 @@ RANGEFINDERS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 
-SCANS: dict[str, dict[str, Any]] = {
+SCANS: Presets = {
     "generic": {
         "rays": 36, "field_of_view_rad": 2.0 * math.pi, "sees_vehicles": False, "noise_std": 0.03,
         "noise_per_range": 0.0, "range_min": 0.1, "range_max": 40.0, "dropouts": 0.01, "period": 0.1,
@@ -42,7 +44,7 @@ SCANS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def default_rangefinder(name: str) -> Any:
+def default_rangefinder(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return RANGEFINDERS["generic"][name]
 

@@ -14,13 +14,14 @@ from jax import Array
 
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Draw, ou_step
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, derived, parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.rays import can_hide, first_hit
 from qrsim.models.scene.traffic import Traffic
-from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.contracts import Explained, Memoryless, Sensor
 from qrsim.models.sensors.ranging_presets import PRESETS, default
 from qrsim.models.sensors.uniforms import along_rows, uniforms
 
@@ -32,7 +33,7 @@ EVERY = "all"
 _STEEPEST = 30.0
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
@@ -98,7 +99,7 @@ class Ranging(Sensor):
     beacon_ned: Any = derived(default=None, doc="(B,) positions of the beacons")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "obstacles", "ground", "traffic")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+    presets: ClassVar[Presets] = PRESETS
 
     @property
     def wants_traffic(self) -> bool:
@@ -174,7 +175,7 @@ class Ranging(Sensor):
 
 
 @record
-class IdealRanging(Sensor):
+class IdealRanging(Memoryless):
     """The true distances to beacons and to other vehicles, however far and whatever is in between."""
 
     beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons, of world.beacons; 'all': every one")
@@ -184,7 +185,6 @@ class IdealRanging(Sensor):
     )
     beacon_ned: Any = derived(default=None, doc="(B,) positions of the beacons")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "obstacles", "ground", "traffic")
-    normals: ClassVar[int] = 0
 
     @property
     def wants_traffic(self) -> bool:
@@ -192,23 +192,17 @@ class IdealRanging(Sensor):
         return self.vehicles != "none"
 
     def init(
-        self, draw: Any, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
+        self, draw: object, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[None, RangingReading]:
         """Return the true distances."""
         partners = _partners(self, position_ned, traffic)
         ranges = jnp.where(partners.there | partners.itself, partners.distance, jnp.nan)
         return None, partners.reading(ranges)
 
-    def step(
-        self, state: None, draw: Any, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
-    ) -> tuple[None, RangingReading]:
-        """Return the true distances."""
-        return self.init(draw, position_ned, obstacles, ground, traffic)
-
 
 def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
     """Return distances with noise [m] where they are taken, NaN elsewhere; of NumPy's arrays as well as JAX's."""
-    library: Any = np if isinstance(distance, np.ndarray) else jnp
+    library = np if isinstance(distance, np.ndarray) else jnp
     return library.where(taken, distance + noise, math.nan)
 
 

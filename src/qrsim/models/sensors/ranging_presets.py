@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from qrsim.core.presets import Presets
+
 _RADIO = {
     "nlos_bias": 0.5,
     "nlos_time": 2.0,
@@ -14,7 +16,7 @@ _RADIO = {
     "exchanges": 0,
     "period": 0.1,
 }
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: Presets = {
     "generic": {"noise_std": 0.1, **_RADIO},
     # 10 cm are three standard deviations.
     "dw1000": {"noise_std": 0.1 / 3.0, **_RADIO},

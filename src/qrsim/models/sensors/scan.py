@@ -14,13 +14,14 @@ from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw
+from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.rays import first_hit
 from qrsim.models.scene.traffic import Traffic
-from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.contracts import Explained, Memoryless
 from qrsim.models.sensors.rangefinder_presets import SCANS, default_scan
 from qrsim.models.sensors.uniforms import along_rows, uniforms
 
@@ -29,7 +30,7 @@ FARTHEST = 100.0
 MOST_RAYS = 720
 
 
-def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Any:
+def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
@@ -64,7 +65,7 @@ class ScanReading(Explained):
 
 
 @record
-class Scan(Sensor):
+class Scan(Memoryless):
     """Distances along rays in the plane of the body, all at once, to ground, obstacles and, if asked for, vehicles."""
 
     preset: Literal["generic", "rplidar_a1"] = setting(
@@ -83,7 +84,7 @@ class Scan(Sensor):
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = SCANS
+    presets: ClassVar[Presets] = SCANS
 
     @property
     def wants_traffic(self) -> bool:
@@ -111,22 +112,9 @@ class Scan(Sensor):
         shown = near & ~lost & (distance >= along_rows(self.range_min))
         return None, _reading(jnp.where(shown, jnp.maximum(measured, 0.0), jnp.nan))
 
-    def step(
-        self,
-        state: None,
-        draw: Draw,
-        position_ned: Vec3,
-        attitude: Euler,
-        obstacles: Obstacles,
-        ground: Ground,
-        traffic: Traffic | None,
-    ) -> tuple[None, ScanReading]:
-        """Return a scan of vehicles (n,)."""
-        return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
-
 
 @record
-class IdealScan(Sensor):
+class IdealScan(Memoryless):
     """The true distances along the rays, up to 100 m."""
 
     rays: int = _rays(default_scan("rays"))
@@ -136,7 +124,6 @@ class IdealScan(Sensor):
         default=default_scan("period"), unit="s", doc="interval between scans, a multiple of the time step", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
-    normals: ClassVar[int] = 0
 
     @property
     def wants_traffic(self) -> bool:
@@ -145,7 +132,7 @@ class IdealScan(Sensor):
 
     def init(
         self,
-        draw: Any,
+        draw: object,
         position_ned: Vec3,
         attitude: Euler,
         obstacles: Obstacles,
@@ -157,19 +144,6 @@ class IdealScan(Sensor):
         beam = beams(attitude, self.rays, self.field_of_view_rad)
         distance = met_by(obstacles, ground, seen, position_ned, beam, jnp.full_like(position_ned.x, FARTHEST))
         return None, _reading(jnp.where(jnp.isfinite(distance), distance, jnp.nan))
-
-    def step(
-        self,
-        state: None,
-        draw: Any,
-        position_ned: Vec3,
-        attitude: Euler,
-        obstacles: Obstacles,
-        ground: Ground,
-        traffic: Traffic | None,
-    ) -> tuple[None, ScanReading]:
-        """Return the true scan."""
-        return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
 
 
 def ray_angles(rays: int, field_of_view_rad: float) -> NumpyArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -71,7 +70,7 @@ class Vibration:
 MEASURED = {"gyroscope_x": 0.110, "gyroscope_y": 0.098, "gyroscope_z": 0.043}
 
 
-def measured() -> Any:
+def measured() -> Vibration:
     """Return the vibration fitted to the recording of the real vehicle."""
     still = dict.fromkeys(("accelerometer_x", "accelerometer_y", "accelerometer_z"), 0.0)
     return record_of(Vibration, broadband=1.0, **MEASURED, **still)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -13,8 +13,8 @@ from qrsim.core.clock import split_time
 from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
-from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
-from qrsim.models.vehicles.no_command import NoCommand
+from qrsim.models.vehicles.contracts import Around, Pose
+from qrsim.models.vehicles.no_command import NoCommand, Uncommanded
 from qrsim.models.vehicles.recorded_path import RecordedPath
 
 
@@ -31,14 +31,11 @@ class CarriedPointState:
 
 
 @record
-class CarriedPoint(Vehicle):
+class CarriedPoint(Uncommanded):
     """A level platform that is carried along a path and turns with it; ``FixedPoint.prepared`` makes it."""
 
     path: RecordedPath = quantity(doc="of what carries it")
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
-    command_type: ClassVar[type[Any]] = NoCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
-    default_controller: ClassVar[str] = "none"
     adds_position: ClassVar[bool] = True
 
     def initial_state(
@@ -52,19 +49,6 @@ class CarriedPoint(Vehicle):
         still = CarriedPointState(position_ned, attitude.yaw, lever, place.turn_rate + 0.0 * like, lever, ticks)
         return replace(still, velocity_ned=_velocity(place.velocity_ned, place.turn_rate, lever))
 
-    def idle_command(self, like: Array) -> NoCommand:
-        """Return the command without fields."""
-        return NoCommand()
-
-    def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
-        """Return the command: there is nothing that could be out of its limits."""
-        return command, jnp.zeros((), bool)
-
-    def load(self, state: CarriedPointState) -> Load:
-        """Return that it has neither thrust nor a weight that one would carry."""
-        nothing = jnp.full_like(state.heading, jnp.nan)
-        return Load(nothing, nothing)
-
     def pose(self, state: CarriedPointState) -> Pose:
         """Return a level pose (n,), moving and turning with what carries it."""
         zero = jnp.zeros_like(state.heading)
@@ -76,7 +60,7 @@ class CarriedPoint(Vehicle):
         state: CarriedPointState,
         command: NoCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[CarriedPointState, Vec3]:
@@ -105,10 +89,6 @@ class CarriedPoint(Vehicle):
         """Return the state at rest."""
         zero = jnp.zeros_like(state.heading)
         return replace(state, velocity_ned=Vec3(zero, zero, zero), turn_rate=zero)
-
-    def outline(self) -> Outline:
-        """Return a mast."""
-        return Outline()
 
 
 def _turned(vector: Vec3, angle: Array) -> Vec3:

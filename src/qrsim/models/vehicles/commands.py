@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -15,12 +15,12 @@ from qrsim.core.tree import field_info, replace
 C = TypeVar("C")
 
 
-def fields_of(command_type: type[Any]) -> tuple[str, ...]:
+def fields_of(command_type: type) -> tuple[str, ...]:
     """Return the names of the fields of a command record, in their order."""
     return tuple(field.name for field in dataclasses.fields(command_type))
 
 
-def limits_of(command_type: type[Any]) -> dict[str, tuple[float, float]]:
+def limits_of(command_type: type) -> dict[str, tuple[float, float]]:
     """Return lowest and highest value of each field of a command record; infinite where it has none."""
     found = {}
     for field in dataclasses.fields(command_type):

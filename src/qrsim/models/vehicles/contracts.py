@@ -85,7 +85,7 @@ class Handling:
         return jnp.clip(2.0 * missing / jnp.maximum(c1 + root, 1e-6), 0.0, 1.0)
 
 
-def smaller(a: Any, b: Any) -> Any:
+def smaller(a: object, b: object) -> Any:
     """Return the smaller of two numbers or arrays; NumPy's where both are, as on the host."""
     return (jnp if isinstance(a, Array) or isinstance(b, Array) else np).minimum(a, b)
 
@@ -161,8 +161,8 @@ class Vehicle(Protocol):
         downwash: whether the wakes of other vehicles are part of its air: ``felt``, ``at_centre`` or ``ignored``.
     """
 
-    command_type: ClassVar[type[Any]]
-    actions: ClassVar[tuple[type[Any], ...]]
+    command_type: ClassVar[type]
+    actions: ClassVar[tuple[type, ...]]
     normals: ClassVar[int] = 0
     reads: ClassVar[tuple[str, ...]] = ()
     gives_power: ClassVar[bool] = False
@@ -215,7 +215,7 @@ class Vehicle(Protocol):
         """Return a command at a battery's voltage (n,) [V]; None: whatever voltage the command itself has."""
         return command
 
-    def shown(self, command: Any) -> object:
+    def shown(self, command: object) -> object:
         """Return a command as a world's state keeps it: one structure for all of ``actions``."""
         return command
 
@@ -231,7 +231,7 @@ class Vehicle(Protocol):
         """
         raise TypeError(f"{type(self).__name__} takes no tilt and throttle; it has no tilt_command")
 
-    def leaning(self, tilt: Any) -> tuple[Any, Any] | None:
+    def leaning(self, tilt: object) -> tuple[Any, Any] | None:
         """Return the airspeed [m/s] and the thrust [N] at which it stays where it is, leaning by tilt (n,) [rad].
 
         None where no formula says so; then envelope.py looks for them. Arguments and results are NumPy's.
@@ -374,7 +374,7 @@ class Battery(Protocol):
 handling_of = on_host(lambda vehicle: vehicle.handling())
 
 
-def has_contact(vehicle: Any) -> bool:
+def has_contact(vehicle: object) -> bool:
     """Return whether a vehicle, or a class of vehicles, stands on the ground by a contact of its own."""
-    kind: type[Any] = vehicle if isinstance(vehicle, type) else type(vehicle)
+    kind: type[Vehicle] = vehicle if isinstance(vehicle, type) else type(vehicle)
     return kind.on_ground is not Vehicle.on_ground

@@ -117,7 +117,7 @@ class _Balance:
         return np.asarray(north, np.float64), np.asarray(down, np.float64)
 
 
-def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> tuple[Any, Any]:
+def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> tuple[object, object]:
     """Return the specific force (n,), north and down, of a vehicle that stands still in a wind from the north."""
     zero = jnp.zeros_like(airspeed)
     none = Vec3(zero, zero, zero)

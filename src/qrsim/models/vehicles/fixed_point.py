@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -11,8 +11,8 @@ from jax import Array
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.models.vehicles.carried_point import CarriedPoint
-from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
-from qrsim.models.vehicles.no_command import NoCommand
+from qrsim.models.vehicles.contracts import Around, Pose, Vehicle
+from qrsim.models.vehicles.no_command import NoCommand, Uncommanded
 from qrsim.models.vehicles.recorded_path import PathFile
 
 
@@ -25,16 +25,13 @@ class FixedPointState:
 
 
 @record
-class FixedPoint(Vehicle):
+class FixedPoint(Uncommanded):
     """A level platform at rest, which carries any sensor; it has no drive, no battery and takes no commands."""
 
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
     moves_on: PathFile = quantity(
         default=PathFile(), doc="path of what carries it, as a ship or a car; none: it stands"
     )
-    command_type: ClassVar[type[Any]] = NoCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
-    default_controller: ClassVar[str] = "none"
     adds_position: ClassVar[bool] = True
 
     def prepared(self, duration: float) -> Vehicle:
@@ -51,19 +48,6 @@ class FixedPoint(Vehicle):
         """Return the state at a place; of the attitude only the heading counts, and nothing moves."""
         return FixedPointState(position_ned, attitude.yaw)
 
-    def idle_command(self, like: Array) -> NoCommand:
-        """Return the command without fields."""
-        return NoCommand()
-
-    def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
-        """Return the command: there is nothing that could be out of its limits."""
-        return command, jnp.zeros((), bool)
-
-    def load(self, state: FixedPointState) -> Load:
-        """Return that it has neither thrust nor a weight that one would carry."""
-        nothing = jnp.full_like(state.heading, jnp.nan)
-        return Load(nothing, nothing)
-
     def pose(self, state: FixedPointState) -> Pose:
         """Return a level pose at rest (n,)."""
         zero = jnp.zeros_like(state.heading)
@@ -75,7 +59,7 @@ class FixedPoint(Vehicle):
         state: FixedPointState,
         command: NoCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedPointState, Vec3]:
@@ -86,7 +70,3 @@ class FixedPoint(Vehicle):
     def stopped(self, state: FixedPointState) -> FixedPointState:
         """Return the state as it is."""
         return state
-
-    def outline(self) -> Outline:
-        """Return a mast."""
-        return Outline()

@@ -18,9 +18,9 @@ def move(
     vehicle: Vehicle,
     state: Any,
     position_low_ned: Vec3 | None,
-    command: Any,
+    command: object,
     air_velocity: Callable[..., Vec3],
-    noise: Any,
+    noise: object,
     dt: float,
     around: Around | None = None,
 ) -> tuple[VehicleState, Vec3 | None, Vec3]:

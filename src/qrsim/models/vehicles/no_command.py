@@ -1,10 +1,41 @@
-"""The command of vehicles that take none."""
+"""What takes no command: points that stand, or are carried."""
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
 from qrsim.core.tree import record
+from qrsim.models.vehicles.contracts import Load, Outline, Vehicle
 
 
 @record
 class NoCommand:
     """A record without fields."""
+
+
+class Uncommanded(Vehicle):
+    """Base of points without a drive; their state has a ``heading``."""
+
+    command_type: ClassVar[type] = NoCommand
+    actions: ClassVar[tuple[type, ...]] = (NoCommand,)
+    default_controller: ClassVar[str] = "none"
+
+    def idle_command(self, like: Array) -> NoCommand:
+        """Return the command without fields."""
+        return NoCommand()
+
+    def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
+        """Return the command: there is nothing that could be out of its limits."""
+        return command, jnp.zeros((), bool)
+
+    def load(self, state: Any) -> Load:
+        """Return that it has neither thrust nor a weight that one would carry."""
+        nothing = jnp.full_like(state.heading, jnp.nan)
+        return Load(nothing, nothing)
+
+    def outline(self) -> Outline:
+        """Return a mast."""
+        return Outline()

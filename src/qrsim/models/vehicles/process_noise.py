@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+
+from jax import Array
 
 from qrsim.core.noise import Noise
 from qrsim.core.tree import quantity, record
@@ -22,7 +23,7 @@ class ProcessNoise:
     angular: Vec3 = quantity(unit="rad/s^2", doc="in body axes")
 
 
-def white_accelerations(draw: Noise, std: Any, dt: float) -> ProcessNoise:
+def white_accelerations(draw: Noise, std: Array | float, dt: float) -> ProcessNoise:
     """Draw the process noise of one step of dt [s]: a white spectral density, sigma(T) = sigma sqrt(0.02/T).
 
     Args:

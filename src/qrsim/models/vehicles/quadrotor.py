@@ -99,8 +99,8 @@ class Quadrotor(Vehicle):
         doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
         "edition's law; ignored: not felt",
     )
-    command_type: ClassVar[type[Any]] = Command
-    actions: ClassVar[tuple[type[Any], ...]] = (Command,)
+    command_type: ClassVar[type] = Command
+    actions: ClassVar[tuple[type, ...]] = (Command,)
     normals: ClassVar[int] = NORMALS
     # The autopilot holds roll and pitch rates at rate_max, but its clamp acts one step late: a full reversal of the
     # tilt overshoots it to 4.8 rad/s in steps of 0.02 s, and to 13 rad/s in the longest ones of 0.1 s.
@@ -108,7 +108,9 @@ class Quadrotor(Vehicle):
     default_controller: ClassVar[str] = "cascade"
     adds_position: ClassVar[bool] = True
 
-    def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
+    def initial_state(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
+    ) -> QuadrotorState:
         """Return a state whose thrust carries the weight."""
         weight = jnp.asarray(self.mass * self.gravity)
         thrust = jnp.broadcast_to(weight, position_ned.x.shape)
@@ -153,7 +155,7 @@ class Quadrotor(Vehicle):
         """Return the command (n,) at the highest voltage that the thrust was identified for."""
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
-    def leaning(self, tilt: Any) -> tuple[Any, Any]:
+    def leaning(self, tilt: Any) -> tuple[object, object]:
         """Return airspeed [m/s] and thrust [N] at rest, leaning by tilt (n,) [rad] (eq. 6 with nothing moving).
 
         Drag across the body pushes it down as well: kw w is larger than kuv u.

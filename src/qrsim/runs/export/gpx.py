@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.runs.export.output import Written, replacing
 from qrsim.runs.export.tracks import Tracks, said_in_xml
 
@@ -25,10 +26,10 @@ def write(content: Tracks, path: Path) -> Written:
     placed = [(mark, mark.geodetic) for mark in content.marks if mark.geodetic is not None]
     if missing := len(content.marks) - len(placed):
         warnings.warn(f"{path}: events of unknown place left out: {missing}", stacklevel=2)
-    document: Any = GPX()
+    document = GPX()
     document.creator, document.name = "qrsim", said_in_xml(content.name)
     for mark, geodetic in placed:
-        point: Any = GPXWaypoint(*_place(geodetic), time=_time(mark.utc), name=said_in_xml(mark.title))
+        point = GPXWaypoint(*_place(geodetic), time=_time(mark.utc), name=said_in_xml(mark.title))
         point.description, point.type = said_in_xml(mark.event.message), said_in_xml(mark.event.kind)
         document.waypoints.append(point)
     for track in content.tracks:
@@ -44,7 +45,7 @@ def write(content: Tracks, path: Path) -> Written:
     return Written(path, {**content.counts, "events": len(placed)})
 
 
-def _place(geodetic: Any) -> tuple[float, float, float]:
+def _place(geodetic: NumpyArray) -> tuple[float, float, float]:
     """Return latitude and longitude [deg] to 0.1 mm, and height [m]."""
     latitude, longitude, height = (float(value) for value in geodetic)
     return round(latitude, 9), round(longitude, 9), round(height, 4)

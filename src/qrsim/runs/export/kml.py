@@ -49,7 +49,7 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     return Written(path, content.counts)
 
 
-def _style(simplekml: Any, number: int, kind: str) -> Any:
+def _style(simplekml: Any, number: int, kind: str) -> object:
     red, green, blue = VEHICLES[number % len(VEHICLES)].tolist()
     style = simplekml.Style()
     style.iconstyle.scale = 0.6
@@ -58,7 +58,7 @@ def _style(simplekml: Any, number: int, kind: str) -> Any:
     return style
 
 
-def _track(folder: Any, track: Track, style: Any, heights: Heights) -> None:
+def _track(folder: Any, track: Track, style: object, heights: Heights) -> None:
     found = folder.newgxmultitrack(name=said_in_xml(track.title), gxinterpolate=0)
     found.style = style
     for segment in track.segments:

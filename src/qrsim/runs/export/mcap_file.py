@@ -17,7 +17,6 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -200,7 +199,7 @@ def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[S
         yield Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
 
 
-def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dict[str, Any]:
+def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dict[str, object]:
     """Return a fix; ``errors`` are its horizontal and vertical std [m], where they are known.
 
     The covariance is of east, north, up: the horizontal variance is shared evenly by its two axes, an approximation.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.files import Content
 from qrsim.runs import Column, Run
 from qrsim.runs.export import foxglove
 from qrsim.runs.export.output import is_readable
@@ -18,7 +19,6 @@ from qrsim.runs.export.tracks import Samples, read_samples
 from qrsim.runs.layout import INDEX
 
 SETPOINT, ESTIMATE = "setpoint", "estimate"
-Content = dict[str, Any]
 
 
 class Message(NamedTuple):

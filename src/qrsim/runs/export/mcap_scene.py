@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.files import Content
 from qrsim.runs import Run
 from qrsim.runs.colours import FOUND, GREY, MISSING, PLUME, Colour, share
 from qrsim.runs.export import foxglove
-from qrsim.runs.export.mcap_messages import Content, Message, topics_of
+from qrsim.runs.export.mcap_messages import Message, topics_of
 from qrsim.runs.export.place import Floats, Place
 from qrsim.runs.surroundings import Surroundings
 

@@ -30,7 +30,7 @@ from qrsim.studies.discover.flight import (
     fly,
     windows_of,
 )
-from qrsim.studies.discover.proposals import count_constants, monomials, polynomial_tree, rule_of, shown, symbolic
+from qrsim.studies.discover.proposals import monomials, polynomial_tree, rule_of, shown, symbolic
 from qrsim.studies.flight_logs import FlightLog
 from qrsim.studies.flight_logs.excitation import described, measure, without_frozen, without_ground
 
@@ -257,8 +257,3 @@ def is_published(law: Law) -> bool:
     """Return whether a law is algebraically equal to one of the published structure."""
     terms = law.terms
     return terms is not None and set(terms) == set(PUBLISHED_TERMS[law.name])
-
-
-def constants_of(law: Law) -> int:
-    """Return the number of constants of a law as discovered."""
-    return count_constants(law.chosen.tree)

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import LogError
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.studies.flight_logs import FlightLog
 
-Floats = np.ndarray[Any, np.dtype[np.float64]]
+Floats = npt.NDArray[np.float64]
 # A law's right-hand side: (constants (B, 1) ..., leaves (B, n) ...) -> (B, n).
 Rule = Callable[..., Any]
 
@@ -99,7 +101,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
     begin, end = round(first * len(good)), round(last * len(good))
     runs = np.cumsum(np.concatenate([[0], good]))
     margin = SMOOTHED if end - begin > steps + 2 * SMOOTHED else 0
-    starts: Any = np.arange(begin + margin, end - steps - margin)
+    starts = np.arange(begin + margin, end - steps - margin)
     whole = runs[starts + steps + 1 + margin] - runs[starts - margin] == steps + 1 + 2 * margin
     starts = starts[whole]
     if not len(starts):
@@ -128,7 +130,7 @@ def _starts(log: FlightLog, names: tuple[str, ...], rows: Any, margin: int) -> F
     return start
 
 
-def _turned(angles: Any, vector: Any, to_body: bool) -> Any:
+def _turned(angles: NumpyArray, vector: NumpyArray, to_body: bool) -> NumpyArray:
     """Return a vector (3, ...) turned from NED into body axes by Euler angles (3, ...), or back."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
     rows = (

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim import extras
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.discover.flight import LEAVES, Floats, Rule
 
 MOST_NODES = 21
@@ -36,7 +37,7 @@ def primitives(law: str) -> Any:
     return known
 
 
-def text_of(tree: Any, constants: Any = None) -> str:
+def text_of(tree: Any, constants: NumpyArray | None = None) -> str:
     """Write a tree as a bracketed expression; constants are c0, c1, ... or the given values."""
     words: list[str] = []
     count = 0
@@ -81,7 +82,7 @@ def made(law: str) -> Any:
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 
 
-def varied(first: object, second: object, law: str) -> Any:
+def varied(first: object, second: object, law: str) -> object:
     """Make a child of two trees by crossover and mutation, within the size limit."""
     library = gp()
     known = primitives(law)
@@ -124,7 +125,7 @@ def monomials(expression: object, law: str) -> dict[tuple[int, ...], float] | No
     return {powers: float(value) for powers, value in terms.terms() if value != 0}
 
 
-def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> Any:
+def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> object:
     """Build the sum of terms, each a constant times powers of the leaves, as a tree."""
     library = gp()
     known = primitives(law)

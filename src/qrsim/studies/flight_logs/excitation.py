@@ -11,13 +11,13 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from qrsim.studies.flight_logs.signals import SIGNALS, FlightLog, Floats
 
-Rows = np.ndarray[Any, np.dtype[np.bool_]]  # whether a row counts
+Rows = npt.NDArray[np.bool_]  # whether a row counts
 
 # What the noise of each signal counts for at least.
 FLOORS: dict[str, float] = {

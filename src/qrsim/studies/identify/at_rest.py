@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
@@ -163,7 +162,7 @@ def at_rest(readings: Readings, source: str) -> tuple[Readings, tuple[float, flo
     return Readings(readings.period, kept), (first * second * readings.period, last * second * readings.period)
 
 
-def sensor_of(found: Mapping[str, Noise], preset: str) -> dict[str, Any]:
+def sensor_of(found: Mapping[str, Noise], preset: str) -> dict[str, object]:
     """Return the sensor ``imu`` of a scenario with the noise that was seen; what was not is that of the preset."""
     numbers = {
         f"{kind}_{name}": float(f"{term.value:.4g}")

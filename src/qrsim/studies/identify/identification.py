@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -149,7 +148,7 @@ def _solved(question: Question, pieces: Sequence[Piece], progress: Callable[[str
         raise RunError(f"{named}: the equations of the fit have no solution ({error}); nothing is written") from None
 
 
-def _scores(question: Question, answer: Answer, logs: Sequence[FlightLog], train: float) -> list[dict[str, Any]]:
+def _scores(question: Question, answer: Answer, logs: Sequence[FlightLog], train: float) -> list[dict[str, object]]:
     return [
         score(log, (train, 1.0), question.start, answer.values, answer.nuisances[i], question.separate)
         for i, log in enumerate(logs)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from qrsim.studies.flight_logs.signals import Floats
@@ -57,7 +58,7 @@ class Covariance:
     freedom: Floats
     white: Floats
     correlation: Floats
-    lost: np.ndarray[Any, np.dtype[np.bool_]]
+    lost: npt.NDArray[np.bool_]
 
     @property
     def std(self) -> Floats:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from qrsim.errors import RunError
+from qrsim.errors import RunError, os_error_as
+from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.flight_logs.excitation import Excitation
@@ -43,7 +44,7 @@ class Result:
     verdicts: Mapping[str, Verdict]
     excitations: Sequence[Excitation]
 
-    def constants(self) -> dict[str, dict[str, Any]]:
+    def constants(self) -> dict[str, Content]:
         """Return each identified constant with its interval."""
         found = {}
         for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
@@ -87,7 +88,7 @@ class Result:
                 found.setdefault(f"held at its start: {verdict.why}", []).append(name)
         return found
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Content:
         """Return everything as plain values."""
         return {
             "constants": self.constants(),
@@ -120,7 +121,7 @@ class Result:
             ],
         }
 
-    def channels(self, i: int) -> dict[str, dict[str, Any]]:
+    def channels(self, i: int) -> dict[str, Content]:
         """Return each signal's movement in a log, and whether constants were identified by it.
 
         ``identified`` is for measured signals alone: an aspect that the log shows has a constant that was identified.
@@ -146,8 +147,8 @@ class Result:
                 found[name]["identified"] = name in known
         return found
 
-    def _nuisances(self, i: int) -> dict[str, dict[str, Any]]:
-        found: dict[str, dict[str, Any]] = {}
+    def _nuisances(self, i: int) -> dict[str, Content]:
+        found: dict[str, Content] = {}
         for name, value in self.answer.nuisances[i].items():
             found[name] = {"value": value, "unit": unit_of(name)}
             names = self.answer.covariance.names
@@ -155,7 +156,7 @@ class Result:
                 found[name]["low"], found[name]["high"] = self.answer.covariance.interval(f"{name}@{i}")
         return found
 
-    def vehicle(self) -> dict[str, Any]:
+    def vehicle(self) -> Content:
         """Return the vehicle in the form of scenario files."""
         kind = "quadrotor" if self.question.separate else "pelican"
         return {"type": kind, **{name: float(value) for name, value in self.answer.values.items()}}
@@ -186,8 +187,6 @@ def write_text(path: Path, content: str | bytes) -> None:
     Raises:
         RunError: it cannot be written.
     """
-    try:
+    with os_error_as(RunError, f"cannot write {path}"):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content if isinstance(content, bytes) else content.encode())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None

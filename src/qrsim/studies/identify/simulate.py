@@ -146,6 +146,6 @@ def linearised(
         found = channels(unknowns=theta, starts=shifted, **rest)[:, :, jnp.array(places)]
         return found, found
 
-    at: Any = (unknowns, jnp.zeros(len(free), unknowns.dtype))
+    at = (unknowns, jnp.zeros(len(free), unknowns.dtype))
     (by_unknowns, by_start), found = jax.jacfwd(moved, has_aux=True)(at)
     return found, by_unknowns, by_start

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -89,15 +88,9 @@ def checked_between(between: Between, vehicles: int, states: int) -> Between:
     for name, array in (("ranges", between.ranges), ("counts", between.counts)):
         if np.shape(array) != shape:
             raise UsageError(f"between: expected {name} of shape {shape}, found {np.shape(array)}")
-    wrong: Any = np.isinf(between.ranges) | (between.ranges < 0.0)
+    wrong = np.isinf(between.ranges) | (between.ranges < 0.0)
     for state, pair in np.argwhere(wrong)[:1]:
         raise UsageError(f"between: state {state}, pair {pair}: a range of {between.ranges[state, pair]:g} m")
     if not (np.isfinite(between.std) and between.std > 0.0):
         raise UsageError(f"between: a standard deviation of {between.std!r} m is not a positive number")
     return between
-
-
-def part_of(between: Between, vehicles: int) -> Between:
-    """Return the ranges among the first N of the vehicles only."""
-    kept = np.all(between.pairs < vehicles, axis=1)
-    return Between(between.pairs[kept], between.ranges[:, kept], between.counts[:, kept], between.std)

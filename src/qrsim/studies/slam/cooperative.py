@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import replace
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
@@ -225,7 +226,7 @@ def _solved(
     flights: Sequence[Flight],
     rangings: Sequence[Ranging],
     ranging: Ranging,
-    enough: Any,
+    enough: NumpyArray,
     iterations: int,
     damping: str,
 ) -> CooperativeSlam:

@@ -314,8 +314,8 @@ def _joined(first: Solution, again: Solution) -> Solution:
 
 
 def _result(
-    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: Any, solution: Solution,
-    reflected: Mirrors, problem: Any,
+    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
+    solution: Solution, reflected: Mirrors, problem: Any,
 ) -> Slam:  # fmt: skip
     point = solution.point
     believed = covariance(problem, point)
@@ -342,7 +342,7 @@ def spread_of(covariances: Floats, ranging: Ranging, enough: Any) -> tuple[Float
 
 
 def _ranging(
-    flight: Flight, true_ned: Any, guess_ned: Any, ranges: Any, std: float, limit: float, seed: int
+    flight: Flight, true_ned: object, guess_ned: object, ranges: Any, std: float, limit: float, seed: int
 ) -> Ranging:
     """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)

@@ -54,14 +54,14 @@ class CorrelatedGnss(Sensor):
     normals: ClassVar[int] = 2
 
     def init(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
+        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
     ) -> tuple[tuple[Array, Array], GnssReading]:
         """Draw stationary initial errors, and report the first fix."""
         north, east = draw.normals(2)
         return self._read((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
 
     def step(
-        self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
+        self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
     ) -> tuple[tuple[Array, Array], GnssReading]:
         """Advance the errors by one period and return the fix of vehicles at position_ned (n,)."""
         north, east = draw.normals(2)
@@ -157,7 +157,7 @@ def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> W
     fleet = world.fleets[0]
     dtype = fleet.start.position_ned.x.dtype
     at = fleet.sensor_names.index("gnss")
-    numbers: Any = (*np.asarray(std, dtype), np.asarray(time_constant, dtype))
+    numbers = (*np.asarray(std, dtype), np.asarray(time_constant, dtype))
     receiver = CorrelatedGnss(numbers[0], numbers[1], numbers[2], fleet.sensors[at].period)
     sensors = (*fleet.sensors[:at], receiver, *fleet.sensors[at + 1 :])
     return replace(world, fleets=(replace(fleet, sensors=sensors),))

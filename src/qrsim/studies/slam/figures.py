@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.runs.picture import new_figure
 from qrsim.studies.slam import example
 from qrsim.studies.slam.estimate import Slam
 from qrsim.studies.slam.flight import Flight, Floats
-from qrsim.studies.slam.study import ARMS, Study, Sweep, allan, interval
+from qrsim.studies.slam.intervals import allan, interval
+from qrsim.studies.slam.study import ARMS, Study, Sweep
 
 # Of ellipses; in a plan of a trajectory so many of them.
 CONFIDENCE, ELLIPSES = 0.95, 30
@@ -56,7 +57,7 @@ def ellipse_of(covariance: Floats, confidence: float = CONFIDENCE) -> tuple[Floa
     return np.asarray(axes), float(np.arctan2(vectors[1, 1], vectors[0, 1]) % np.pi)
 
 
-def _ellipses(axes: Any, places: Floats, covariances: Floats, colour: str, label: str | None = None) -> None:
+def _ellipses(axes: Axes, places: Floats, covariances: Floats, colour: str, label: str | None = None) -> None:
     """Draw the ellipses of places (N, 3) with covariances (N, 3, 3) in a plan view, north up."""
     for place, covariance in zip(places, covariances, strict=True):
         half, bearing = ellipse_of(covariance[:2, :2])
@@ -105,7 +106,7 @@ def draw_trajectories(study: Study, index: int = 0) -> Figure:
 
 
 def _plan(
-    axes: Any, flight: Flight, position: Floats, landmarks: Floats, truth: Floats | None, determined: Any
+    axes: Axes, flight: Flight, position: Floats, landmarks: Floats, truth: Floats | None, determined: NumpyArray
 ) -> None:
     """Draw a plan view, north up."""
     axes.plot(flight.estimate[:, 1], flight.estimate[:, 0], ".", color="0.75", ms=1.5, label="the sensors' estimate")

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array, lax
 
 from qrsim.core.noise import Drawn
@@ -18,7 +19,7 @@ from qrsim.engine.settings import quick_jit
 from qrsim.errors import RunError, UsageError
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 
-Floats = np.ndarray[Any, np.dtype[np.float64]]
+Floats = npt.NDArray[np.float64]
 POSITION, ATTITUDE, VELOCITY, RATES, THRUST = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12
 SIZE = 13
 

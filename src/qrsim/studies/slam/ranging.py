@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -161,5 +160,5 @@ def given_ranges(
     total, counts = np.zeros((len(time), count)), np.zeros((len(time), count))
     np.add.at(total, (state, number), table[:, 2])
     np.add.at(counts, (state, number), 1.0)
-    ranges: Any = np.where(counts > 0, total / np.maximum(counts, 1.0), np.nan)
+    ranges = np.where(counts > 0, total / np.maximum(counts, 1.0), np.nan)
     return Ranging(ranges, counts, std, guess_ned, true_ned)

@@ -16,7 +16,7 @@ from qrsim.models.sensors.ranging import IdealRanging
 from qrsim.models.sensors.ranging import Ranging as RangingSensor
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
 from qrsim.runs import Run
-from qrsim.runs.reader import Stream
+from qrsim.runs.stream_arrays import Stream
 from qrsim.studies.slam.between import BETWEEN_STD, Between, pairs_of
 from qrsim.studies.slam.flight import Believed, Flight, Floats, make_flight, ticks_between
 from qrsim.world.state import Fleet, period_ticks

@@ -149,11 +149,11 @@ def reduce(normal: Normal, damping: Damping) -> Reduced:
         right[axis::size, 1:] = border[:, axis]
     factor = cholesky_banded(banded(normal, damping), overwrite_ab=True, lower=True, check_finite=False)
     half = _triangular(factor, right, "N")
-    products: Any = half[:, 1:].T @ half
-    schur: Any = -products[:, 1:]
+    products = half[:, 1:].T @ half
+    schur = -products[:, 1:]
     for i, block in enumerate(np.asarray(normal.corner)):
         schur[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += block + np.diag(damping.landmarks[i])
-    wanted: Any = -np.asarray(normal.gradient_landmarks).ravel() - products[:, 0]
+    wanted = -np.asarray(normal.gradient_landmarks).ravel() - products[:, 0]
     return Reduced(schur, wanted, factor, half[:, 0], half[:, 1:])
 
 

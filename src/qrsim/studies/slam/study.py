@@ -6,18 +6,16 @@ ranges. All tests are two-sided; intervals hold with CONFIDENCE.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
-from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.tree import record_of
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.studies.slam import example
 from qrsim.studies.slam.estimate import (
     BIAS_TIME_CONSTANT,
@@ -29,16 +27,13 @@ from qrsim.studies.slam.estimate import (
     state_size,
 )
 from qrsim.studies.slam.flight import Flight, Floats, ticks_between
+from qrsim.studies.slam.intervals import CONFIDENCE, SLOPE_WINDOWS, allan_slope, interval, paired, recovered
 from qrsim.studies.slam.ranging import LANDMARKS
 
 NOISES = ("white", "coloured")
-CONFIDENCE = 0.95
 TEN = 10
-RESAMPLES, RESAMPLE_SEED = 2000, 20140917
 # Correlation times of the sweep [s]; white comes before them.
 TIME_CONSTANTS = (1.0, 3.0, 10.0, 30.0, 100.0)
-# Windows between which the slope of the Allan deviation is fitted [s].
-SLOPE_WINDOWS = (0.4, 10.0)
 # What is kept of a flight for each of its ticks, and what recording it takes.
 BYTES_PER_TICK = 400
 # What the arms of each graph are, in the order of figures and tables.
@@ -221,100 +216,9 @@ def _solved(flight: Flight, ranging: Any, bias: float | None, **options: Any) ->
     return {"plain": converged, "bias": (remedied.position_ned, remedied.landmarks_ned, remedied)}
 
 
-def interval(values: Floats) -> dict[str, float]:
-    """Return the mean with its Student t interval; the mean alone for one value, nothing for none."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return {}
-    found = {"mean": float(known.mean()), "median": float(np.median(known))}
-    if len(known) > 1:
-        half = scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known))
-        found |= {"low": found["mean"] - float(half), "high": found["mean"] + float(half)}
-    return found
-
-
-def paired(one: Floats, other: Floats) -> dict[str, float]:
-    """Return the mean of ``other - one`` over the pairs, its Student t interval, and Wilcoxon's signed-rank p."""
-    both = np.isfinite(one) & np.isfinite(other)
-    difference = other[both] - one[both]
-    found = interval(difference)
-    found["pairs"] = int(both.sum())
-    found["larger"] = int(np.sum(difference > 0.0))
-    found["p"] = float(scipy.stats.wilcoxon(difference).pvalue) if np.any(difference != 0.0) else 1.0
-    return found
-
-
-def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, float]:
-    """Return the share of the loss from white to coloured errors that the remedy recovers, of means over seeds.
-
-    The interval is a percentile bootstrap over seeds.
-    """
-    both = np.isfinite(white) & np.isfinite(coloured) & np.isfinite(remedied)
-    rows = np.stack([white[both], coloured[both], remedied[both]], axis=1)
-
-    def part(means: Floats) -> Floats:
-        return np.asarray((means[..., 1] - means[..., 2]) / (means[..., 1] - means[..., 0]))
-
-    low, high = _bootstrapped(part(_resampled(rows).mean(axis=1)))
-    return {"part": float(part(rows.mean(axis=0))), "low": low, "high": high}
-
-
-def _resampled(rows: Floats) -> Floats:
-    """Return rows (S, K) drawn anew with replacement, (RESAMPLES, S, K)."""
-    chosen = np.random.default_rng(RESAMPLE_SEED).integers(0, len(rows), (RESAMPLES, len(rows)))
-    return np.asarray(rows[chosen])
-
-
-def _bootstrapped(values: Floats) -> tuple[float, float]:
-    """Return the percentile interval of resampled values (RESAMPLES,)."""
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = np.quantile(values, [tail, 1.0 - tail])
-    return float(low), float(high)
-
-
-def allan(errors: Sequence[Floats], period: float, longest: float | None = None) -> tuple[Floats, Floats]:
-    """Return windows (K,) [s] and the Allan deviation (K,) [m] of errors (N, 2), pooled over seeds and axes.
-
-    Args:
-        errors: of each seed, one every ``period`` [s].
-        period: [s].
-        longest: window [s]; None: a third of the record.
-    """
-    windows, variances = _allan_variances(errors, period, longest)
-    return windows, np.sqrt(variances.mean(axis=0))
-
-
-def _allan_variances(errors: Sequence[Floats], period: float, longest: float | None) -> tuple[Floats, Floats]:
-    """Return windows (K,) and the Allan variance of each seed (S, K), mean of both axes."""
-    most = len(errors[0]) // 3 if longest is None else round(longest / period)
-    lengths = np.unique(np.round(np.geomspace(1, most, 16)).astype(np.int64))
-    found = [overlapping_allan_deviation(error, period, lengths) for error in errors]
-    return found[0][0], np.stack([np.mean(np.square(deviation), axis=1) for _, deviation in found])
-
-
-def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
-    """Return the slope of the pooled Allan deviation over SLOPE_WINDOWS in logarithms.
-
-    Its interval is a percentile bootstrap over seeds; of one seed there is none.
-    """
-    windows, variances = _allan_variances(errors, period, SLOPE_WINDOWS[1])
-    within = windows >= SLOPE_WINDOWS[0] - 1e-9
-    abscissa = np.log(windows[within])
-    centred = (abscissa - abscissa.mean()) / np.sum(np.square(abscissa - abscissa.mean()))
-
-    def slope(pooled: Floats) -> Floats:
-        return np.asarray(0.5 * np.log(pooled[..., within]) @ centred)
-
-    found = {"slope": float(slope(variances.mean(axis=0)))}
-    if len(variances) > 1:
-        low, high = _bootstrapped(slope(_resampled(variances).mean(axis=1)))
-        found |= {"low": low, "high": high}
-    return found
-
-
-def numbers(flown: Study) -> dict[str, Any]:
+def numbers(flown: Study) -> Content:
     """Return all numbers of a study as plain dicts."""
-    result: dict[str, Any] = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
+    result: Content = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
     measures = {"trajectory_m": flown.trajectory_errors, "landmarks_m": flown.landmark_errors}
     for noise, arm in flown.arms:
         result["errors"].setdefault(noise, {})[arm] = {
@@ -336,9 +240,9 @@ def numbers(flown: Study) -> dict[str, Any]:
     return result
 
 
-def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> dict[str, Any]:
+def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> Content:
     """Compare the error as a state with none, and return the share of the trajectory's loss that it recovers."""
-    found: dict[str, Any] = {}
+    found: Content = {}
     for name, measure in measures.items():
         white, coloured, remedied = measure("white", "plain"), measure("coloured", "plain"), measure("coloured", "bias")
         found[name] = {"gain": paired(remedied, coloured)}
@@ -347,10 +251,10 @@ def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> dict[str, A
     return found
 
 
-def _of_fixes(flown: list[Flight]) -> dict[str, Any]:
+def _of_fixes(flown: list[Flight]) -> Content:
     """Return how large the errors of the fixes are, and the slope of their Allan deviation."""
     errors = [flight.fix_error for flight in flown]
-    found: dict[str, Any] = {"rms_m": float(np.sqrt(np.mean([np.mean(np.square(error)) for error in errors])))}
+    found: Content = {"rms_m": float(np.sqrt(np.mean([np.mean(np.square(error)) for error in errors])))}
     period = flown[0].fix_period
     if min(map(len, errors)) >= 2 * round(SLOPE_WINDOWS[1] / period):
         found["allan"] = allan_slope(errors, period)
@@ -370,9 +274,9 @@ class Sweep:
     plain: Floats
     bias: Floats
 
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> Content:
         """Return the intervals and the paired tests against white noise."""
-        found: dict[str, Any] = {}
+        found: Content = {}
         for i, tau in enumerate(self.time_constants):
             name = "white" if tau == example.WHITE else f"tau_{tau:g}_s"
             found[name] = {"plain": interval(self.plain[i])}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -47,7 +45,7 @@ def draw_together(solved: CooperativeSlam, title: str) -> Figure:
 def draw_gain(found: TeamStudy) -> Figure:
     """Draw the error of the first vehicle of each seed alone and together, and relative errors, by case."""
     figure = new_figure(12.0, 5.0)
-    panels: Any = figure.subplots(1, 2, sharey=True)
+    panels = figure.subplots(1, 2, sharey=True)
     for i, case in enumerate(found.alone):
         errors = [[each.trajectory_rmse_m[0] for each in part[case]] for part in (found.alone, found.together)]
         relative = [each.relative_rmse_m for each in found.together[case]]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.runs import Run
@@ -47,7 +48,7 @@ def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]
         raise UsageError(f"--{name}: not with several --vehicles")
 
 
-def numbers_of_run(found: CooperativeSlam) -> dict[str, Any]:
+def numbers_of_run(found: CooperativeSlam) -> Content:
     """Return the numbers of several vehicles of a run; None where there is no number."""
     import math
 
@@ -71,9 +72,7 @@ def numbers_of_run(found: CooperativeSlam) -> dict[str, Any]:
     }
 
 
-def solve_run_together(
-    run: Run, vehicles: int, states: Literal["full", "poses"]
-) -> tuple[CooperativeSlam, dict[str, Any]]:
+def solve_run_together(run: Run, vehicles: int, states: Literal["full", "poses"]) -> tuple[CooperativeSlam, Content]:
     """Solve the first vehicles of a run together; return the solution and its numbers.
 
     Raises:
@@ -87,7 +86,7 @@ def solve_run_together(
     return found, numbers_of_run(found)
 
 
-def text_of_run(found: CooperativeSlam, numbers: dict[str, Any]) -> str:
+def text_of_run(found: CooperativeSlam, numbers: Content) -> str:
     """Return the errors of several vehicles of a run as text."""
     count = f"{len(found.flights)} vehicles, {numbers['states']} states"
     lines = [f"{count}, {numbers['ranges_between']} ranges to each other", ""]
@@ -100,7 +99,7 @@ def text_of_run(found: CooperativeSlam, numbers: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def text_of_study(result: dict[str, Any]) -> str:
+def text_of_study(result: Content) -> str:
     """Return the errors of the first vehicle alone and together with others as text."""
     count = f"{result['seeds']} flight{'s' if result['seeds'] > 1 else ''}"
     lines = [f"{result['vehicles']} vehicles, {count} of {result['duration_s']:g} s each", ""]

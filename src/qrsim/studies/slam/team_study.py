@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.slam import team
 from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
 from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, available_bytes, check_memory, state_size
 from qrsim.studies.slam.example import MEMORY, STATE_PERIOD, base_world
 from qrsim.studies.slam.flight import Flight, ticks_between
+from qrsim.studies.slam.intervals import interval, paired
 from qrsim.studies.slam.ranging import LANDMARKS
-from qrsim.studies.slam.study import BYTES_PER_TICK, interval, paired
+from qrsim.studies.slam.study import BYTES_PER_TICK
 
 # Whose errors, whether they are modelled as states, and which part of these is common to all vehicles.
 CASES: dict[str, tuple[str, bool, float]] = {
@@ -54,7 +56,7 @@ class TeamStudy:
         return found
 
 
-def _first(solved: list[CooperativeSlam]) -> Any:
+def _first(solved: list[CooperativeSlam]) -> NumpyArray:
     """Return the root mean square errors (S,) of the trajectory of the first vehicle [m]."""
     return np.array([each.trajectory_rmse_m[0] for each in solved])
 

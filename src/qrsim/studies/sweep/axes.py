@@ -10,8 +10,9 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.scenarios.reading import apply_override
-from qrsim.studies.sweep.study import Content, StudySpec
+from qrsim.studies.sweep.study import StudySpec
 from qrsim.studies.sweep.varying import Condition, assignment
 
 COUNT = ".vehicles.count"

@@ -24,7 +24,7 @@ class Tls:
     cert: Path
     key: Path
 
-    def security(self) -> Any:
+    def security(self) -> object:
         """Return Dask's settings.
 
         Raises:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qrsim.core.arrays import NumpyArray
@@ -107,7 +108,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
     return figure
 
 
-def _mesh(axes: Any, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, **limits: Any) -> Any:
+def _mesh(axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, **limits: Any) -> Any:
     """Draw a map, the first parameter to the right."""
     one, other = pair
     image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, **limits)

@@ -14,9 +14,9 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.files import Content
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.sweep.axes import Axis, apply
-from qrsim.studies.sweep.study import Content
 from qrsim.world.state import World
 
 
@@ -161,7 +161,7 @@ def make_group(content: Content, choices: Mapping[str, object], numbers: Iterabl
     return found if all(_alike(found, base, values, precision) for values in _mixed(axes)) else group
 
 
-def _mixed(axes: tuple[Axis, ...]) -> list[dict[str, Any]]:
+def _mixed(axes: tuple[Axis, ...]) -> list[Content]:
     """Return points far from the lowest: all highest, and every other one."""
     highest = {axis.path: axis.ends()[1] for axis in axes}
     other = {axis.path: axis.ends()[i % 2] for i, axis in enumerate(axes)}
@@ -211,7 +211,7 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
     return None
 
 
-def _middle(axis: Axis) -> Any:
+def _middle(axis: Axis) -> object:
     if axis.values is None:
         return 0.5 * (axis.low + axis.high)
     return sorted(axis.values)[len(axis.values) // 2]

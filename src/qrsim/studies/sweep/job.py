@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.world.state import World
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Job:
     own_metrics: str | None = None
 
 
-def goals(world: Any) -> NumpyArray:
+def goals(world: World) -> NumpyArray:
     """Return the last waypoint of each vehicle (n, 3) [m]."""
     found = []
     for fleet in world.fleets:

@@ -11,6 +11,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.scenarios.registry import made
 from qrsim.studies.sweep.metrics import METRICS, Found, Metric
+from qrsim.world.state import World
 
 OVER: dict[str, Callable[..., NumpyArray]] = {
     "mean": np.nanmean,
@@ -87,10 +88,10 @@ class BothMetrics:
         """Start both."""
         return self.first.init(world, state), self.second.init(world, state)
 
-    def update(self, memory: Any, world: Any, state: Any, tick: Any) -> Any:
+    def update(self, memory: Any, world: World, state: Any, tick: Any) -> Any:
         """Update both."""
         return self.first.update(memory[0], world, state, tick), self.second.update(memory[1], world, state, tick)
 
-    def finish(self, memory: Any, world: Any, state: Any) -> dict[str, Any]:
+    def finish(self, memory: Any, world: World, state: Any) -> dict[str, Any]:
         """Return the numbers of both."""
         return {**self.second.finish(memory[1], world, state), **self.first.finish(memory[0], world, state)}

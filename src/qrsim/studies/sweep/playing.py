@@ -19,6 +19,7 @@ from qrsim.studies.sweep.groups import Group
 from qrsim.studies.sweep.job import Job, goals
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import BaselinePolicy, baseline
+from qrsim.world.state import World
 
 
 def play(group: Group, job: Job) -> dict[str, NumpyArray]:
@@ -83,7 +84,7 @@ _KEPT: dict[Any, _Point] = {}
 def _summed() -> Any:
     """Return the program that takes the states of some ticks into account."""
 
-    def summed(flight: Any, world: Any, states: Any, ticks: Any) -> Any:
+    def summed(flight: object, world: World, states: object, ticks: object) -> object:
         def one(known: Any, at: Any) -> Any:
             state, tick = at
             return FLIGHT_METRICS.update(known, world, state, tick), None

@@ -9,10 +9,11 @@ from itertools import combinations, product
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, warn_user
+from qrsim.files import Content
 from qrsim.studies.sweep.axes import COUNT, Axis, apply, axes_of
 from qrsim.studies.sweep.groups import Group, faults, make_group, same_structure, scenario_at
 from qrsim.studies.sweep.plan import Plan, choices
-from qrsim.studies.sweep.study import BASELINE, Content, Study
+from qrsim.studies.sweep.study import BASELINE, Study
 
 MOST_LISTED = 5
 SPEED, GUST = "world.wind.speed", "world.wind.gust"
@@ -62,7 +63,7 @@ def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
         )
 
 
-def _first(axes: Sequence[Axis]) -> dict[str, Any]:
+def _first(axes: Sequence[Axis]) -> Content:
     """Return the first value of each axis."""
     return {axis.path: axis.values[0] if axis.values else axis.low for axis in axes}
 
@@ -85,7 +86,7 @@ def _refuse_unknown(study: Study, axes: tuple[Axis, ...]) -> None:
         raise ScenarioError(name, list(dict.fromkeys(found)))
 
 
-def _settings(axis: Axis, axes: Sequence[Axis]) -> Iterator[dict[str, Any]]:
+def _settings(axis: Axis, axes: Sequence[Axis]) -> Iterator[Content]:
     """Yield points at which a value of an axis is tried: alone, and with the first values of all."""
     value = _first([axis])
     yield value
@@ -103,7 +104,7 @@ def _refuse_outside(study: Study, axes: tuple[Axis, ...]) -> None:
         raise ScenarioError(f"{study.spec.name}: {_count_bad(study, judged)}", lines)
 
 
-def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[dict[str, Any]]:
+def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[Content]:
     """Return values of the other axes, with one of which a value of this one is allowed if it ever is."""
     others = [other for other in axes if other is not axis]
     lasts = {other.path: other.values[-1] if other.values else other.high for other in others}
@@ -135,7 +136,7 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]
     return {value: text for value in ordered if (text := wrong(value))}
 
 
-def _by_halving(ordered: list[Any], wrong: Callable[[Any], str]) -> dict[Any, str]:
+def _by_halving(ordered: Sequence[object], wrong: Callable[[Any], str]) -> dict[Any, str]:
     """Return the bad ones of many ordered values, looking at some of them only."""
     tried = [round(part * (len(ordered) - 1) / TRIED) for part in range(TRIED + 1)]
     good = next((i for i in tried if not wrong(ordered[i])), None)
@@ -152,7 +153,7 @@ def _by_halving(ordered: list[Any], wrong: Callable[[Any], str]) -> dict[Any, st
     return bad
 
 
-def _key(value: object) -> Any:
+def _key(value: object) -> str | int | float:
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
@@ -226,7 +227,7 @@ def _point(values: Mapping[str, object]) -> str:
     return ", ".join(f"{path} = {value!r}" for path, value in values.items())
 
 
-def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[dict[str, Any]]:
+def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[Content]:
     """Yield points whose numbers are at their ends: all of them, or where there are many, by two parameters."""
     if not axes:
         yield {}

@@ -5,14 +5,15 @@ from __future__ import annotations
 import copy
 import json
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep import analysis
@@ -128,7 +129,7 @@ def replay(results: Results, episode: int, folder: Path) -> str:
     return shlex.join([*words, "--out", str(run)]) + f" && qrsim view {shlex.quote(str(run))}"
 
 
-def _scenario_name(values: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
     """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
     counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
     return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
@@ -170,10 +171,10 @@ def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
     return [folder / name for name in (*pictures, *scenarios, "report.json")]
 
 
-def to_json(report: Report, folder: Path) -> dict[str, Any]:
+def to_json(report: Report, folder: Path) -> Content:
     """Return the tables as plain values; non-finite numbers are None."""
     results, boundary, indices = report.results, report.boundary, report.sensitivity
-    found: dict[str, Any] = {**results.summary(), "metric": report.metric}
+    found: Content = {**results.summary(), "metric": report.metric}
     found["responses"] = {
         metric: {item.parameter.name: _response_json(item) for item in items}
         for metric, items in report.responses.items()
@@ -189,12 +190,12 @@ def to_json(report: Report, folder: Path) -> dict[str, Any]:
     return found
 
 
-def _response_json(item: analysis.Response) -> dict[str, Any]:
+def _response_json(item: analysis.Response) -> Content:
     numbers = {name: _plain(getattr(item, name)) for name in ("mean", "low", "high")}
     return {"levels": item.parameter.levels.tolist(), **numbers}
 
 
-def _boundary_json(found: analysis.Boundary) -> dict[str, Any]:
+def _boundary_json(found: analysis.Boundary) -> Content:
     crossings = {p.name: found.crossing(i) for i, p in enumerate(found.parameters)}
     return {
         "terms": "squares" if found.squares else "linear",
@@ -206,7 +207,7 @@ def _boundary_json(found: analysis.Boundary) -> dict[str, Any]:
     }
 
 
-def _sensitivity_json(found: analysis.Sensitivity) -> dict[str, Any]:
+def _sensitivity_json(found: analysis.Sensitivity) -> Content:
     columns = (found.first, found.first_half, found.total, found.total_half)
     names = ("first", "first_half", "total", "total_half")
     return {
@@ -215,7 +216,7 @@ def _sensitivity_json(found: analysis.Sensitivity) -> dict[str, Any]:
     }
 
 
-def _worst_json(report: Report, episode: int, folder: Path) -> dict[str, Any]:
+def _worst_json(report: Report, episode: int, folder: Path) -> Content:
     results = report.results
     return {
         "seed": int(results.seeds[episode]),
@@ -267,7 +268,7 @@ def _ranked_by(report: Report) -> str:
     return "; then ".join(parts)
 
 
-def _named(results: Results, episode: int) -> dict[str, Any]:
+def _named(results: Results, episode: int) -> Content:
     values = results.values_at(episode)
     return {results.spec.vary[path].name or path: value for path, value in values.items()}
 

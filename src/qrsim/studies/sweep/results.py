@@ -14,10 +14,11 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError, did_you_mean, did_you_mean_file, shortened
+from qrsim.files import Content
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.studies.sweep.metrics import METRICS
 from qrsim.studies.sweep.store import FLOWN, KIND
-from qrsim.studies.sweep.study import Content, StudySpec
+from qrsim.studies.sweep.study import StudySpec
 
 # More values of a parameter than these are put together in so many classes of equal size.
 MOST_LEVELS, CLASSES = 30, 12
@@ -204,9 +205,9 @@ class Results:
         axis = flown.dims.index(dimension)
         return np.unravel_index(self.positions, flown.shape)[axis]
 
-    def values_at(self, episode: int) -> dict[str, Any]:
+    def values_at(self, episode: int) -> Content:
         """Return path and value of each parameter of an episode, in the scenario's terms."""
-        found: dict[str, Any] = {}
+        found: Content = {}
         for path, item in self.spec.vary.items():
             index = int(self._spread_index(item.name or path)[episode])
             if item.listed is not None:

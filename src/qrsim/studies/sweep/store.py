@@ -21,7 +21,8 @@ import numpy as np
 import zarr
 
 from qrsim.core.arrays import NumpyArray
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files import Content
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
@@ -48,7 +49,7 @@ class Store:
         self.path, self.plan = path, plan
         self.metrics = _metrics(plan)
         self._open = ExitStack()
-        try:
+        with os_error_as(RunError, f"{path}: the store cannot be written"):
             if path.exists():
                 _refuse_other(path, plan)
                 self._lock()
@@ -59,8 +60,6 @@ class Store:
                 self._lock()
             self._group: Any = zarr.open_group(path, mode="r+")
             self.done = self._done()
-        except OSError as error:
-            raise RunError(f"{path}: the store cannot be written: {error.strerror or error}") from None
 
     def close(self) -> None:
         """Release the store for other writers."""
@@ -142,7 +141,7 @@ class Store:
             for path, values in plan.rows(start, stop).items():
                 arrays[path][start:stop] = values
 
-    def _array(self, group: Any, name: str, dtype: str, fill: Any, attributes: dict[str, Any]) -> None:
+    def _array(self, group: Any, name: str, dtype: str, fill: object, attributes: Mapping[str, object]) -> None:
         group.create_array(
             name,
             shape=self.plan.shape,
@@ -198,15 +197,15 @@ def _metrics(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*spec.metrics, spec.failure.metric]))
 
 
-def _without(about: dict[str, Any], name: str) -> dict[str, Any]:
+def _without(about: Mapping[str, object], name: str) -> Content:
     return {key: value for key, value in about.items() if key != name}
 
 
-def _about(axis: Any) -> dict[str, Any]:
+def _about(axis: Any) -> Content:
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
-def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: dict[str, Any]) -> None:
+def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: Content) -> None:
     if values.dtype == object:
         array = group.create_array(
             name, shape=values.shape, dtype=str, dimension_names=(dimension,), attributes=attributes
@@ -216,7 +215,7 @@ def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attri
     group.create_array(name, data=values, dimension_names=(dimension,), attributes=attributes)
 
 
-def _attributes(plan: Plan) -> dict[str, Any]:
+def _attributes(plan: Plan) -> Content:
     """Return the attributes of the store; no time of day, so that equal studies have equal stores."""
     study = plan.study
     return {
@@ -244,7 +243,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
         raise UsageError(f"{path}: it exists and is no store of a sweep; choose another --out")
     study = plan.study
     if there["digest"] != study.digest:
-        settings: dict[str, Any] = json.loads(str(there["settings"]))
+        settings: Content = json.loads(str(there["settings"]))
         mine = json.loads(json.dumps(study.settings, default=str))
         different = list(_differing(mine, settings))
         more = len(different) - MOST_DIFFERENCES

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.interface.policies import load_function, sources_by_team
@@ -33,7 +34,6 @@ BASELINE = "baseline"
 OWN = "own_metrics"
 # What a store and its tables can hold.
 MOST_POINTS, MOST_EPISODES = 2**20, 10**8
-Content = dict[str, Any]
 
 
 class SamplingSpec(Part):
@@ -70,7 +70,7 @@ class FailureSpec(Part):
         return self
 
 
-def _in_one_line(policy: object) -> Any:
+def _in_one_line(policy: object) -> object:
     """Return the policies of several teams as the command line has them."""
     if isinstance(policy, dict) and all(isinstance(part, str) for pair in policy.items() for part in pair):
         return ",".join(f"{team}={source}" for team, source in policy.items())
@@ -210,7 +210,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
         spec = StudySpec.model_validate(content)
     except ValidationError as error:
         raise ScenarioError(source, [_mine(line) for line in describe(error, StudySpec, content)]) from None
-    given: Any = spec.scenario
+    given = spec.scenario
     if isinstance(given, str) and given.endswith((".yaml", ".yml")):
         given = str(folder / Path(given).expanduser())
     _, scenario = read_scenario(given)

@@ -34,7 +34,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
     missing = iter(np.flatnonzero(~store.done).tolist())
     jobs = Jobs(plan, store.metrics)
     waiting: dict[str, Batch] = {}
-    finished: Any = as_completed(loop=client.loop)
+    finished = as_completed(loop=client.loop)
 
     def hand_out() -> None:
         while len(waiting) < AHEAD * max(1, _threads(client)):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.tree import quantity, record, replace
+from qrsim.world.state import World
 
 # Time [s] after which errors count: before it all fly from where they stood to where they believe they should be.
 SETTLED_S = 10.0
@@ -47,14 +48,14 @@ class TeamErrors:
         "missed_share": {"unit": "1", "doc": "part of the strip between the outer vehicles that none came near enough"},
     }
 
-    def init(self, world: Any, state: Any) -> TeamMemory:
+    def init(self, world: object, state: Any) -> TeamMemory:
         """Start with nothing."""
         place = state.fleets[0].vehicle.position_ned
         zero = jnp.zeros_like(place.x)
         nowhere = jnp.full((*zero.shape, STEPS), jnp.nan, zero.dtype)
         return TeamMemory(jnp.zeros(zero.shape, jnp.int32), zero, zero, place.x, place.y, nowhere)
 
-    def update(self, memory: TeamMemory, world: Any, state: Any, tick: Array) -> TeamMemory:
+    def update(self, memory: TeamMemory, world: World, state: Any, tick: Array) -> TeamMemory:
         """Add a tick."""
         fleet, start = state.fleets[0], (memory.start_north, memory.start_east)
         flying, counts = fleet.violation.code == 0, tick >= round(SETTLED_S / world.time_step)

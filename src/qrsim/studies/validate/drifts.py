@@ -217,7 +217,7 @@ def _picture(found: dict[str, Process]) -> Picture:
     from qrsim.studies.validate.pictures import SIMULATED, picture
 
     figure = new_figure(11.0, 6.2)
-    panels: Any = figure.subplots(2, 2, width_ratios=(3, 2))
+    panels = figure.subplots(2, 2, width_ratios=(3, 2))
     for row, of in zip(panels, found.values(), strict=True):
         traces, correlation = row
         scale, unit = (1000.0, "mrad") if of.unit == "rad" else (1.0, of.unit)

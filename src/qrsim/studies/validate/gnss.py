@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qrsim.core.tree import record_of
+from qrsim.files import Content
 from qrsim.models.gnss.errors import PRESETS, GaussMarkov2
 from qrsim.models.gnss.receivers import OrnsteinUhlenbeckErrors
 from qrsim.studies.validate.published import RANGE_ERRORS
@@ -137,11 +138,11 @@ def _checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
 
 
 def _numbers(
-    record: Recorded, deviation: Table, runs: dict[str, Simulated], inside: dict[str, Any], seeds: int, used: Any
-) -> dict[str, Any]:
+    record: Recorded, deviation: Table, runs: dict[str, Simulated], inside: Content, seeds: int, used: Any
+) -> Content:
     windows = [round(float(length) * record.period, 6) for length in LENGTHS]
     chosen = record.position_ned[:ROWS]
-    numbers: dict[str, Any] = {
+    numbers: Content = {
         "rows": ROWS,
         "rows_in_file": len(record.position_ned),
         "seeds": seeds,
@@ -174,7 +175,7 @@ def _numbers(
     return numbers
 
 
-def _outside(numbers: dict[str, Any], name: str) -> str:
+def _outside(numbers: Content, name: str) -> str:
     """Say at which windows the recording leaves the band, by axis."""
     words = []
     for axis in AXES:
@@ -203,7 +204,7 @@ def _spans(windows: list[float], chosen: list[float]) -> str:
     return ", ".join(f"{span[0]:g}-{span[-1]:g} s" if len(span) > 1 else f"{span[0]:g} s" for span in spans)
 
 
-def _findings(numbers: dict[str, Any]) -> list[Finding]:
+def _findings(numbers: Content) -> list[Finding]:
     found = []
     for name, (_, words) in MODELS.items():
         share = numbers[name]["inside_share"]
@@ -237,7 +238,7 @@ def _findings(numbers: dict[str, Any]) -> list[Finding]:
     ]
 
 
-def _summary(numbers: dict[str, Any]) -> str:
+def _summary(numbers: Content) -> str:
     share = numbers[PAPER]["inside_share"]
     return (
         "The simulation has the Allan deviation that its model should have; the recording is within the paper's model's"
@@ -282,7 +283,7 @@ def _allan_picture(record: Recorded, deviation: Table, runs: dict[str, Simulated
     from qrsim.studies.validate.pictures import RECORDED, picture
 
     figure = new_figure(11.0, 4.6)
-    panels: Any = figure.subplots(1, 3, sharey=True)
+    panels = figure.subplots(1, 3, sharey=True)
     windows = LENGTHS * record.period
     every = allan_deviations(record.position_ned, record.period, LENGTHS)
     for i, (panel, axis) in enumerate(zip(panels, AXES, strict=True)):

@@ -143,7 +143,7 @@ def _picture(found: Mapping[str, Mapping[str, Chips]]) -> Picture:
     from qrsim.studies.validate.pictures import picture
 
     figure = new_figure(11.0, 4.4)
-    panels: Any = figure.subplots(1, 2)
+    panels = figure.subplots(1, 2)
     for axes, kind in zip(panels, FIELDS, strict=True):
         for (preset, kinds), colour in zip(found.items(), ("tab:red", "tab:blue", "tab:green"), strict=True):
             windows = WINDOWS * PERIOD

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from qrsim.errors import RunError, UsageError, did_you_mean
-from qrsim.files import recordings
+from qrsim.files import Content, recordings
 from qrsim.studies.validate import drifts, gnss, imu, receivers, rotation, thrust, translation, turbulence, wind_field
 from qrsim.studies.validate.report import Outcome, Part
 
@@ -36,7 +35,7 @@ class Result:
     outcome: Outcome | None
     skipped: str = ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Content:
         """Return everything but the pictures."""
         head = {"title": self.part.title, "answers": self.part.answers, "recordings": list(self.part.recordings)}
         if self.outcome is None:

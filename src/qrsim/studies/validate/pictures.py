@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -26,7 +25,7 @@ def match_figure(match: Match, titles: tuple[str, ...], units: tuple[str, ...]) 
     """Draw recording and simulation, and below each their residual on the same scale, one column per quantity."""
     count = len(match.names)
     figure = new_figure(11.0, 2.9 * count if count > 1 else 5.0)
-    axes: Any = figure.subplots(2 * count, 1, sharex=True, squeeze=False, height_ratios=(2, 1) * count)[:, 0]
+    axes = figure.subplots(2 * count, 1, sharex=True, squeeze=False, height_ratios=(2, 1) * count)[:, 0]
     for i, (title, unit) in enumerate(zip(titles, units, strict=True)):
         top, bottom = axes[2 * i], axes[2 * i + 1]
         top.plot(match.time, match.recorded[:, i], color=RECORDED, lw=1.3, label="recorded")

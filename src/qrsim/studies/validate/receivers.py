@@ -57,7 +57,7 @@ def _pdop(rays: Values) -> float:
     return dilution_of_precision(rays)[2] if len(rays) >= 4 else math.inf
 
 
-def fixes(preset: str, starts: int, worlds: int, **change: Any) -> Fixes:
+def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
     """Return the last fixes of a receiver of a preset that hovers for two seconds, over a day in many worlds."""
     errors, reported = [], []
     for number in range(starts):

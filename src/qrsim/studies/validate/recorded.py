@@ -77,7 +77,7 @@ def read_table(path: Path, columns: int) -> Table:
 
 def command_rows(pitch: Table, roll: Table, throttle: Table, yaw: Table, battery: Table) -> Table:
     """Convert raw columns of shape (T,) to SI commands (T, 5)."""
-    columns: Any = raw_to_command(pitch, roll, throttle, yaw, battery)  # type: ignore[arg-type]
+    columns = raw_to_command(pitch, roll, throttle, yaw, battery)  # type: ignore[arg-type]
     return np.stack([columns.pitch, columns.roll, columns.throttle, columns.yaw_rate, columns.battery], axis=1)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from statistics import NormalDist
 from typing import Any
 
@@ -21,7 +21,7 @@ def against(value: Any, expected: float, standard_error: float) -> Statistic:
     return {"value": float(value), "expected": expected, "z": z, "p": math.erfc(abs(z) / math.sqrt(2.0))}
 
 
-def p_values(tree: dict[str, Any]) -> Iterator[float]:
+def p_values(tree: Mapping[str, object]) -> Iterator[float]:
     """Yield the p-value of each statistic in a tree."""
     for value in tree.values():
         if isinstance(value, dict):
@@ -31,7 +31,7 @@ def p_values(tree: dict[str, Any]) -> Iterator[float]:
                 yield from p_values(value)
 
 
-def judge(tree: dict[str, Any]) -> dict[str, float]:
+def judge(tree: Mapping[str, object]) -> dict[str, float]:
     """Return the number of statistics in a family, its smallest p-value and the limit for it."""
     found = list(p_values(tree))
     return {"statistics": len(found), "smallest_p": min(found), "p_limit": (1.0 - CONFIDENCE) / len(found)}

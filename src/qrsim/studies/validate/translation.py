@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from qrsim.files import Content
 from qrsim.studies.validate.outdoor import (
     AXES,
     RECORDING,
@@ -141,7 +142,7 @@ def _checks(match: Match, force: dict[str, dict[str, float]]) -> list[Check]:
     ]
 
 
-def _numbers(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], winds: Windy) -> dict[str, Any]:
+def _numbers(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], winds: Windy) -> Content:
     half = len(match.time) // 2
     recorded = Match(match.time, match.recorded, winds.velocity["fitted wind"], AXES)
     second = {
@@ -180,7 +181,7 @@ def _from_start(flight: Outdoor, position: Table) -> Table:
     return np.asarray((position - flight.start[:3]) - (flight.recorded[:, :3] - flight.before[0, :3]))
 
 
-def _summary(numbers: dict[str, Any]) -> str:
+def _summary(numbers: Content) -> str:
     share, windy = numbers["velocity_explained_share"], numbers["fitted_wind"]["velocity_explained_share"]
     lost = numbers["horizontal_position_error_m"]["still_air"]["after_160_s"]
     return (
@@ -191,7 +192,7 @@ def _summary(numbers: dict[str, Any]) -> str:
     )
 
 
-def _findings(numbers: dict[str, Any], own: dict[str, float]) -> list[Finding]:
+def _findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
     share, fitted, drift = numbers["velocity_explained_share"], numbers["fitted_wind"], numbers["restarted"]
     windy, lost = fitted["velocity_explained_share"], numbers["horizontal_position_error_m"]
     second = numbers["second_half"]["wind_of_first_half"]["explained"]
@@ -251,7 +252,7 @@ def _three(errors: dict[str, float]) -> str:
     return ", ".join(f"{errors[name]:.2f}" for name in ("1_s", "5_s", "20_s"))
 
 
-def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: dict[str, Any]) -> list[Picture]:
+def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: Content) -> list[Picture]:
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, RECORDED, SIMULATED, picture
 
@@ -259,7 +260,7 @@ def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: dict[str, An
     recorded = flight.recorded[:, :3] - flight.before[0, :3]
     recorded[:, 2] *= -1.0
     figure = new_figure(11.0, 11.0)
-    panels: Any = figure.subplots(6, 1, sharex=True)
+    panels = figure.subplots(6, 1, sharex=True)
     for i, axis in enumerate(AXES):
         for panel, truth, runs, start, unit in (
             (panels[i], match.recorded, winds.velocity, np.zeros(3), "velocity\n{} [m/s]"),
@@ -288,7 +289,7 @@ def _horizon_picture(restarted: dict[str, dict[str, float]]) -> Picture:
     from qrsim.studies.validate.pictures import OTHER, SIMULATED, picture
 
     figure = new_figure(7.0, 3.6)
-    axes: Any = figure.subplots()
+    axes = figure.subplots()
     styles = {"no_change": ("gray", "velocity stays what it was"), "still_air": (SIMULATED, "model, still air")}
     styles["fitted_wind"] = (OTHER, "model, fitted wind")
     for name, (colour, label) in styles.items():

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.files import Content
 from qrsim.studies.validate.hover_gusts import (
     CASE,
     EVERY,
@@ -53,18 +54,18 @@ COMPONENTS_IN_WORDS = dict(
 
 def study_case(
     case: Case, steps: int, seed: int, sources: Sequence[str]
-) -> tuple[dict[str, Any], dict[str, Floats], dict[str, Floats]]:
+) -> tuple[Content, dict[str, Floats], dict[str, Floats]]:
     """Compute statistics, series and levels over the closed form, of 'ours' and JSBSim's TYPES, in one case.
 
     Raises:
         RunError: no jsbsim where it is asked for.
     """
-    results: dict[str, Any] = dict(case._asdict())
+    results: Content = dict(case._asdict())
     series, levels = {}, {}
     for name in sources:
         ours = name == "ours"
         series[name] = our_series(case, steps, seed) if ours else jsbsim_series(case, TYPES[name], steps, seed)
-        theory: Any = partial(sampled_closed_form, case) if ours else partial(jsbsim_theory, case, TYPES[name])
+        theory = partial(sampled_closed_form, case) if ours else partial(jsbsim_theory, case, TYPES[name])
         results[name], levels[name] = compare(series[name], theory, case)
     return results, series, levels
 
@@ -74,7 +75,7 @@ def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Flo
     from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 6.0)
-    axes: Any = figure.subplots(2, 3, sharex=True, sharey="row", height_ratios=(3, 2))
+    axes = figure.subplots(2, 3, sharex=True, sharey="row", height_ratios=(3, 2))
     labels = {"ours": "qrsim, dryden", "jsbsim_type_3": "JSBSim type 3", "jsbsim_type_4": "JSBSim type 4"}
     centres = LOWEST_OMEGA * 10.0 ** (0.1 * (np.arange(BANDS) + 0.5))
     for i, name in enumerate(COMPONENTS[:3]):
@@ -146,7 +147,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     )
 
 
-def _variances(gusts_ned: Floats, windows: int) -> dict[str, Any]:
+def _variances(gusts_ned: Floats, windows: int) -> Content:
     """Return JSBSim's variances over the closed form, and how much they vary between windows of 200 s."""
     scaled = np.square(in_wind_axes(gusts_ned) / scales(CASE)[1])
     by_window = scaled.reshape(windows, -1, 3).mean(axis=1)
@@ -166,7 +167,7 @@ def _exact_distance(case: Case, kind: int) -> float:
     return float(np.max(np.abs(10.0 * np.log10(ratio))))
 
 
-def _spectra_checks(ours: dict[str, Any], steps: int) -> list[Check]:
+def _spectra_checks(ours: Content, steps: int) -> list[Check]:
     z = widest_z(len(COMPONENTS))
     # The bands' levels are means over Welch's segments, whose number grows with the record.
     bound = SPECTRA_DB * math.sqrt(max(1.0, STEPS / steps))
@@ -195,7 +196,7 @@ def _spectra_checks(ours: dict[str, Any], steps: int) -> list[Check]:
     ]
 
 
-def _hover_checks(hover: dict[str, Any], vehicles: int) -> list[Check]:
+def _hover_checks(hover: Content, vehicles: int) -> list[Check]:
     count = sum(len(list(p_values(hover[name]))) for name in MODELS)
     z = widest_z(count)
     return [
@@ -225,7 +226,7 @@ def _mean_checks() -> list[Check]:
     ]
 
 
-def _findings(numbers: dict[str, Any], oracle: bool) -> list[Finding]:
+def _findings(numbers: Content, oracle: bool) -> list[Finding]:
     hover, spectra = numbers["hover"], numbers["spectra"]
     lags = hover["time_constant_s"]
     found = [
@@ -271,7 +272,7 @@ def _findings(numbers: dict[str, Any], oracle: bool) -> list[Finding]:
     return found
 
 
-def _summary(numbers: dict[str, Any], oracle: bool) -> str:
+def _summary(numbers: Content, oracle: bool) -> str:
     ours = numbers["spectra"]["ours"]
     largest = max(ours[axis]["largest_db_from_closed_form"] for axis in COMPONENTS[:3])
     reading = f"Gusts have the standard's variances and correlations within chance, and its spectra to {largest:.1f} dB"
@@ -283,7 +284,7 @@ def _trace_picture(traces: dict[str, Floats]) -> Picture:
     from qrsim.studies.validate.pictures import picture
 
     figure = new_figure(11.0, 6.0)
-    panels: Any = figure.subplots(3, 1, sharex=True)
+    panels = figure.subplots(3, 1, sharex=True)
     mean, sigma = mean_wind(), scales(CASE)[1]
     for i, (panel, axis) in enumerate(zip(panels, ("north", "east", "down"), strict=True)):
         for (name, gusts), colour in zip(traces.items(), ("tab:red", "tab:blue", "gray"), strict=False):

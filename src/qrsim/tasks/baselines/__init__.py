@@ -112,7 +112,7 @@ class BaselinePolicy:
         if self._memory is None:
             self._memory = jax.jit(self._init)(state)
         seen = jax.tree.map(np.asarray, self._observe(self._memory, state, np.int32(tick)))
-        done: Any = self._baseline.act(seen)
+        done = self._baseline.act(seen)
         sides = self.play.sides
         if len(sides) > 1:
             by_fleet(done, [side.fleet for side in sides], "policy baseline: actions")
@@ -132,17 +132,17 @@ class BaselinePolicy:
 
     def answer(self) -> NumpyArray | None:
         """Return what the baseline hands in at the end, (n, ...); None if it hands in nothing."""
-        policy: Any = self._baseline
+        policy = self._baseline
         return np.asarray(policy.answer(), self._like.dtype) if isinstance(policy, Answering) else None
 
     @property
     def _like(self) -> NumpyArray:
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
-    def _init(self, state: Any) -> Any:
+    def _init(self, state: Any) -> object:
         ids = jnp.arange(self.play.task.ids, dtype=jnp.uint32)
         stream = Key.root(self.seed).stream(TASK, ids)
         return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
 
-    def _observed(self, memory: Any, state: Any, tick: Any) -> Any:
+    def _observed(self, memory: Any, state: Any, tick: Any) -> object:
         return self.play.observed(memory, state, tick)

@@ -10,7 +10,7 @@ from puppet import DT, EAST_DEG, NORTH_DEG, SITE, command, item, place
 from qrsim.links.mavlink.stack.codes import FIXED_WING, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN, Facts, LocalTarget, Seen
 from qrsim.links.mavlink.stack.modes import Mode
-from qrsim.links.mavlink.stack.wing_stack import FLOWN, WingStack
+from qrsim.links.mavlink.stack.wing_stack import WingStack
 
 WIDE = ((-1000.0, -1000.0), (-1000.0, 1000.0), (1000.0, 1000.0), (1000.0, -1000.0))
 # Accepted, temporarily rejected, denied.
@@ -28,7 +28,7 @@ class Glider:
     def __init__(self, flavour="px4", fence=WIDE, z_min=-300.0, loiter_radius=150.0):
         facts = Facts(
             "w",
-            kinds=FLOWN,
+            kinds=frozenset({"track", "control"}),
             mav_type=FIXED_WING,
             fence=fence,
             z_min=z_min,

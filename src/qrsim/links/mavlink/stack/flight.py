@@ -144,7 +144,7 @@ class Flight:
         return self.offboard.fly(craft)
 
     def _hold(self) -> tuple[Order | None, bool]:
-        """Return the order to stay at a place, and whether it has landed: who is to stay hardly above the ground lands."""
+        """Return the order to stay at a place, which lands hardly above the ground, and whether it has landed."""
         craft, here = self.craft, self.craft.seen.position_ned
         if not craft.flies and craft.seen.on_ground:
             return craft.idle(), False

@@ -15,8 +15,6 @@ from qrsim.links.mavlink.stack.modes import WING_FLAVOURS, Mode
 from qrsim.links.mavlink.stack.plan import place_of
 from qrsim.links.mavlink.stack.tour import NO_RUNWAY, REACH, Tour, why_no_airspeed, why_no_speed
 
-# Orders by which a wing is flown.
-FLOWN = frozenset({"track", "control"})
 LAND, TAKE_OFF, ORBIT, TURN, CHANGE_SPEED, REPOSITION = 21, 22, 34, 115, 178, 192
 # A set-point that is refused is said once in so long [s].
 SAID_EVERY_S = 5.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal, get_args
+from typing import Literal
 
 from qrsim.errors import UsageError
 from qrsim.links.mavlink.system import System
@@ -18,7 +18,6 @@ from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types
 
 ApiName = Literal["mavros", "px4"]
-APIS: tuple[str, ...] = get_args(ApiName)
 PACKAGES: dict[str, Sequence[str]] = {"mavros": mavros.PACKAGES, "px4": px4.PACKAGES}
 
 
@@ -140,7 +139,7 @@ class _Scheduled:
 
     def __init__(self, told: Told, number: int, every: int):
         self._told, self._number, self._every = told, number, every
-        self._key: Any = None
+        self._key: object = None
 
     def due(self, tick: int, system: System) -> Iterator[tuple[int, bytes]]:
         """Yield its messages of a tick."""

@@ -168,7 +168,7 @@ class Asked:
             yield Answered(self._space + name, f"mavros_msgs/srv/{kind}", answer)
         yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._tell_home)
 
-    def _response(self, kind: str, *values: object) -> Any:
+    def _response(self, kind: str, *values: object) -> object:
         return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
 
     def _obey(self, kind: str, command: int, *params: float) -> Any:
@@ -177,23 +177,23 @@ class Asked:
         result = self._stack.command(Command(command, whole)).result  # type: ignore[arg-type]
         return self._response(kind, result is Result.ACCEPTED, int(result))
 
-    def _long(self, r: Any) -> Any:
+    def _long(self, r: Any) -> object:
         params = (r.param1, r.param2, r.param3, r.param4, r.param5, r.param6, r.param7)
         return self._obey("CommandLong", r.command, *params)
 
-    def _int(self, r: Any) -> Any:
+    def _int(self, r: Any) -> object:
         self._stack.command(Command.of_int(r.command, r.frame, (r.param1, r.param2, r.param3, r.param4), r.x, r.y, r.z))
         # mavros does not wait for the result.
         return self._response("CommandInt", True)
 
-    def _take_off_or_land(self, command: int, first: float, r: Any) -> Any:
+    def _take_off_or_land(self, command: int, first: float, r: Any) -> object:
         return self._obey("CommandTOL", command, first, 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
 
-    def _home(self, r: Any) -> Any:
+    def _home(self, r: Any) -> object:
         params = (float(r.current_gps), 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
         return self._obey("CommandHome", _SET_HOME, *params)
 
-    def _mode(self, r: Any) -> Any:
+    def _mode(self, r: Any) -> object:
         base, custom = r.base_mode, 0
         if r.custom_mode:
             number = number_of(r.custom_mode)
@@ -204,6 +204,6 @@ class Asked:
         self._stack.set_mode(base, custom)
         return self._response("SetMode", True)
 
-    def _tell_home(self, r: object) -> Any:
+    def _tell_home(self, r: object) -> object:
         result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
         return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

@@ -162,7 +162,7 @@ class Asked:
         if message.target_system in (0, self._system.number) and message.target_component in (0, 1):
             self._acks.append(self._types.encode(self._acknowledged(message)))
 
-    def _acknowledged(self, message: Any) -> Any:
+    def _acknowledged(self, message: Any) -> object:
         """Obey or refuse a command, and return its acknowledgement."""
         command = int(message.command)
         params: Any = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))

@@ -7,15 +7,16 @@ out the parasitic drag of the book's table E.2, which is here; ``preset: mavsim`
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from jax import Array
 
+from qrsim.core.presets import Presets
 from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
 from qrsim.models.atmosphere.standard import SiteAir
 
 
-def _coefficient(default: float, doc: str) -> Any:
+def _coefficient(default: float, doc: str) -> Array:
     return parameter(default=default, unit="1", doc=doc)
 
 
@@ -143,7 +144,7 @@ class Aeroplane:
         default="aerosonde", doc="what is not given: the Aerosonde with parasitic drag, or as in the book's code"
     )
     site_air: SiteAir = derived(default=SiteAir(), doc="the atmosphere above the site")
-    presets: ClassVar[dict[str, dict[str, Any]]] = {
+    presets: ClassVar[Presets] = {
         "aerosonde": {},
         "mavsim": {"density": 1.2682, "longitudinal": {"drag_parasitic": 0.0}},
     }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -81,5 +79,5 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
     )
 
 
-def _within(value: Array, limit: Any) -> Array:
+def _within(value: Array, limit: Array | float) -> Array:
     return jnp.clip(value, -limit, limit)

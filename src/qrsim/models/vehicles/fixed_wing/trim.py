@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -169,7 +168,7 @@ def _still() -> Vec3:
     return Vec3(zero, zero, zero)
 
 
-def _steady(y: Array, airspeed: Any, turn: Any) -> tuple[Motion, Surfaces]:
+def _steady(y: Array, airspeed: Array | float, turn: Array | float) -> tuple[Motion, Surfaces]:
     """Return motion and surfaces of unknowns alpha, beta, phi, elevator, aileron, rudder, throttle and theta."""
     sa, ca = jnp.sin(y[0]), jnp.cos(y[0])
     sb, cb = jnp.sin(y[1]), jnp.cos(y[1])

@@ -31,8 +31,8 @@ from qrsim.models.vehicles.fixed_wing.trim import cruise
 class FixedWing(Aeroplane, Vehicle):
     """An aeroplane with a propeller at its nose or tail, and its stabiliser; the defaults are the Aerosonde's."""
 
-    command_type: ClassVar[type[Any]] = AttitudeCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (AttitudeCommand, SurfaceCommand)
+    command_type: ClassVar[type] = AttitudeCommand
+    actions: ClassVar[tuple[type, ...]] = (AttitudeCommand, SurfaceCommand)
     reads: ClassVar[tuple[str, ...]] = ("air_rates", "air_density")
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"pitch": math.pi / 2.0, "velocity": 80.0, "rate": 30.0}
@@ -85,7 +85,7 @@ class FixedWing(Aeroplane, Vehicle):
         alpha, _, throttle = cruise(self, jnp.asarray(self.cruise_airspeed))
         return AttitudeCommand(zero, zero + alpha, jnp.clip(zero + throttle, 0.0, 1.0))
 
-    def shown(self, command: Any) -> AttitudeCommand:
+    def shown(self, command: object) -> AttitudeCommand:
         """Return a command as a world's state keeps it; NaN in the fields that it has not."""
         return shown(command)
 
@@ -152,7 +152,7 @@ class FixedWing(Aeroplane, Vehicle):
         state: FixedWingState,
         command: Any,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> Vec3:

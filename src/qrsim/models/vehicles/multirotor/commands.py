@@ -52,7 +52,7 @@ class MotorCommand:
     """
 
     @staticmethod
-    def of_count(count: int) -> type[Any]:
+    def of_count(count: int) -> type:
         """Return the class of commands for a number of rotors, 1 to 16."""
         return _CLASSES[count]
 
@@ -63,7 +63,7 @@ class MotorCommand:
         return _CLASSES[len(columns)](*columns)
 
 
-def _motor_command(count: int) -> type[Any]:
+def _motor_command(count: int) -> type:
     """Make the class of commands for a number of rotors."""
     name = f"MotorCommand{count}"
     fields: dict[str, Any] = {

@@ -81,7 +81,7 @@ def fly(
         )
         return found
 
-    def by_the_ground() -> Any:
+    def by_the_ground() -> object:
         motion, after, found = advance(start)
         touched = touch(
             model.contact,
@@ -98,7 +98,7 @@ def fly(
         straight = jax.tree.map(jnp.zeros_like, motion.brush)
         return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
 
-    def far_above() -> Any:
+    def far_above() -> object:
         motion, after, found = advance(replace(start, brush=()))
         straight = jax.tree.map(jnp.zeros_like, start.brush)
         return replace(motion, brush=straight), after, found, jnp.zeros_like(near)

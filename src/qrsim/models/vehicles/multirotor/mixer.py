@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -79,7 +78,7 @@ def mixer_of(rotors: Sequence[Rotor], torque_ratio: Array, most: Array, lost: Se
         lost: rotors that may be known to have failed, and for which vehicles (n,) bool that is so now.
     """
     columns = [effects(rotor, torque_ratio) for rotor in rotors]
-    rows: Any = allocation(rotors, torque_ratio)
+    rows = allocation(rotors, torque_ratio)
     yaw: Number = 1.0
     for count in range(1, len(lost) + 1):
         for some in combinations(lost, count):

@@ -41,7 +41,7 @@ from qrsim.models.vehicles.wake import Wake
 class _Actions:
     """Which commands a vehicle accepts: of a class any number of rotors, of a vehicle its own."""
 
-    def __get__(self, vehicle: Multirotor | None, owner: type) -> tuple[type[Any], ...]:
+    def __get__(self, vehicle: Multirotor | None, owner: type) -> tuple[type, ...]:
         motors = MotorCommand if vehicle is None else MotorCommand.of_count(len(vehicle.rotors))
         return (AttitudeCommand, RateCommand, motors)
 
@@ -50,8 +50,8 @@ class _Actions:
 class Multirotor(Airframe, Vehicle):
     """A rigid body under any number of rotors, with its stabiliser; the defaults are those of the X500."""
 
-    command_type: ClassVar[type[Any]] = AttitudeCommand
-    actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
+    command_type: ClassVar[type] = AttitudeCommand
+    actions: ClassVar[tuple[type, ...]] = _Actions()  # type: ignore[assignment]
     normals: ClassVar[int] = NORMALS
     reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates")
     gives_power: ClassVar[bool] = True
@@ -100,18 +100,18 @@ class Multirotor(Airframe, Vehicle):
         throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity / self.site_share))
         return AttitudeCommand(zero, zero, jnp.broadcast_to(throttle, like.shape), zero)
 
-    def clip(self, command: Any, powered: bool = False) -> tuple[Any, Array]:
+    def clip(self, command: object, powered: bool = False) -> tuple[Any, Array]:
         """Bring a command into its limits."""
         if isinstance(command, Powered):
             inside, changed = clipped(command.command)
             return replace(command, command=inside), changed
         return clipped(command)
 
-    def powered(self, command: Any, voltage: Array | None) -> Any:
+    def powered(self, command: object, voltage: Array | None) -> Any:
         """Return a command together with a battery's voltage (n,) [V]; None: as at the nominal voltage."""
         return command if voltage is None else Powered(command, voltage)
 
-    def shown(self, command: Any) -> AttitudeCommand:
+    def shown(self, command: object) -> AttitudeCommand:
         """Return a command as a world's state keeps it; NaN in the fields that it has not."""
         return shown(command)
 
@@ -183,7 +183,7 @@ class Multirotor(Airframe, Vehicle):
     def step(
         self,
         state: MultirotorState,
-        command: Any,
+        command: object,
         air_velocity: Callable[[AttitudeTrig], Vec3],
         noise: ProcessNoise,
         dt: float,
@@ -195,7 +195,7 @@ class Multirotor(Airframe, Vehicle):
     def specific_force(
         self,
         state: MultirotorState,
-        command: Any,
+        command: object,
         air_velocity: Callable[[AttitudeTrig], Vec3],
         noise: ProcessNoise,
         dt: float,

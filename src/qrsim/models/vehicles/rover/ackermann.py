@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.integrate import rk4
+from qrsim.core.presets import Presets
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Rotation, Vec3
 from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
@@ -23,7 +24,7 @@ KINEMATIC_BELOW, SLIPS_FROM, KINEMATIC_LAG = 0.5, 1.5, 0.05
 # The slip angles are those of a vehicle at least so fast [m/s].
 SLOWEST = 1.0
 
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: Presets = {
     "car_1_10": {},
     "r1": {"mass": 10.0, "front_arm": 0.175, "rear_arm": 0.175, "yaw_inertia": 0.169, "speed_max": 3.0},
 }
@@ -76,9 +77,9 @@ class Rover(Vehicle):
     steering_rate_max: Array = parameter(default=4.0, unit="rad/s", doc="largest rate of the steering", above=0.0)
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
 
-    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
-    command_type: ClassVar[type[Any]] = SteeringCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (SteeringCommand,)
+    presets: ClassVar[Presets] = PRESETS
+    command_type: ClassVar[type] = SteeringCommand
+    actions: ClassVar[tuple[type, ...]] = (SteeringCommand,)
     reads: ClassVar[tuple[str, ...]] = ("ground",)
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"pitch": math.pi / 2.0, "velocity": 30.0, "rate": 20.0}
@@ -122,7 +123,7 @@ class Rover(Vehicle):
         state: RoverState,
         command: SteeringCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[RoverState, Vec3]:
@@ -140,7 +141,7 @@ class Rover(Vehicle):
         state: RoverState,
         command: SteeringCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> Vec3:

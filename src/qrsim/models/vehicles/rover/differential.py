@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -50,8 +50,8 @@ class DifferentialRover(Vehicle):
     acceleration_max: Array = parameter(default=4.0, unit="m/s^2", doc="largest acceleration of a wheel", above=0.0)
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
 
-    command_type: ClassVar[type[Any]] = WheelCommand
-    actions: ClassVar[tuple[type[Any], ...]] = (WheelCommand,)
+    command_type: ClassVar[type] = WheelCommand
+    actions: ClassVar[tuple[type, ...]] = (WheelCommand,)
     reads: ClassVar[tuple[str, ...]] = ("ground",)
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"pitch": math.pi / 2.0, "velocity": 30.0, "rate": 20.0}
@@ -95,7 +95,7 @@ class DifferentialRover(Vehicle):
         state: DifferentialRoverState,
         command: WheelCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[DifferentialRoverState, Vec3]:
@@ -112,7 +112,7 @@ class DifferentialRover(Vehicle):
         state: DifferentialRoverState,
         command: WheelCommand,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> Vec3:

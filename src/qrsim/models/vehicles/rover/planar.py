@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array
@@ -28,7 +28,7 @@ class Drives(Protocol):
     speed_max: Array
 
     @abstractmethod
-    def drive(self, speed: Array, curvature: Array) -> Any:
+    def drive(self, speed: Array, curvature: Array) -> object:
         """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
 
 

@@ -1,0 +1,154 @@
+"""One stream of a run as arrays of shape (T, n)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from qrsim.core.tables import Table, Tabled
+from qrsim.errors import RunError
+from qrsim.runs.arrow import to_numpy
+from qrsim.runs.layout import INDEX, Column
+from qrsim.runs.parts import StreamParts
+
+if TYPE_CHECKING:
+    pass
+
+
+class Batch(NamedTuple):
+    """Some ticks of a stream: times (T,) [s], their numbers (T,), and columns of shape (T, n)."""
+
+    time: npt.NDArray[np.float64]
+    tick: npt.NDArray[np.int64]
+    arrays: dict[str, npt.NDArray[Any]]
+
+
+class Stream(Tabled):
+    """One stream of a run as arrays of shape (T, n), n vehicles in the run's order.
+
+    A column is read from disk each time it is asked for: keep it in a variable, or take many with ``arrays``.
+    """
+
+    def __init__(self, parts: StreamParts, vehicles: Sequence[str]):
+        """Use ``run[stream]``."""
+        self._parts = parts
+        self.vehicles = tuple(vehicles)
+
+    def _table(self) -> Table:
+        count = len(self.vehicles)
+        title = f"stream '{self._parts.stream}' of {count} vehicle{'s' * (count != 1)}, at {len(self.time)} times"
+        rows = [(column.name, column.unit, column.dtype, column.doc) for column in self._parts.columns[len(INDEX) :]]
+        return Table(title, ("column", "unit", "type", "meaning"), rows)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns())
+
+    @cached_property
+    def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+        """(T,) times and ticks, after a check that the rows are what the arrays' shape promises."""
+        # Piece by piece: of all rows only the ticks are kept.
+        steps = [self._steps(table) for table in self._parts.tables([column.name for column in INDEX])]
+        times, ticks = (np.concatenate(found) for found in zip(*steps, strict=True))
+        return times, ticks
+
+    def _steps(self, table: pa.Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+        """Return (T,) times and ticks of some rows, after the same check."""
+        count = len(self.vehicles)
+        order = _codes(table["vehicle"], self.vehicles)
+        times: npt.NDArray[np.float64] = to_numpy(table["time"])
+        ticks: npt.NDArray[np.int64] = to_numpy(table["tick"])
+        steps = ticks[::count]
+        in_order = np.array_equal(order, np.tile(np.arange(count), len(steps)))
+        if in_order and np.array_equal(ticks, np.repeat(steps, count)):
+            return times[::count].copy(), steps.copy()
+        raise RunError(
+            f"{self._parts.folder}: its rows are not one per vehicle at each tick, so there are no (T, n) arrays; "
+            "use run.table"
+        )
+
+    @property
+    def time(self) -> npt.NDArray[np.float64]:
+        """Simulated time [s], shape (T,)."""
+        return self._grid[0]
+
+    @property
+    def tick(self) -> npt.NDArray[np.int64]:
+        """Number of the simulation step, shape (T,)."""
+        return self._grid[1]
+
+    def columns(self) -> tuple[str, ...]:
+        """Return the names of the columns."""
+        return tuple(column.name for column in self._parts.columns[len(INDEX) :])
+
+    def column(self, name: str) -> Column:
+        """Return unit, meaning and type of a column. Raises UsageError for an unknown name."""
+        return self._parts.column(name)
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        """Return a column, shape (T, n), in its own dtype; raises as ``arrays``."""
+        return self.arrays([name])[name]
+
+    def arrays(self, names: Sequence[str] | None = None) -> dict[str, npt.NDArray[Any]]:
+        """Return several columns (None: all), each of shape (T, n), in one pass over the files.
+
+        Raises:
+            UsageError: unknown column.
+            RunError: a part is damaged or missing; the message names it.
+        """
+        names = self._known(names)
+        shape = (len(self.time), len(self.vehicles))
+        table = self._parts.table(names)
+        return {name: to_numpy(table[name]).reshape(shape) for name in names}
+
+    def batches(
+        self, names: Sequence[str] | None = None, *, start: float = -math.inf, end: float = math.inf
+    ) -> Iterator[Batch]:
+        """Yield the ticks of ``arrays`` in batches, for logs larger than memory; raises as ``arrays``.
+
+        Args:
+            names: of columns; None: all.
+            start, end: times [s]; batches without any between them are left out, and not read.
+        """
+        names = self._known(names)
+        columns = [*(column.name for column in INDEX), *names]
+        whole = start == -math.inf and end == math.inf
+        for table in self._parts.tables(columns) if whole else self._parts.tables_between(columns, start, end):
+            if not table.num_rows:
+                continue
+            time, tick = self._steps(table)
+            shape = (len(time), len(self.vehicles))
+            yield Batch(time, tick, {name: to_numpy(table[name]).reshape(shape) for name in names})
+
+    def _known(self, names: Sequence[str] | None) -> Sequence[str]:
+        if names is None:
+            return self.columns()
+        for name in names:
+            if name not in self:
+                raise self._parts.unknown(name)
+        return names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns()
+
+
+def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.int64]:
+    """Return the index of each row's vehicle; -1 for a name that is not one of the run's."""
+    index = {name: i for i, name in enumerate(vehicles)}
+    chunks = [np.zeros(0, np.int64)]
+    # In a file that was damaged it may be plain text, or something else.
+    coded = vehicle if pa.types.is_dictionary(vehicle.type) else vehicle.dictionary_encode()
+    for chunk in coded.chunks:
+        # The last entry stands for an absent name, which the index -1 finds.
+        lookup = np.array([*(index.get(name, -1) for name in chunk.dictionary.to_pylist()), -1])
+        indices = chunk.indices.fill_null(-1) if chunk.null_count else chunk.indices
+        chunks.append(lookup[to_numpy(indices)])
+    return np.concatenate(chunks)

@@ -1,0 +1,62 @@
+"""What a scenario says of where vehicles may be: the schemas of areas."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any
+
+from pydantic import Field
+
+from qrsim.models.scene.fence import PolygonArea
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.component_schema import Strict, component_model
+from qrsim.scenarios.legs import Corner
+from qrsim.scenarios.slots import Maker, slot
+
+MOST_CORNERS = 1000
+
+
+class _Polygon(Strict):
+    """Shows the corners as a PolygonArea has them."""
+
+    @property
+    def north(self) -> list[float]:
+        """Corners [m]."""
+        return [north for north, _ in self.corners_ned]  # type: ignore[attr-defined]
+
+    @property
+    def east(self) -> list[float]:
+        """Corners [m]."""
+        return [east for _, east in self.corners_ned]  # type: ignore[attr-defined]
+
+
+@cache
+def polygon_model() -> Any:
+    """Return the schema of a polygon with its corners; a type checker cannot see into it."""
+    text = "[north, east] [m] of each corner, in order; the last is joined to the first"
+    corners = (list[Corner], Field(description=text, min_length=3, max_length=MOST_CORNERS))
+    return component_model("polygon", PolygonArea, arrays={"corners_ned": corners}, base=_Polygon)
+
+
+@cache
+def _fence_model() -> type[Strict]:
+    """Return the schema of a polygon whose corners are in a file."""
+    places = {
+        "file": (str, Field(description="a .kml file, or a QGroundControl .plan file with a geofence", min_length=1)),
+        "name": (str | None, Field(None, description="of the polygon; may be left out where the KML has one only")),
+    }
+    return component_model("fence", PolygonArea, arrays=places)
+
+
+@cache
+def _area_model(name: str, area: type) -> type[Strict]:
+    return component_model(name, area)
+
+
+def _areas() -> dict[str, Maker]:
+    """Return the makers of the schemas of areas: those of the catalogue, and a file with the polygon of one."""
+    others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if area is not PolygonArea}
+    return {**others, "polygon": polygon_model, "fence": _fence_model}
+
+
+AreaSlot: Any = slot(_areas)
