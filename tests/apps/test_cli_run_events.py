@@ -54,8 +54,8 @@ def test_fixes_and_faults_are_events_with_their_times(told: Any) -> None:
     assert [(event.kind, event.vehicle, event.field, event.message) for event in found] == [
         ("no_fix", "a_1", "gnss.satellites", "a_1: gnss no fix at 0.00 s, 0 satellites"),
         ("fix_lost", "a_0", "gnss.satellites", found[1].message),
-        ("fault_begins", "a_1", "baro", "a_1: baro frozen, begins at 1.50 s"),
-        ("fault_ends", "a_1", "baro", "a_1: baro frozen, ends at 2.50 s"),
+        ("fault_begins", "a_1", "baro", "a_1: baro stuck, begins at 1.50 s"),
+        ("fault_ends", "a_1", "baro", "a_1: baro stuck, ends at 2.50 s"),
         ("fix_found", "a_0", "gnss.satellites", found[4].message),
     ]
     assert found[1].message.startswith("a_0: gnss fix lost at 1.00 s, ")

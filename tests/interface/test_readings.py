@@ -64,7 +64,7 @@ def test_a_reading_that_is_missing_says_why() -> None:
     reading = simulation.step(ticks=2)
     stopped = reading.barometer.reasons[0]
     assert stopped.startswith("stopped, out_of_area: position_ned.z = 0.")
-    assert reading.barometer.reasons[1:] == ["lost, by a fault of the scenario", "", "", ""]
+    assert reading.barometer.reasons[1:] == ["off, by a fault of the scenario", "", "", ""]
     assert np.isnan(reading.barometer.height[:2]).all()
     assert reading.gnss.reasons == [stopped, *["no fix: 0 satellites, at least 4 needed"] * 4]
     assert (reading.gnss.fix_type == 0).all()

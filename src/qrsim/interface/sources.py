@@ -16,6 +16,7 @@ from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.camera import Picture
 from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.faults import Fault
 from qrsim.models.sensors.fitting import Transit
 from qrsim.models.site import Site
 from qrsim.world.episode import picture
@@ -107,14 +108,19 @@ class FleetSource:
     def _faults(self, sensor: str) -> list[str]:
         """Return which fault takes away the readings of each vehicle; of several, the one applied last."""
         found = [""] * self.fleet.size
-        for fault, passed_on in zip(self.fleet.faults, self.now.passed_on, strict=True):
-            if fault.sensor != sensor or fault.kind == "biased":
+        for fault, memory in zip(self.fleet.all_faults, self.now.passed_on, strict=True):
+            if fault.sensor != sensor:
                 continue
-            active, why = np.asarray(fault.active(self.tick)), "lost, by a fault of the scenario"  # type: ignore[arg-type]
-            if fault.kind == "frozen":
-                complete = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(passed_on)], axis=0)
-                active, why = active & ~complete, "frozen, by a fault of the scenario, while it had no reading"
-            found = [why if here else before for here, before in zip(active, found, strict=True)]
+            of = "a fault of the scenario" if isinstance(fault, Fault) else "an injected fault"
+            active, kinds = np.asarray(fault.active(self.tick)), fault.kinds_of(self.fleet.size)  # type: ignore[arg-type]
+            for vehicle in np.flatnonzero(active):
+                kind = kinds[vehicle]
+                if kind in ("off", "intermittent"):
+                    found[vehicle] = f"{kind}, by {of}"
+                elif kind in ("stuck", "slow") and memory is not None:
+                    leaves = jax.tree.leaves(memory.passed_on)
+                    if not all(np.isfinite(leaf[..., vehicle]).all() for leaf in leaves):
+                        found[vehicle] = f"{kind}, by {of}, while it had no reading"
         return found
 
     def _without_orbits(self, sensor: str) -> list[str]:

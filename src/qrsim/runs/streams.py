@@ -268,12 +268,16 @@ class EventFinder:
                             event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
                             found.append((int(row), first + int(i), event))
             for broken in fleet.rotor_faults:
-                for row in np.flatnonzero(history.ticks == int(broken.start_tick)):
-                    for i in np.flatnonzero(broken.affected):
-                        event = self._at(history, int(row), first + int(i))
-                        message = f"{event['vehicle']}: rotor {broken.rotor} fails at {event['time']:.2f} s"
-                        event |= {"kind": "fault_begins", "field": f"rotor_{broken.rotor}", "message": message}
-                        found.append((int(row), first + int(i), event))
+                for edge, kind, word in (
+                    (broken.start_tick, "fault_begins", "fails"),
+                    (broken.end_tick, "fault_ends", "is well again"),
+                ):
+                    for row in np.flatnonzero(history.ticks == int(edge)):
+                        for i in np.flatnonzero(broken.affected):
+                            event = self._at(history, int(row), first + int(i))
+                            message = f"{event['vehicle']}: rotor {broken.rotor} {word} at {event['time']:.2f} s"
+                            event |= {"kind": kind, "field": f"rotor_{broken.rotor}", "message": message}
+                            found.append((int(row), first + int(i), event))
             first += fleet.size
         return found
 

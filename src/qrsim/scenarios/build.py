@@ -29,7 +29,7 @@ from qrsim.models.vehicles.contracts import has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
 from qrsim.scenarios.estimating import with_sensed
-from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
+from qrsim.scenarios.faults import faults, rotor_faults, slots, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
@@ -226,6 +226,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
     built = [with_beacons(sensor, scenario) for sensor in built]
     sensors, fittings = fitted(spec, built)
     controller = component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle)
+    sensor_slots, rotor_slots, battery_slot = slots(name, spec, scenario)
     return Fleet(
         vehicle=vehicle,
         controller=controller,
@@ -244,6 +245,9 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
         ground="stop" if has_contact(vehicle) else spec.ground,
         radius=spec.radius,  # type: ignore[arg-type]
         rotor_faults=rotor_faults(name, spec, scenario),
+        fault_slots=sensor_slots,
+        rotor_slots=rotor_slots,
+        battery_slot=battery_slot,
         fittings=fittings,
         estimator=_estimator(spec, scenario, sensors, fittings),
     )

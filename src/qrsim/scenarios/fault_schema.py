@@ -2,28 +2,72 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Discriminator,
-    Field,
-    Tag,
-)
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from qrsim.scenarios.component_schema import Finite, Strict
 
+# Rotors of a fleet that may fail; its mixer is prepared for every set of them.
+MOST_FAILED_ROTORS = 4
+ALL = "all"
+
+
+def _in_a_list(value: object) -> object:
+    return [ALL] if value == ALL else value
+
+
+def _first_rotors(value: object) -> object:
+    return list(range(MOST_FAILED_ROTORS)) if value == ALL else value
+
+
+def _all_of(value: object) -> object:
+    """Return what "all" is of: it is of as much as a vehicle has."""
+    return {"sensors": ALL, "rotors": ALL, "battery": True} if value == ALL else value
+
+
+def or_all(schema: dict[str, Any]) -> None:
+    """Add the word "all" to a JSON schema."""
+    named = {name: schema.pop(name) for name in ("type", "items", "anyOf", "$ref") if name in schema}
+    schema["anyOf"] = [*named.pop("anyOf", []), *([named] if named else []), {"const": ALL}]
+
 
 class FaultSpec(Strict):
-    """A time during which the readings of a sensor are lost, frozen or biased."""
+    """A time during which a sensor does not say what it should."""
 
     type: Literal["sensor"] = Field("sensor", description="what fails; may be left out")
     sensor: str = Field(description="name of the sensor")
-    kind: Literal["lost", "frozen", "biased"] = Field(description="what happens to its readings")
+    kind: Literal[
+        "off",
+        "stuck",
+        "wrong",
+        "drift",
+        "noisy",
+        "garbage",
+        "slow",
+        "delayed",
+        "intermittent",
+        "lost",
+        "frozen",
+        "biased",
+    ] = Field(description="what happens to its readings; lost, frozen and biased are off, stuck and wrong")
     start: Finite = Field(description="start [s]", ge=0)
     end: Finite | None = Field(None, description="end [s]; default: the end of the run", gt=0)
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
-    field: str | None = Field(None, description="what is biased, for example position_ned.x or height")
-    bias: Finite | None = Field(None, description="what is added, in the unit of the field")
+    field: str | None = Field(
+        None, description="what of it is wrong, drifts, is noisy or garbage: position_ned.x, all axes of position_ned"
+    )
+    bias: Finite | None = Field(None, description="what is added, in the unit of the field (wrong)")
+    scale: Finite | None = Field(None, description="what it is multiplied by before (wrong)")
+    rate: Finite | None = Field(None, description="what is added in a second (drift)")
+    limit: Finite | None = Field(None, description="the most that is added (drift); default: any number", ge=0)
+    std: Finite | None = Field(None, description="standard deviation of what is added to each reading (noisy)", ge=0)
+    range: Finite | None = Field(None, description="readings are drawn uniformly from - to + this (garbage)", ge=0)
+    every: int | None = Field(None, description="one reading of so many is delivered (slow)", ge=1, le=1_000_000)
+    by: Finite | None = Field(None, description="how late readings come [s] (delayed)", ge=0, le=600)
+    share: Finite | None = Field(None, description="part of the readings that is lost (intermittent)", ge=0, le=1)
+    on: Finite | None = Field(None, description="time with readings [s], then without (intermittent)", ge=0, le=1e6)
+    off: Finite | None = Field(None, description="time without readings [s] (intermittent)", ge=0, le=1e6)
 
 
 class RotorFaultSpec(Strict):
@@ -35,7 +79,26 @@ class RotorFaultSpec(Strict):
     health: Finite = Field(
         0.0, description="the part of its speed that it still reaches; 0: it stands still", ge=0, le=1
     )
+    end: Finite | None = Field(None, description="when it is well again [s]; default: never", gt=0)
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
+
+
+class InjectableSpec(Strict):
+    """What of the vehicles of a fleet may be made to fail in flight; it is compiled, and costs a little."""
+
+    sensors: Annotated[list[str], BeforeValidator(_in_a_list)] = Field(
+        [], description="names of sensors, or all", json_schema_extra=or_all
+    )
+    rotors: Annotated[list[Annotated[int, Field(ge=0, strict=True)]], BeforeValidator(_first_rotors)] = Field(
+        [],
+        description="numbers of rotors, from 0, at most four, or all, of which the first four",
+        json_schema_extra=or_all,
+    )
+    battery: bool = Field(False, description="whether the battery may lose charge", strict=True)
+    delay_max: Finite = Field(0.0, description="longest delay of kind delayed [s]", ge=0, le=60)
+
+
+InjectableModel = Annotated[InjectableSpec, BeforeValidator(_all_of)]
 
 
 def _what_fails(fault: object) -> str:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from qrsim.core.tree import field_info
 from qrsim.errors import did_you_mean
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.faults import TIMES, drawn_paths
 from qrsim.scenarios.interference import world_path as interference_path
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.satellites import base_station
@@ -98,6 +99,7 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
             "world.interference.NUMBER",
             *(f"fleets.NAME.{part}" for part in IN_FLEET),
             "fleets.NAME.sensors.NAME",
+            "fleets.NAME.faults.NUMBER",
         ]
         return f"{path} cannot be drawn; allowed: numbers of {', '.join(parts_known)}"
     if isinstance(value, bool) or not isinstance(value, int | float) or _is_setting(scenario, path):
@@ -173,12 +175,20 @@ def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
     if parts[0] != "fleets" or len(parts) < 4:
         return None
     fleet = list(scenario.fleets).index(parts[1])
+    if parts[2] == "faults" and len(parts) == 5:
+        paths = drawn_paths(scenario.fleets[parts[1]], int(parts[3]), parts[4])
+        return ("fleets", fleet, *paths[0]) if paths else None
     if parts[2] in IN_FLEET:
         return ("fleets", fleet, *parts[2:])
     if parts[2] == "sensors" and len(parts) >= 5:
         sensor = list(scenario.fleets[parts[1]].sensors).index(parts[3])
         return ("fleets", fleet, "sensors", sensor, *parts[4:])
     return None
+
+
+def _is_time_of_fault(path: str) -> bool:
+    parts = path.split(".")
+    return parts[0] == "fleets" and parts[2] == "faults" and parts[-1] in TIMES
 
 
 def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
@@ -188,12 +198,20 @@ def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
         path, low, high = in_radians(item)
         where = world_path(scenario, path)
         assert where is not None
-        found.append(Range(low, high, path, (where, *_heirs(scenario, path))))  # type: ignore[arg-type]
+        if _is_time_of_fault(path):
+            low, high = low / scenario.time_step, high / scenario.time_step
+        paths = (where, *_heirs(scenario, path))
+        found.append(Range(low, high, path, paths))  # type: ignore[arg-type]
     return tuple(found)
 
 
 def _heirs(scenario: ScenarioSpec, path: str) -> Iterator[Path]:
     """Yield where in a World a number is that is taken from this one."""
+    parts = path.split(".")
+    if parts[0] == "fleets" and parts[2] == "faults":
+        fleet = list(scenario.fleets).index(parts[1])
+        for where in drawn_paths(scenario.fleets[parts[1]], int(parts[3]), parts[4])[1:]:
+            yield ("fleets", fleet, *where)
     turbulence = scenario.world.turbulence
     for field in dataclasses.fields(known.TURBULENCES[turbulence.type]):
         if field_info(field).inherits == path and getattr(turbulence, field.name) is None:

@@ -23,7 +23,7 @@ from qrsim.scenarios.area_schema import AreaSlot
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.definitions import with_short_names
-from qrsim.scenarios.fault_schema import AnyFault
+from qrsim.scenarios.fault_schema import AnyFault, InjectableModel, or_all
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import RowsSpec, one_by_one
 from qrsim.scenarios.interference import MOST, InterferenceSlot
@@ -215,6 +215,9 @@ class FleetSpec(Strict):
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[AnyFault] = Field(
         [], description="faults of rotors, and of sensors, applied in this order", max_length=100
+    )
+    injectable: InjectableModel | None = Field(
+        None, description="what may be made to fail in flight, or all; default: nothing", json_schema_extra=or_all
     )
     placement: PlacementSlot = Field(
         {"type": "given"},

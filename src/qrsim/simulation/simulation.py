@@ -27,6 +27,8 @@ from qrsim.models.site import Site
 from qrsim.simulation.alone import alone
 from qrsim.simulation.arguments import checked_number, checked_seed, checked_ticks
 from qrsim.simulation.history import History
+from qrsim.simulation.injecting import Injecting
+from qrsim.simulation.injections import without_faults
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
@@ -42,7 +44,7 @@ CAPACITY = 50
 _MADE_AGAIN = ("_checker", "_ticks", "_offsets", "_now", "_lock", "_changes")
 
 
-class Simulation(Radios, Tabled):
+class Simulation(Radios, Injecting, Tabled):
     """A world in flight.
 
     One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
@@ -136,6 +138,7 @@ class Simulation(Radios, Tabled):
         """Start an episode and return its first reading; a new seed makes another episode."""
         if seed is not None:
             self.seed = checked_seed(seed)
+        self._clear_all()
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
             self.tick, self._now = 0, nobody
@@ -273,7 +276,7 @@ class Simulation(Radios, Tabled):
         _, state = self._running()
         floats, integers = (np.array(buffer) for buffer in state)
         where = (self.tick, self.seed, self.number)
-        data = SavedState(floats, integers, *where, self.name, self._fingerprint()).to_bytes()
+        data = SavedState(floats, integers, *where, self.name, self._fingerprint(), self._injections_text()).to_bytes()
         if path is not None:
             write(path, data)
         return data
@@ -294,6 +297,7 @@ class Simulation(Radios, Tabled):
             layout, own = self._running() if self._layout is not None else self._ticks.reset(keys)
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
+            self._inject_again(saved.injections)
             self._state = self._ticks.adopt(buffers)
             self._layout, self._now = layout, nobody
             self.tick, self.seed, self.number = saved.tick, saved.seed, saved.number
@@ -312,7 +316,8 @@ class Simulation(Radios, Tabled):
             self.world, self._ticks = world, OneWorld(world)
 
     def _fingerprint(self) -> str:
-        return fingerprint(self._ticks.layout, self._ticks.parameters)
+        ticks = OneWorld(without_faults(self.world)) if self._injections else self._ticks
+        return fingerprint(ticks.layout, ticks.parameters)
 
     @property
     def compiled_by(self) -> tuple[str, str]:

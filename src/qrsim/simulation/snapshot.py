@@ -28,8 +28,8 @@ from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
 from qrsim.simulation.arguments import LARGEST_TICK
 from qrsim.world.state import Fleet, FleetState, State, World
 
-FORMAT = 4
-NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")
+FORMAT = 5
+NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world", "injections")
 LARGEST_SEED, LARGEST_NUMBER = 2**63 - 1, 2**32 - 1
 # No state comes near it: a thousand vehicles take 600 kB.
 LARGEST_FILE = 2**28
@@ -49,6 +49,7 @@ class SavedState:
         seed, number: of all randomness.
         name: of the scenario.
         world: fingerprint of the world's structure and parameters.
+        injections: faults that were injected, as JSON.
     """
 
     floats: NumpyArray
@@ -58,6 +59,7 @@ class SavedState:
     number: int
     name: str
     world: str
+    injections: str = "[]"
 
     def to_bytes(self) -> bytes:
         """Write the state as a NumPy archive."""
@@ -90,6 +92,7 @@ class SavedState:
             _number(where, "number", content, LARGEST_NUMBER),
             _text(where, "name", content),
             _text(where, "world", content),
+            _text(where, "injections", content),
         )
 
     def check(self, name: str, world: str) -> None:

@@ -11,17 +11,18 @@ from jax import Array
 
 from qrsim.control import Estimate
 from qrsim.control.contracts import Preflight
-from qrsim.core.noise import Noise
+from qrsim.core.noise import Draw, Noise
 from qrsim.core.tree import Record, concatenated, map_tree, replace, select
 from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.faults import FaultMemory
 from qrsim.models.sensors.fitting import Fitted, Fitting, mounted, start_fitted
 from qrsim.models.vehicles.contracts import Pose, VehicleState
 from qrsim.world.standing import on_ground
-from qrsim.world.state import DELIVERY, ESTIMATOR, Belief, Fleet, FleetState, World, period_ticks, when_due
+from qrsim.world.state import DELIVERY, ESTIMATOR, FAULT, Belief, Fleet, FleetState, World, period_ticks, when_due
 
 # A vehicle on the ground is at rest below this speed [m/s], and this rate [rad/s].
 STILL = 0.01
@@ -43,7 +44,7 @@ def sense(
     states, delivered, undisturbed, fitted = [], [], [], []
     passed_on = state.passed_on
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
-        faulty = any(fault.sensor == name for fault in fleet.faults)
+        faulty = any(fault.sensor == name for fault in fleet.all_faults)
         held = state.true_readings[i] if faulty else state.readings[i]
         fitting, memory_of_fitting = fleet.fitting(i), _fitted(state, i)
         inputs = inputs_of(sensor, fitting, scene, memory_of_fitting, world.time_step)
@@ -70,7 +71,7 @@ def sense(
         states.append(memory)
         fitted.append(_moved_on(memory_of_fitting, scene))
         undisturbed.append(reading if faulty else None)
-        reading, passed_on = faulted(fleet, name, reading, passed_on, after)
+        reading, passed_on = faulted(fleet, name, reading, passed_on, after, noise)
         delivered.append(map_tree(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
     return replace(
         state,
@@ -223,16 +224,30 @@ def at_rest(estimate: Estimate) -> Estimate:
 
 
 def faulted(
-    fleet: Fleet, name: str, reading: Record, passed_on: tuple[Record | None, ...], tick: Array
-) -> tuple[Record, tuple[Record | None, ...]]:
-    """Apply a sensor's faults in turn; return the delivered reading and the faults' last outputs."""
+    fleet: Fleet,
+    name: str,
+    reading: Record,
+    passed_on: tuple[FaultMemory | None, ...],
+    tick: Array,
+    noise: dict[str, Noise],
+    first: bool = False,
+) -> tuple[Record, tuple[FaultMemory | None, ...]]:
+    """Apply a sensor's faults in turn; return the delivered reading and what the faults remember.
+
+    Args:
+        fleet, name: whose sensor.
+        reading: what it says.
+        passed_on: what the faults remember.
+        tick: of the reading.
+        noise: of the fleet.
+        first: whether it is the reading of a start, when nothing is remembered.
+    """
     memories = list(passed_on)
-    for i, fault in enumerate(fleet.faults):
+    for i, fault in enumerate(fleet.all_faults):
         if fault.sensor == name:
-            # At the start nothing was passed on before: what is frozen then is the first reading.
-            before = memories[i]
-            reading = fault.apply(reading, reading if before is None else before, tick)
-            memories[i] = reading if fault.remembers else None
+            memory = fault.begin(reading) if first else memories[i]
+            draw = cast(Draw, noise[f"{name}{FAULT}"]) if fault.random else None
+            reading, memories[i] = fault.apply(reading, memory, tick, draw)
     return reading, tuple(memories)
 
 

@@ -8,12 +8,13 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.core.clock import split_time
 from qrsim.core.noise import Drawn, Noise, StreamKeys
-from qrsim.core.tree import Record, replace, select
+from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.sensors.faults import FaultMemory
 from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.draws import draw_fleet
@@ -121,12 +122,12 @@ def _sensed(
             firsts.append(sensor.restart(before.sensors[i], draws[name], since, **inputs))
         else:
             firsts.append(sensor.init(draws[name], **inputs))
-    faulty = {fault.sensor for fault in fleet.faults}
+    faulty = {fault.sensor for fault in fleet.all_faults}
     readings = dict(zip(fleet.sensor_names, (reading for _, reading in firsts), strict=True))
-    passed_on: tuple[Record | None, ...] = (None,) * len(fleet.faults)
+    passed_on: tuple[FaultMemory | None, ...] = (None,) * len(fleet.all_faults)
     delivered = []
     for name, reading in readings.items():
-        first, passed_on = faulted(fleet, name, reading, passed_on, tick)
+        first, passed_on = faulted(fleet, name, reading, passed_on, tick, draws, first=True)
         delivered.append(first)
     known = dict(zip(fleet.sensor_names, delivered, strict=True))
     return replace(

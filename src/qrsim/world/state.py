@@ -28,10 +28,10 @@ from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.sensors.contracts import Sensor
-from qrsim.models.sensors.faults import Fault
+from qrsim.models.sensors.faults import Fault, FaultMemory, FaultSlot
 from qrsim.models.sensors.fitting import Fitted, Fitting
 from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
-from qrsim.models.vehicles.faults import RotorFault
+from qrsim.models.vehicles.faults import BatteryFault, RotorFault
 
 S = TypeVar("S")
 # What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing;
@@ -44,6 +44,8 @@ FIELD = "/turbulence"
 UPDRAFT = "/updrafts"
 # What a sensor draws for the delivery of its readings is the stream of its name and this.
 DELIVERY = "/delivery"
+# What the faults of a sensor draw is the stream of its name and this.
+FAULT = "/fault"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
 TURBULENCE, PROCESS = "turbulence", "process"
 # What an estimator draws at a start; no sensor's name has a slash.
@@ -114,6 +116,9 @@ class Fleet:
     )
 
     rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
+    fault_slots: tuple[FaultSlot, ...] = quantity(default=(), doc="room for sensor faults that are injected in flight")
+    rotor_slots: tuple[RotorFault, ...] = quantity(default=(), doc="the same of rotors")
+    battery_slot: BatteryFault | None = quantity(default=None, doc="the same of the battery")
     fittings: tuple[Fitting | None, ...] = quantity(
         default=(), doc="of each sensor, None for one at the centre of mass without delay; empty if all are"
     )
@@ -134,7 +139,14 @@ class Fleet:
         """Names of the fleet's noise streams, in the order of its keys."""
         delivery = (f"{name}{DELIVERY}" for name in self._jittered)
         estimator = (ESTIMATOR,) if self.first_normals else ()
-        return (TURBULENCE, PROCESS, *self.sensor_names, *delivery, *estimator)
+        random = {fault.sensor for fault in self.all_faults if fault.random}
+        faults = (f"{name}{FAULT}" for name in self.sensor_names if name in random)
+        return (TURBULENCE, PROCESS, *self.sensor_names, *delivery, *estimator, *faults)
+
+    @property
+    def all_faults(self) -> tuple[Fault | FaultSlot, ...]:
+        """Faults of sensors and the slots of more, in the order in which they are applied."""
+        return (*self.faults, *self.fault_slots)
 
     @property
     def first_normals(self) -> int:
@@ -301,9 +313,7 @@ class FleetState:
     true_readings: tuple[Record | None, ...] = quantity(
         doc="for sensors with faults, the reading without them; else None"
     )
-    passed_on: tuple[Record | None, ...] = quantity(
-        doc="for each fault that remembers, the reading it passed on last; else None"
-    )
+    passed_on: tuple[FaultMemory | None, ...] = quantity(doc="of each fault and slot what it remembers; else None")
     position_low_ned: Vec3 | None = quantity(
         default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
     )

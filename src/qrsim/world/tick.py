@@ -188,10 +188,12 @@ def _fly(
         (which, *model.clip(model.powered(wanted, voltage), voltage is not None)) for which, wanted in flown.commands
     ]
     battery = fleet.battery.step(state.battery, load, dt)
+    if fleet.battery_slot is not None:
+        battery = fleet.battery_slot.apply(battery, tick)
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
-        failed = failed_rotors(fleet.rotor_faults, tick)
+        failed = failed_rotors((*fleet.rotor_faults, *fleet.rotor_slots), tick)
         around = around_of(world, pose, gust_rates, None if blown is None else blown[1], failed)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:

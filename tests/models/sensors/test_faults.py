@@ -2,50 +2,151 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import qrsim
+from qrsim.core.noise import Draw, Key
+from qrsim.core.tree import replace
 from qrsim.errors import ScenarioError
 from qrsim.models.sensors.barometer import BarometerReading
-from qrsim.models.sensors.faults import Fault
+from qrsim.models.sensors.fault_numbers import empty_slot, fault_numbers, kind_of
+from qrsim.models.sensors.faults import Fault, FaultMemory
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.injections import _sensor_fault
 
-NOW = BarometerReading(np.array([1.0, 2.0]), np.array([0.1, 0.2]))  # type: ignore[arg-type]
-BEFORE = BarometerReading(np.array([9.0, 9.0]), np.array([0.9, 0.9]))  # type: ignore[arg-type]
+NOW = BarometerReading(np.float32([1.0, 2.0]), np.float32([0.1, 0.2]))  # type: ignore[arg-type]
+BEFORE = BarometerReading(np.float32([9.0, 9.0]), np.float32([0.9, 0.9]))  # type: ignore[arg-type]
 
 
-def fault(kind: Any, field: str = "", bias: float = 0.0) -> Fault:
+FIELDS = ("height", "height_rate")
+
+
+def fault(kind: Any, fields: tuple[str, ...] = FIELDS, ticks: int = 1, **numbers: float) -> Fault:
     return Fault(
         start_tick=jnp.int32(10),
         end_tick=jnp.int32(20),
         affected=jnp.array([True, False]),
-        bias=jnp.float32(bias),
+        numbers=fault_numbers(kind, numbers, ("height",), fields, 0.02, ticks),
         sensor="barometer",
-        kind=kind,
-        field=field,
+        kind=kind_of(kind),
+        fields=fields,
+        ticks=ticks,
     )
+
+
+def applied(kind: str, tick: int, **numbers: float) -> BarometerReading:
+    draw = Draw(Key.root(3).stream("fault", jnp.arange(2, dtype=jnp.uint32)), jnp.int32(tick), jnp.float32(0.0))
+    return fault(kind, **numbers).apply(NOW, FaultMemory(BEFORE), jnp.int32(tick), draw)[0]
 
 
 @pytest.mark.parametrize(("tick", "active"), [(9, False), (10, True), (19, True), (20, False)])
 def test_lasts_from_start_to_end_for_those_affected(tick: int, active: bool) -> None:
-    delivered = fault("lost").apply(NOW, BEFORE, jnp.int32(tick))
+    delivered = applied("lost", tick)
     np.testing.assert_array_equal(np.isnan(delivered.height), [active, False])
     assert delivered.height[1] == 2.0
 
 
-def test_frozen_repeats_what_it_passed_on_before() -> None:
-    delivered = fault("frozen").apply(NOW, BEFORE, jnp.int32(15))
-    np.testing.assert_array_equal(delivered.height, [9.0, 2.0])
+@pytest.mark.parametrize(
+    ("kind", "numbers", "height"),
+    [
+        ("frozen", {}, 9.0),
+        ("biased", {"bias": 5.0}, 6.0),
+        ("wrong", {"scale": 3.0, "bias": 5.0}, 8.0),
+        # Five ticks of 0.02 s after its start.
+        ("drift", {"rate": 10.0}, 2.0),
+        ("drift", {"rate": 10.0, "limit": 0.25}, 1.25),
+        ("drift", {"rate": -10.0, "limit": 0.25}, 0.75),
+        # Of 0.04 s with readings and 0.06 s without, the sixth tick is the first of the second round.
+        ("intermittent", {"on": 0.04, "off": 0.06}, 1.0),
+        ("intermittent", {"on": 0.02, "off": 0.02}, math.nan),
+        # The sixth reading since its start.
+        ("slow", {"every": 5}, 1.0),
+        ("slow", {"every": 6}, 9.0),
+    ],
+)
+def test_what_a_fault_makes_of_one_field(kind: str, numbers: dict[str, float], height: float) -> None:
+    delivered = applied(kind, 15, **numbers)
+    np.testing.assert_allclose(delivered.height, [height, 2.0], rtol=1e-6)
+    if kind in ("biased", "wrong", "drift"):
+        np.testing.assert_array_equal(delivered.height_rate, NOW.height_rate)
 
 
-def test_biased_adds_to_one_field_only() -> None:
-    delivered = fault("biased", "height", 5.0).apply(NOW, BEFORE, jnp.int32(15))
-    np.testing.assert_array_equal(delivered.height, [6.0, 2.0])
-    np.testing.assert_array_equal(delivered.height_rate, NOW.height_rate)
+def drawn(kind: str, many: int = 10_000, ticks: int = 1, tick: int = 15, **numbers: float) -> np.ndarray:
+    """Return the heights of many sensors, of which all say 1 m."""
+    one = replace(fault(kind, ticks=ticks, **numbers), affected=jnp.ones(many, bool))
+    stream = Key.root(3).stream("a/barometer/fault", jnp.arange(many, dtype=jnp.uint32))
+    draw = Draw(stream, jnp.int32(tick), jnp.float32(0.0))
+    reading = BarometerReading(jnp.ones(many), jnp.zeros(many))
+    return np.asarray(one.apply(reading, one.begin(reading), jnp.int32(tick), draw)[0].height)
+
+
+def test_random_kinds_have_the_law_that_is_asked_for() -> None:
+    # Three standard errors of 10 000 readings.
+    noisy, garbage, lost = drawn("noisy", std=2.0), drawn("garbage", range=3.0), drawn("intermittent", share=0.5)
+    np.testing.assert_allclose([noisy.mean() - 1.0, noisy.std()], [0.0, 2.0], atol=0.06)
+    np.testing.assert_allclose([garbage.mean(), garbage.std()], [0.0, math.sqrt(3.0)], atol=0.06)
+    assert np.abs(garbage).max() <= 3.0
+    assert np.isnan(lost).mean() == pytest.approx(0.5, abs=0.015)
+
+
+def test_what_is_drawn_for_a_reading_stays_while_it_is_held() -> None:
+    first, held, next_one = (drawn("noisy", 4, ticks=5, tick=tick, std=1.0) for tick in (15, 19, 20 - 5))
+    np.testing.assert_array_equal(first, held)
+    np.testing.assert_array_equal(first, next_one)
+    assert (drawn("noisy", 4, ticks=5, tick=10, std=1.0) != first).all()
+
+
+CASES: list[tuple[str, dict[str, float]]] = [
+    ("off", {}), ("stuck", {}), ("wrong", {"bias": 0.3, "scale": 1.1}), ("drift", {"rate": 0.5, "limit": 0.1}),
+    ("noisy", {"std": 0.7}), ("garbage", {"range": 2.0}), ("slow", {"every": 3}), ("delayed", {"by": 0.2}),
+    ("intermittent", {"share": 0.5}),
+]  # fmt: skip
+
+
+def test_a_slot_makes_the_same_of_readings_as_faults_of_a_scenario() -> None:
+    """To the bit, in readings of every fifth tick: each kind on a vehicle of its own."""
+    count, slot = len(CASES), empty_slot(len(CASES), "barometer", FIELDS, 5, 0.02, 2)
+    for i, (kind, numbers) in enumerate(CASES):
+        slot = _sensor_fault(slot, kind, np.arange(count) == i, (12, 70), numbers | field_of(kind), 0.02)
+    stream = Key.root(3).stream("a/barometer/fault", jnp.arange(count, dtype=jnp.uint32))
+    heights = np.random.default_rng(1).normal(size=(20, 2, count)).astype(np.float32)
+
+    def fly(one: Any) -> Callable[[Any], Any]:
+        def tick(memory: Any, number: Any) -> Any:
+            now = jnp.asarray(heights)[number // 5]
+            draw = Draw(stream, number, jnp.float32(0.0))
+            delivered, memory = one.apply(BarometerReading(now[0], now[1]), memory, number, draw)
+            return memory, jnp.stack([delivered.height, delivered.height_rate])
+
+        start = one.begin(BarometerReading(jnp.asarray(heights)[0, 0], jnp.asarray(heights)[0, 1]))
+        return jax.jit(lambda numbers: jax.lax.scan(tick, start, numbers)[1])
+
+    said = np.asarray(fly(slot)(jnp.arange(1, 100)))
+    for i, (kind, numbers) in enumerate(CASES):
+        only = ("height",) if field_of(kind) else ()
+        one = Fault(
+            jnp.int32(12), jnp.int32(70), jnp.arange(count) == i,
+            fault_numbers(kind, numbers, only, FIELDS, 0.02, 5), "barometer", FIELDS, 5, 0.02,
+            2 if kind == "delayed" else 0, only, kind_of(kind),
+        )  # fmt: skip
+        np.testing.assert_array_equal(said[..., i], np.asarray(fly(one)(jnp.arange(1, 100)))[..., i], err_msg=kind)
+    # The kinds differ from what was true, and after their end nothing is wrong any more.
+    true = np.repeat(heights, 5, axis=0)[1:, 0]
+    assert all((said[12:69, 0, i] != true[12:69, i]).any() for i in range(count))
+    np.testing.assert_array_equal(said[75:, 0], true[75:])
+    # Delayed by two readings.
+    np.testing.assert_array_equal(said[30:69, 0, 7], true[20:59, 7])
+
+
+def field_of(kind: str) -> dict[str, Any]:
+    return {"field": "height"} if kind in ("wrong", "drift", "noisy", "garbage") else {}
 
 
 def scenario(*faults: dict[str, Any]) -> dict[str, Any]:
@@ -119,7 +220,7 @@ def test_of_several_faults_each_acts_on_what_the_one_before_it_passes_on() -> No
     np.testing.assert_allclose(start, -simulation.world.fleets[0].start.position_ned.z + 1.0, rtol=1e-6)
     np.testing.assert_allclose(delivered, np.where(np.arange(1, 51) < 15, start[0], start[0] + 1.0), rtol=1e-6)
     # a_0 stays without a fix for as long as it is frozen, a_1 for as long as it is lost.
-    lost, empty = "lost, by a fault of the scenario", "frozen, by a fault of the scenario, while it had no reading"
+    lost, empty = "off, by a fault of the scenario", "stuck, by a fault of the scenario, while it had no reading"
     assert reasons[0.08] == ["", ""]
     assert reasons[0.1] == [lost, lost]
     assert reasons[0.2] == [empty, lost]
@@ -156,7 +257,7 @@ def test_an_end_beyond_the_run_is_its_end() -> None:
         ({"end": 1.01}, "faults.0.end: 1.01 s is not a multiple of the time step 0.02 s"),
         ({"end": 1.7e308}, "faults.0.end: 1.7e+308 s is not a multiple of the time step 0.02 s"),
         ({"vehicles": ["a_7"]}, "faults.0.vehicles: no vehicle of the fleet is called 'a_7'"),
-        ({"bias": 1.0}, "faults.0.bias: only for kind 'biased', not 'lost'"),
+        ({"bias": 1.0}, "faults.0.bias: only for kind 'wrong', not 'lost'"),
         ({"kind": "biased", "bias": 1.0, "field": "position_ned.w"}, "the sensor does not report 'position_ned.w'"),
         ({"kind": "biased", "field": "position_ned.x"}, "faults.0.bias: missing"),
         ({"kind": "biassed"}, "did you mean 'biased'?"),

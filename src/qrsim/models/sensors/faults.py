@@ -1,62 +1,263 @@
-"""Sensor faults at given times: readings are lost, frozen or biased."""
+"""What can go wrong with a sensor, at given times or by an injection in flight.
+
+A ``Fault`` stands in a scenario: its kind is compiled. A ``FaultSlot`` is compiled without one: kind, times and numbers
+of each vehicle are data, so that faults come and go in flight without another compilation. Both make the same of a
+reading, to the bit.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeVar
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
-from qrsim.core.tree import parameter, quantity, record, replace, setting
+from qrsim.core.fastmath import rounded
+from qrsim.core.noise import Draw
+from qrsim.core.tree import field_info, map_tree, quantity, record, replace, select, setting
+from qrsim.models.sensors.uniforms import uniforms
 
 T = TypeVar("T")
-Kind = Literal["lost", "frozen", "biased"]
+Kind = Literal["off", "stuck", "wrong", "drift", "noisy", "garbage", "slow", "delayed", "intermittent"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+# What they were called before, which scenarios may still say.
+OLD_NAMES: dict[str, Kind] = {"lost": "off", "frozen": "stuck", "biased": "wrong"}
+RANDOM = ("noisy", "garbage", "intermittent")
+# Kinds that need what was passed on before.
+_REPEATING = ("stuck", "slow")
+LAST_TICK = 2**31 - 1
 
 
 @record
-class Fault:
-    """One fault of one sensor of some vehicles (n,) of a fleet during [start, end)."""
+class FaultNumbers:
+    """How large a fault is; each number is one for all vehicles or (n,), those of fields are a tuple with one each."""
 
-    start_tick: Array = quantity(doc="() int32 first tick of the fault")
-    end_tick: Array = quantity(doc="() int32 first tick after it")
+    amounts: tuple[Array, ...] = quantity(
+        doc="of each field: what is added (wrong), its rate [1/s] (drift), a standard deviation (noisy), what it is "
+        "drawn within (garbage)"
+    )
+    scales: tuple[Array, ...] = quantity(doc="of each field: what it is multiplied by; 0 of garbage")
+    limit: Array = quantity(doc="the most that is added (drift)")
+    share: Array = quantity(doc="part of the readings that is lost (intermittent)")
+    every: Array = quantity(doc="int32: of so many readings the first is delivered (slow)")
+    readings: Array = quantity(doc="int32: how many readings late (delayed)")
+    on_ticks: Array = quantity(doc="int32 ticks with readings (intermittent); 0: by share")
+    off_ticks: Array = quantity(doc="int32 ticks without (intermittent)")
+
+
+@record
+class FaultMemory:
+    """What a fault remembers."""
+
+    passed_on: Any = quantity(doc="its output at the tick before; None where its kind needs none")
+    came_in: Any = quantity(default=None, doc="the reading that came in last; None where no delay needs it")
+    past: tuple[Any, ...] = quantity(default=(), doc="the readings that came in before it, the last one first")
+
+
+@record
+class _Fault:
+    """What scenario faults and slots have in common; those they concern are n vehicles of a fleet.
+
+    Attributes:
+        remembered: readings that it keeps, for delays.
+    """
+
+    start_tick: Array = quantity(doc="() or (n,) int32 first tick of the fault")
+    end_tick: Array = quantity(doc="() or (n,) int32 first tick after it")
     affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
-    bias: Array = parameter(unit="that of the field", doc="what is added, for kind biased")
+    numbers: FaultNumbers = quantity(doc="how large it is")
     sensor: str = setting(doc="name of the sensor")
-    kind: Kind = setting(doc="what happens to its readings")
-    field: str = setting(doc="dotted field of the reading, for kind biased")
+    fields: tuple[str, ...] = setting(doc="dotted fields of the reading that amounts and scales are of")
+    ticks: int = setting(default=1, doc="ticks between two readings")
+    time_step: float = setting(default=0.02, unit="s", doc="of the simulation")
+    remembered: int = setting(default=0, doc="readings that it keeps, for delays")
+    only: tuple[str, ...] | None = setting(default=None, doc="fields that it changes; None: those with amounts")
 
     def active(self, tick: Array) -> Array:
         """Return whether the fault concerns each vehicle (n,) at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
 
-    @property
-    def remembers(self) -> bool:
-        """Whether it needs its output of the tick before."""
-        return self.kind == "frozen"
+    def begin(self, reading: T) -> FaultMemory | None:
+        """Return the memory at a start: what is stuck then is the first reading."""
+        if not (self._repeats or self.remembered):
+            return None
+        return FaultMemory(
+            reading if self._repeats else None, reading if self.remembered else None, (reading,) * self.remembered
+        )
 
-    def apply(self, reading: T, passed_on: T, tick: Array) -> T:
-        """Return its output: for the next fault of the sensor, or for the user.
+    @property
+    def _repeats(self) -> bool:
+        raise NotImplementedError
+
+    def _delivered(
+        self, reading: T, memory: FaultMemory | None, tick: Array, choose: Callable[[FaultMemory | None], T]
+    ) -> tuple[T, FaultMemory | None]:
+        """Return what ``choose`` makes of a reading and the memory, and the memory after it."""
+        if memory is None:
+            return choose(None), None
+        if memory.past:
+            comes, late = tick % self.ticks == 0, (memory.came_in, *memory.past[:-1])
+            memory = replace(memory, past=tuple(select(comes, *pair) for pair in zip(late, memory.past, strict=True)))
+        delivered, came_in = choose(memory), None
+        if memory.past:
+            # What is late now was delivered in time, as the fault before this one, if there was one, had it.
+            came_in = select(self.active(tick) & self._is("delayed"), reading, delivered)
+        return delivered, FaultMemory(delivered if self._repeats else None, came_in, memory.past)
+
+    # ---- what it delivers while it is active ----
+
+    def _is(self, kind: Kind) -> bool | Array:
+        """Return whether it is of a kind; (n,) where that is data."""
+        raise NotImplementedError
+
+    def _told(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
+        """Return what it delivers at a tick: changed, late, held or lost, as its kind has it."""
+        numbers, told = self.numbers, reading
+        if memory is not None and self._is("delayed") is not False:
+            for number, old in enumerate(memory.past, 1):
+                told = select(self._is("delayed") & (numbers.readings >= number), old, told)
+        told = self._changed(told, tick, draw)
+        if memory is not None and memory.passed_on is not None:
+            first = (self.start_tick + (self.ticks - 1)) // self.ticks
+            skipped = (tick // self.ticks - first) % jnp.maximum(numbers.every, 1) != 0
+            told = select(self._is("stuck") | (self._is("slow") & skipped), memory.passed_on, told)
+        lost: Any = self._is("off")
+        if self._is("intermittent") is not False:
+            whole = numbers.on_ticks + numbers.off_ticks
+            timed = (tick - self.start_tick) % jnp.maximum(whole, 1) >= numbers.on_ticks
+            chance = uniforms(self._of_reading(draw, tick), 1)[0]
+            lost = lost | (self._is("intermittent") & jnp.where(whole > 0, timed, chance < numbers.share))
+        return told if lost is False else map_tree(lambda x: jnp.where(lost, jnp.nan, x), told)
+
+    def _changed(self, reading: T, tick: Array, draw: Draw | None) -> T:
+        """Return a reading whose fields are multiplied and added to, which wrong, drift, noisy and garbage do."""
+        drift, noisy, garbage = (self._is(kind) for kind in ("drift", "noisy", "garbage"))
+        if all(kind is False for kind in (drift, noisy, garbage, self._is("wrong"))):
+            return reading
+        normals = chances = None
+        if noisy is not False:
+            normals = self._of_reading(draw, tick).normals(len(self.fields))
+        if garbage is not False:
+            chances = uniforms(self._of_reading(draw, tick), len(self.fields), 1)
+        seconds = rounded((tick - self.start_tick).astype(_dtype(reading)) * self.time_step)
+
+        def change(x: Array, i: int) -> Array:
+            times: Any = _pick(drift, seconds, 1.0)
+            if normals is not None:
+                times = _pick(noisy, normals[i], times)
+            if chances is not None:
+                times = _pick(garbage, 2.0 * chances[i] - 1.0, times)
+            # Each product is rounded on its own, so that faults and slots make the same bits in every program.
+            added = rounded(self.numbers.amounts[i] * times)
+            limit = self.numbers.limit
+            added = _pick(drift, jnp.clip(added, -limit, limit), added)
+            return rounded(x * self.numbers.scales[i]) + added
+
+        places = {name: i for i, name in enumerate(self.fields) if self.only is None or name in self.only}
+        return _at_fields(reading, "", places, change)
+
+    def _of_reading(self, draw: Draw | None, tick: Array) -> Draw:
+        """Return a draw by the tick that a reading is of: what is drawn stays while the reading is held."""
+        assert draw is not None
+        return replace(draw, tick=(tick - tick % self.ticks).astype(draw.tick.dtype))
+
+
+@record
+class Fault(_Fault):
+    """One fault of a scenario, of one sensor of some vehicles during [start, end)."""
+
+    kind: Kind = setting(default="off", doc="what happens to the readings")
+
+    @property
+    def _repeats(self) -> bool:
+        return self.kind in _REPEATING
+
+    @property
+    def random(self) -> bool:
+        """Whether it draws."""
+        return self.kind in RANDOM
+
+    def _is(self, kind: Kind) -> bool | Array:
+        return self.kind == kind
+
+    def kinds_of(self, count: int) -> list[Kind]:
+        """Return the kind of each of ``count`` vehicles."""
+        return [self.kind] * count
+
+    def apply(
+        self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None = None
+    ) -> tuple[T, FaultMemory | None]:
+        """Return its output, for the next fault of the sensor or for the user, and its memory.
 
         Args:
             reading: what the sensor says at ``tick``, or what the fault before this one passes on.
-            passed_on: what this fault passed on at the tick before, where it ``remembers``.
+            memory: what it remembers, of ``begin`` or the tick before.
             tick: () int32.
+            draw: of the sensor's faults, where it is ``random``.
         """
         active = self.active(tick)
-        if self.kind == "lost":
-            return jax.tree.map(lambda leaf: jnp.where(active, jnp.nan, leaf), reading)
-        if self.kind == "frozen":
-            return jax.tree.map(lambda leaf, old: jnp.where(active, old, leaf), reading, passed_on)
-        return _add(reading, self.field.split("."), jnp.where(active, self.bias, 0.0))
+        return self._delivered(
+            reading, memory, tick, lambda known: select(active, self._told(reading, known, tick, draw), reading)
+        )
 
 
-def _add(item: Any, path: list[str], amount: Array) -> Any:
-    """Return a record with an amount added to one of its leaves, or to those of each part of a tuple."""
+@record
+class FaultSlot(_Fault):
+    """Room for one fault of one sensor of each vehicle, whose kind is data."""
+
+    kinds: Array = quantity(default=0, doc="(n,) int32: places in KINDS")
+
+    random = True
+    _repeats = True
+
+    def _is(self, kind: Kind) -> bool | Array:
+        if kind == "delayed" and not self.remembered:
+            return False
+        return self.kinds == KINDS.index(kind)
+
+    def kinds_of(self, count: int) -> list[Kind]:
+        """Return the kind of each of ``count`` vehicles."""
+        return [KINDS[int(number)] for number in self.kinds]
+
+    def apply(
+        self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None = None
+    ) -> tuple[T, FaultMemory | None]:
+        """Return its output and its memory, see ``Fault.apply``; nearly for nothing where no vehicle has a fault."""
+        active = self.active(tick)
+
+        def choose(known: FaultMemory | None) -> T:
+            told = lambda: select(active, self._told(reading, known, tick, draw), reading)  # noqa: E731
+            chosen: T = lax.cond(jnp.any(active), told, lambda: reading)
+            return chosen
+
+        return self._delivered(reading, memory, tick, choose)
+
+
+def _dtype(reading: Any) -> Any:
+    return jax.tree.leaves(reading)[0].dtype
+
+
+def _pick(condition: bool | Array, yes: Any, no: Any) -> Any:
+    """Return one of two numbers; without an operation where the condition is known."""
+    if isinstance(condition, bool):
+        return yes if condition else no
+    return jnp.where(condition, yes, no)
+
+
+def _at_fields(item: Any, path: str, places: dict[str, int], change: Callable[[Array, int], Array]) -> Any:
+    """Return a record with the leaves at some paths changed; a tuple has one path for all of its parts."""
     if isinstance(item, tuple):
-        return tuple(_add(part, path, amount) for part in item)
+        return tuple(_at_fields(part, path, places, change) for part in item)
     if item is None:
         return None
-    if not path:
-        return item + amount
-    return replace(item, **{path[0]: _add(getattr(item, path[0]), path[1:], amount)})
+    if not dataclasses.is_dataclass(item):
+        return change(item, places[path]) if path in places else item
+    parts = {
+        field.name: _at_fields(getattr(item, field.name), f"{path}.{field.name}".lstrip("."), places, change)
+        for field in dataclasses.fields(item)
+        if not field_info(field).static
+    }
+    return replace(item, **parts)

@@ -1,0 +1,126 @@
+"""The numbers of sensor faults as scenarios and injections say them: what each kind takes, and what becomes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qrsim.core.tree import map_tree, record_of
+from qrsim.errors import did_you_mean
+from qrsim.models.sensors.faults import LAST_TICK, OLD_NAMES, FaultNumbers, FaultSlot, Kind
+
+
+class _Takes(NamedTuple):
+    """What a kind takes.
+
+    Attributes:
+        needed: numbers that must be given.
+        optional: numbers that may be.
+        field: whether it is of a field.
+    """
+
+    needed: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    field: bool = False
+
+
+TAKES: dict[Kind, _Takes] = {
+    "off": _Takes(),
+    "stuck": _Takes(),
+    "wrong": _Takes((), ("bias", "scale"), True),
+    "drift": _Takes(("rate",), ("limit",), True),
+    "noisy": _Takes(("std",), (), True),
+    "garbage": _Takes(("range",), (), True),
+    "slow": _Takes(("every",)),
+    "delayed": _Takes(("by",)),
+    "intermittent": _Takes((), ("share", "on", "off")),
+}
+NAMES = ("bias", "scale", "rate", "limit", "std", "range", "every", "by", "share", "on", "off")
+# Smallest and largest value; without bounds any finite number.
+_BOUNDS = {
+    "limit": (0.0, math.inf), "std": (0.0, math.inf), "range": (0.0, math.inf), "every": (1, 1_000_000),
+    "by": (0.0, 600.0), "share": (0.0, 1.0), "on": (0.0, 1e6), "off": (0.0, 1e6),
+}  # fmt: skip
+
+
+def kind_of(word: str) -> Kind:
+    """Return a kind by its name of today."""
+    return OLD_NAMES.get(word, word)  # type: ignore[arg-type]
+
+
+def chosen_fields(field: str | None, fields: Sequence[str]) -> tuple[str, ...]:
+    """Return the fields that a name is of: ``position_ned`` is all of its axes; none where there is no such field."""
+    return tuple(name for name in fields if field is not None and (name == field or name.startswith(f"{field}.")))
+
+
+def number_problems(
+    word: str, field: str | None, given: Mapping[str, float | None], fields: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield the name and the fault of each number, and of the field, that a kind ``word`` cannot be made with."""
+    takes = TAKES[kind_of(word)]
+    said = {name: value for name, value in given.items() if value is not None}
+    for name, value in said.items():
+        low, high = _BOUNDS.get(name, (-math.inf, math.inf))
+        if name not in takes.needed + takes.optional:
+            kinds = [kind for kind, other in TAKES.items() if name in other.needed + other.optional]
+            yield name, f"only for kind {' or '.join(repr(kind) for kind in kinds)}, not '{word}'"
+        elif not math.isfinite(value) or not low <= value <= high:
+            allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"finite, at least {low:g}"
+            yield name, f"{value:g}; allowed: {allowed if math.isfinite(low) else 'a finite number'}"
+        elif name == "every" and value != round(value):
+            yield name, f"{value:g}; allowed: a whole number"
+    for name in takes.needed:
+        if name not in said:
+            yield name, f"missing; kind '{word}' needs it"
+    if word in ("wrong", "biased") and not {"bias", "scale"} & set(said):
+        yield "bias", f"missing; kind '{word}' needs it" + (", or scale" if word == "wrong" else "")
+    if word == "intermittent" and not ("share" in said or {"on", "off"} <= set(said)):
+        yield "share", "missing; kind 'intermittent' needs it, or on and off"
+    if not takes.field:
+        if field is not None:
+            yield "field", f"only for kinds of one field, not '{word}'"
+    elif field is None:
+        yield "field", f"missing; kind '{word}' needs one of {', '.join(fields)}"
+    elif not chosen_fields(field, fields):
+        yield "field", f"the sensor does not report '{field}'{did_you_mean(field, fields)}"
+
+
+def fault_numbers(
+    word: str, given: Mapping[str, float | None], chosen: Sequence[str], fields: Sequence[str], dt: float, ticks: int
+) -> FaultNumbers:
+    """Return the numbers of a fault.
+
+    Args:
+        word: its kind.
+        given: by name; None or absent: not given.
+        chosen: fields that they are of.
+        fields: fields that amounts and scales are for.
+        dt: time step [s].
+        ticks: between two readings.
+    """
+    kind = kind_of(word)
+
+    def number(name: str, default: float) -> float:
+        value = given.get(name)
+        return default if value is None else float(value)
+
+    amount = {"wrong": number("bias", 0.0), "drift": number("rate", 0.0), "noisy": number("std", 0.0)}
+    amount["garbage"] = number("range", 0.0)
+    scale = 0.0 if kind == "garbage" else number("scale", 1.0)
+    amounts = tuple(amount.get(kind, 0.0) if name in chosen else 0.0 for name in fields)
+    scales = tuple(scale if name in chosen else 1.0 for name in fields)
+    counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
+    every, late, on, off = (np.array(round(count), np.int32) for count in counts)
+    parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]
+    return record_of(FaultNumbers, *parts)
+
+
+def empty_slot(count: int, sensor: str, fields: tuple[str, ...], ticks: int, dt: float, remembered: int) -> FaultSlot:
+    """Return a slot of a sensor of ``count`` vehicles in which there is no fault; see ``FaultSlot``."""
+    never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
+    numbers = map_tree(lambda leaf: np.full(count, leaf), fault_numbers("off", {}, (), fields, dt, ticks))  # type: ignore
+    kinds = np.zeros(count, np.int32)
+    return record_of(FaultSlot, never, never, nobody, numbers, sensor, fields, ticks, dt, remembered, kinds=kinds)

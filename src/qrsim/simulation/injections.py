@@ -1,0 +1,319 @@
+"""Faults that are injected in flight: what is asked, checked against the slots of a world, and put into them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tables import Table, Tabled
+from qrsim.core.tree import cast, map_tree, replace
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.sensors.fault_numbers import (
+    NAMES,
+    chosen_fields,
+    empty_slot,
+    fault_numbers,
+    kind_of,
+    number_problems,
+)
+from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultSlot
+from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.world.state import Fleet, World
+
+# What may be injected in one tick.
+MOST_AT_ONCE = 64
+ROTOR_KINDS, BATTERY_KINDS = ("off", "weak"), ("drop",)
+
+
+@dataclass(frozen=True)
+class Injection:
+    """A fault that was injected.
+
+    Attributes:
+        id: its number, from 1.
+        target: sensor, ``rotor N`` or ``battery``.
+        kind: what happens to it.
+        vehicles: names.
+        start_tick, end_tick: first tick of the fault, and first tick after it.
+        numbers: how large it is, and the field that it is of.
+        asked_by: who asked for it.
+    """
+
+    id: int
+    target: str
+    kind: str
+    vehicles: tuple[str, ...]
+    start_tick: int
+    end_tick: int
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    asked_by: str = "python"
+
+
+class Injected(Tabled, tuple[Injection, ...]):
+    """The injections that are there, or to come, as a table."""
+
+    def __new__(cls, injections: Sequence[Injection], time_step: float) -> Injected:
+        """Make the table; ``time_step`` [s]."""
+        made = super().__new__(cls, injections)
+        made.time_step = time_step
+        return made
+
+    time_step: float
+
+    def _table(self) -> Table:
+        def seconds(tick: int) -> str:
+            return f"{tick * self.time_step:g} s" if tick < LAST_TICK else ""
+
+        rows = [
+            (
+                str(one.id),
+                one.target,
+                one.kind,
+                ", ".join(one.vehicles),
+                seconds(one.start_tick),
+                seconds(one.end_tick),
+                ", ".join(f"{name} {value}" for name, value in one.numbers.items()),
+            )
+            for one in self
+        ]
+        return Table(
+            f"{len(self)} injected faults", ("id", "target", "kind", "vehicles", "from", "to", "numbers"), rows
+        )
+
+
+def injected(
+    world: World,
+    target: str,
+    kind: str,
+    vehicles: Sequence[str] | None,
+    ticks: tuple[int, int],
+    numbers: Mapping[str, Any],
+) -> tuple[World, tuple[str, ...]]:
+    """Return a world with a fault in its slots, and the vehicles that have it.
+
+    Args:
+        world: its parameters, on the host.
+        target: sensor, ``rotor N`` or ``battery``.
+        kind: what happens to it; ``ok``: no fault any more.
+        vehicles: names; None: all that have the target in a slot.
+        ticks: first tick of the fault, and first tick after it.
+        numbers: how large it is, and ``field``.
+
+    Raises:
+        UsageError: it cannot be injected; nothing has changed.
+    """
+    everybody = [name for fleet in world.fleets for name in fleet.vehicle_names]
+    for name in vehicles or ():
+        if name not in everybody:
+            raise UsageError(f"vehicles: no vehicle is called '{name}'{did_you_mean(name, everybody)}")
+    fleets, concerned = list(world.fleets), []
+    for place, fleet in enumerate(world.fleets):
+        chosen = np.array([vehicles is None or name in vehicles for name in fleet.vehicle_names])
+        if not chosen.any() or (vehicles is None and not _slot(fleet, target)):
+            continue
+        fleets[place] = _with_fault(fleet, target, kind, chosen, ticks, numbers, world.time_step)
+        concerned += [name for name, has in zip(fleet.vehicle_names, chosen, strict=True) if has]
+    if not concerned:
+        raise _not_injectable(world.fleets, target)
+    return replace(world, fleets=tuple(fleets)), tuple(concerned)
+
+
+def without_faults(world: World) -> World:
+    """Return a world whose slots are empty."""
+    fleets = []
+    for fleet in world.fleets:
+        n, dtype = fleet.size, np.asarray(fleet.start.position_ned.x).dtype
+        sensors = tuple(
+            empty_slot(n, slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
+            for slot in fleet.fault_slots
+        )
+        rotors = tuple(RotorFault.empty(n, slot.rotor, slot.noticed_ticks) for slot in fleet.rotor_slots)
+        battery = None if fleet.battery_slot is None else BatteryFault.empty(n)
+        changes = cast({"fault_slots": sensors, "rotor_slots": rotors, "battery_slot": battery}, dtype)
+        fleets.append(replace(fleet, **changes))
+    return replace(world, fleets=tuple(fleets))
+
+
+def targets_of(fleet: Fleet) -> list[str]:
+    """Return what of a fleet may be made to fail in flight."""
+    rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
+    return [slot.sensor for slot in fleet.fault_slots] + rotors + ["battery"] * (fleet.battery_slot is not None)
+
+
+def _slot(fleet: Fleet, target: str) -> bool:
+    return _plain(target) in targets_of(fleet)
+
+
+def _plain(target: str) -> str:
+    """Return a target as it is called here: ``rotor_2`` is ``rotor 2``."""
+    return target.replace("_", " ") if target.startswith("rotor_") else target
+
+
+def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
+    known = sorted({name for fleet in fleets for name in targets_of(fleet)})
+    there = sorted({name for fleet in fleets for name in (*fleet.sensor_names, "battery")})
+    fleet = fleets[0].name
+    if target in there or target.startswith("rotor"):
+        part = f"sensors: [{target}]" if target in there and target != "battery" else "battery: true"
+        part = "rotors: all" if target.startswith("rotor") else part
+        return UsageError(
+            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the scenario"
+        )
+    return UsageError(f"target: there is no '{target}'{did_you_mean(target, known or there)}")
+
+
+def _with_fault(
+    fleet: Fleet,
+    target: str,
+    kind: str,
+    chosen: np.ndarray[Any, Any],
+    ticks: tuple[int, int],
+    numbers: Mapping[str, Any],
+    dt: float,
+) -> Fleet:
+    target = _plain(target)
+    for place, slot in enumerate(fleet.fault_slots):
+        if slot.sensor == target:
+            changed = _sensor_fault(slot, kind, chosen, ticks, numbers, dt)
+            return replace(fleet, fault_slots=_swapped(fleet.fault_slots, place, changed))
+    for place, rotor in enumerate(fleet.rotor_slots):
+        if target == f"rotor {rotor.rotor}":
+            broken = _rotor_fault(rotor, kind, chosen, ticks, numbers)
+            return replace(fleet, rotor_slots=_swapped(fleet.rotor_slots, place, broken))
+    if target == "battery" and fleet.battery_slot is not None:
+        return replace(fleet, battery_slot=_battery_fault(fleet.battery_slot, kind, chosen, ticks, numbers))
+    raise _not_injectable([fleet], target)
+
+
+def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
+    return (*parts[:place], part, *parts[place + 1 :])
+
+
+def _sensor_fault(
+    slot: FaultSlot, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any], dt: float
+) -> FaultSlot:
+    if kind == "ok":
+        return replace(slot, affected=slot.affected & ~chosen)
+    if kind not in KINDS and kind not in OLD_NAMES:
+        raise UsageError(f"kind: '{kind}' is not known{did_you_mean(kind, KINDS)}")
+    for name in numbers:
+        if name not in (*NAMES, "field"):
+            raise UsageError(f"{name}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")
+    for name, value in numbers.items():
+        if name != "field" and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise UsageError(f"{name}: {value!r}; allowed: a number")
+    given = {name: value for name, value in numbers.items() if name != "field"}
+    part = numbers.get("field")
+    for name, problem in number_problems(kind, part, given, slot.fields):
+        raise UsageError(f"{name}: {problem}")
+    late = given.get("by", 0.0)
+    if late > slot.remembered * slot.ticks * dt + 1e-9:
+        raise UsageError(
+            f"by: {late:g} s; allowed: at most {slot.remembered * slot.ticks * dt:g} s, "
+            "injectable.delay_max of the scenario"
+        )
+    asked = fault_numbers(kind, given, chosen_fields(part, slot.fields), slot.fields, dt, slot.ticks)
+    return replace(
+        slot,
+        start_tick=_put(slot.start_tick, chosen, ticks[0]),
+        end_tick=_put(slot.end_tick, chosen, ticks[1]),
+        affected=slot.affected | chosen,
+        kinds=_put(slot.kinds, chosen, KINDS.index(kind_of(kind))),
+        numbers=map_tree(lambda old, new: _put(old, chosen, new), slot.numbers, asked),
+    )
+
+
+def _rotor_fault(
+    slot: RotorFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
+) -> RotorFault:
+    if kind == "ok":
+        return replace(slot, affected=slot.affected & ~chosen)
+    if kind not in ROTOR_KINDS:
+        raise UsageError(f"kind: '{kind}' does not suit a rotor; allowed: {', '.join(ROTOR_KINDS)}, ok")
+    health = _share(numbers, "health", kind, 0.0 if kind == "off" else None)
+    return replace(
+        slot,
+        start_tick=_put(slot.start_tick, chosen, ticks[0]),
+        end_tick=_put(slot.end_tick, chosen, ticks[1]),
+        affected=slot.affected | chosen,
+        health=_put(slot.health, chosen, health),
+    )
+
+
+def _battery_fault(
+    slot: BatteryFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
+) -> BatteryFault:
+    if kind == "ok":
+        return replace(slot, affected=slot.affected & ~chosen)
+    if kind not in BATTERY_KINDS:
+        raise UsageError(f"kind: '{kind}' does not suit a battery; allowed: {', '.join(BATTERY_KINDS)}, ok")
+    charge = _share(numbers, "charge", kind, None)
+    return replace(
+        slot,
+        start_tick=_put(slot.start_tick, chosen, ticks[0]),
+        affected=slot.affected | chosen,
+        charge=_put(slot.charge, chosen, charge),
+    )
+
+
+def _share(numbers: Mapping[str, Any], name: str, kind: str, default: float | None) -> float:
+    """Return the one number, from 0 to 1, that a kind takes."""
+    for other in numbers:
+        if other != name or default is not None:
+            raise UsageError(
+                f"{other}: kind '{kind}' does not take it" + ("" if default is not None else f"; it takes {name}")
+            )
+    value = numbers.get(name, default)
+    if value is None:
+        raise UsageError(f"{name}: missing; kind '{kind}' needs it, 0 to 1")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise UsageError(f"{name}: {value!r}; allowed: 0 to 1")
+    return float(value)
+
+
+def _put(array: Any, chosen: Any, value: Any) -> Any:
+    """Return an array (n,) with a number in the chosen rows."""
+    changed = np.array(array)
+    changed[chosen] = value
+    return changed
+
+
+def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
+    """Return the tick at which something asked for at a time [s] happens, rounded up; None: as soon as it can."""
+    if seconds is None:
+        return now + soonest
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not math.isfinite(seconds):
+        raise UsageError(f"at: {seconds!r}; allowed: a time [s], or None for now")
+    tick = math.ceil(seconds / dt - 1e-6)
+    if tick < now + soonest:
+        raise UsageError(f"at: {seconds:g} s is past; it is {now * dt:g} s now")
+    return min(tick, LAST_TICK - 1)
+
+
+def last_tick(duration: float | None, start: int, dt: float) -> int:
+    """Return the first tick after something that lasts for so long [s]; None: for good."""
+    if duration is None:
+        return LAST_TICK
+    if isinstance(duration, bool) or not isinstance(duration, int | float) or not 0.0 < duration < math.inf:
+        raise UsageError(f"duration: {duration!r}; allowed: a time above 0 s, or None for good")
+    return min(start + max(1, math.ceil(duration / dt - 1e-6)), LAST_TICK)
+
+
+def entries(injections: Sequence[Injection], dt: float) -> Iterator[dict[str, Any]]:
+    """Yield injections as a scenario or a file writes them."""
+    for one in injections:
+        times = {"at": round(one.start_tick * dt, 9)}
+        if one.end_tick < LAST_TICK:
+            times["end"] = round(one.end_tick * dt, 9)
+        yield {
+            "target": one.target,
+            "kind": one.kind,
+            "vehicles": list(one.vehicles),
+            **times,
+            **one.numbers,
+            "asked_by": one.asked_by,
+        }
