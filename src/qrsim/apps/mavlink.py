@@ -41,6 +41,7 @@ class Mavlink:
       qrsim mavlink
       qrsim mavlink my_scenario.yaml --realtime 5
       qrsim mavlink outdoor_patrol --tcp --set world.wind.speed_20ft=6
+      qrsim mavlink --injectable all
     """
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "mavlink_field"
@@ -75,6 +76,11 @@ class Mavlink:
     until each has one newer than the last ATTITUDE that its client was sent: equal runs are equal to the bit."""
     respawn: bool = False
     """Put a vehicle that has crashed or collided back to where it began, 3 s later; without it, a reboot does."""
+    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
+        default_factory=list
+    )
+    """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors, battery, or
+    all; can be given several times."""
     truth: bool = False
     """Let clients ask for HIL_STATE_QUATERNION, the true state; without it they get estimates and readings only."""
 
@@ -94,7 +100,7 @@ class Mavlink:
         log = Log()
         say = log.say
         world = FlownWorld(
-            prepared(load_scenario(self.scenario, self.set)),
+            prepared(load_scenario(self.scenario, self.set), self.injectable),
             stack_of(self.flavour, self.local_origin),  # type: ignore[arg-type]
             seed=self.seed,
             first_system=self.first_sysid,

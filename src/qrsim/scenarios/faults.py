@@ -134,7 +134,7 @@ def slots(
     for name in spec.sensors:
         fields = tuple(reading_fields(fleet.sensors[name].type))
         ticks = period_ticks(fleet.sensors[name].period, dt)
-        sensors.append(empty_slot(count, name, fields, ticks, dt, round(spec.delay_max / dt / ticks)))
+        sensors.append(empty_slot(count, name, fields, ticks, dt, math.ceil(spec.delay_max / dt / ticks - 1e-6)))
     broken = tuple(RotorFault.empty(count, rotor, _tick(NOTICED_S, dt)) for rotor in spec.rotors)
     return tuple(sensors), broken, BatteryFault.empty(count) if spec.battery else None
 

@@ -5,6 +5,7 @@ Rovers and fixed wings stay as the scenario has them; fixed wings go by its guid
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.control.tracks import FixedWingGuidance
-from qrsim.errors import ScenarioError, UsageError
+from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
 from qrsim.links.shared.grounding import put_down, standing
@@ -36,16 +37,48 @@ LAST_SYSTEM = 240
 _BY_ROTORS = {4: QUADROTOR, 6: HEXAROTOR, 8: OCTOROTOR}
 
 
-def prepared(scenario: Scenario) -> Scenario:
+# Longest delay of readings [s] that may be injected where all may be.
+DELAY_MAX = 0.5
+
+
+def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
+    """Have parts of all fleets of a scenario's content fail where clients ask for it, in place.
+
+    Args:
+        content: of the scenario.
+        names: sensors, ``rotors``, ``battery``, or ``all``.
+
+    Raises:
+        UsageError: no fleet has a sensor of that name.
+    """
+    known = {"all", "rotors", "battery"}.union(*(fleet["sensors"] for fleet in content["fleets"].values()))
+    for name in names:
+        if name not in known:
+            raise UsageError(f"--injectable {name}: there is no such sensor{did_you_mean(name, sorted(known))}")
+    for fleet in content["fleets"].values():
+        if "all" in names:
+            fleet["injectable"] = {"sensors": "all", "rotors": "all", "battery": True, "delay_max": DELAY_MAX}
+            continue
+        spec = fleet["injectable"] or {}
+        sensors = [name for name in fleet["sensors"] if name in {*names, *spec.get("sensors", [])}]
+        fleet["injectable"] = spec | {"sensors": sensors}
+        fleet["injectable"] |= {"rotors": "all"} if "rotors" in names else {}
+        fleet["injectable"] |= {"battery": True} if "battery" in names else {}
+
+
+def prepared(scenario: Scenario, injectable: Sequence[str] = ()) -> Scenario:
     """Return a scenario whose vehicles stand on the ground, without routes, and whose fleets follow paths.
 
     Vehicles without a contact of their own are ``parked``. A fleet whose controller takes no paths, velocities and
     attitudes gets a ``cascade``, with its ``feed`` if that has it. Vehicles that take no such controller stay.
+    What is ``injectable`` clients may let fail, see ``may_fail``.
 
     Raises:
         UsageError: on the ground they are not as a scenario can have them, too near to each other for example.
     """
     content = scenario.spec.model_dump(mode="json")
+    if injectable:
+        may_fail(content, injectable)
     for fleet in content["fleets"].values():
         model = VEHICLES[fleet["vehicle"]["type"]]
         if model.tilt_command is Vehicle.tilt_command:

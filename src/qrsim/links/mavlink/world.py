@@ -11,16 +11,19 @@ import numpy as np
 from qrsim.errors import UsageError
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
+from qrsim.links.mavlink.failures import Failures
 from qrsim.links.mavlink.fleet import systems_of
 from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
+from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared.around import Around
 from qrsim.links.shared.latches import Latches
 from qrsim.models.site import Site
 from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.injections import targets_of
 from qrsim.simulation.simulation import Simulation
 
 # A stack for a vehicle at a site.
@@ -72,6 +75,8 @@ class FlownWorld:
         for row, facts in known:
             stack = make_stack(facts, site)
             stack.factor = factor
+            if isinstance(stack, Flight) and any(map(targets_of, world.fleets)):
+                stack.craft.injector = Failures(self.simulation, facts.name, facts.system).inject
             self.systems.append(System(stack, facts.name, facts.system, unix, log))
             self._rows.append(row)
         self._warm()

@@ -12,6 +12,7 @@ from qrsim.links.mavlink.stack.codes import Result, Severity
 from qrsim.links.mavlink.stack.contracts import Command, Home, Triple
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
 from qrsim.links.mavlink.stack.flight import Flight
+from qrsim.links.mavlink.stack.instances import instances_of
 from qrsim.links.mavlink.stack.mission import change_speed, heading
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.orbits import fits
@@ -265,6 +266,32 @@ def _reboot(stack: Flight, command: Command) -> Result:
     return Result.ACCEPTED
 
 
+def _inject(stack: Flight, command: Command) -> Result:
+    """Obey INJECT_FAILURE, which SYS_FAILURE_EN allows, as PX4's failure_injection_manager does."""
+    craft = stack.craft
+    if craft.injector is None:
+        return Result.UNSUPPORTED
+    if not stack.parameters["SYS_FAILURE_EN"]:
+        craft.say(Severity.WARNING, "Failure injection is off: set SYS_FAILURE_EN to 1")
+        return Result.DENIED
+    unit, kind, number, mask = command.params[:4]
+    instances = instances_of(number, mask)
+    if instances is None:
+        craft.say(Severity.WARNING, "Not injected: no such instance; allowed: 0 for all, to 16")
+        return Result.DENIED
+    if not (unit == _whole(unit) and kind == _whole(kind)):
+        return Result.UNSUPPORTED
+    result, text = craft.injector(int(unit), int(kind), instances, stack.parameters["BAT_CRIT_THR"])
+    if text:
+        craft.say(Severity.INFO if result is Result.ACCEPTED else Severity.WARNING, text)
+    return result
+
+
+def _whole(value: float) -> int:
+    """Return a number without its fraction; -1 for NaN."""
+    return -1 if math.isnan(value) else int(value)
+
+
 def _terminate(stack: Flight, command: Command) -> Result:
     if _number(command.params[0]) >= 0.5:
         stack.terminate()
@@ -281,7 +308,7 @@ def _tell_home(stack: Flight, command: Command) -> Result:
 _COMMANDS: dict[int, Callable[[Flight, Command], Result]] = {
     20: _return, 21: _land, 22: _take_off, 34: _orbit, 115: _heading, 176: _set_mode, 178: _speed, 179: _set_home,
     185: _terminate, REPOSITION: _reposition, 224: _set_current, 246: _reboot, 262: _set_standard_mode,
-    300: _start_mission, 400: _arm, 410: _tell_home,
+    300: _start_mission, 400: _arm, 410: _tell_home, 420: _inject,
 }  # fmt: skip
 # Commands of one flavour.
-_ONLY = {34: "px4", 115: "ardupilot", 262: "px4"}
+_ONLY = {34: "px4", 115: "ardupilot", 262: "px4", 420: "px4"}

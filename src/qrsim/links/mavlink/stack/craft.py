@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.stack.codes import GROUND_ROVER, Landed, Severity
+from qrsim.links.mavlink.stack.codes import GROUND_ROVER, Landed, Result, Severity
 from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, Triple
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
@@ -22,6 +23,9 @@ TO_HOME, FROM_HOME, ALONG, TURN_FIRST = 1, 2, 3, 4
 # With less of a speed [m/s] there is no way to look along; a turn is done within this angle [rad], as MIS_YAW_ERR.
 SLOW, TURNED = 0.5, math.radians(12.0)
 ZERO: Triple = (0.0, 0.0, 0.0)
+
+# Takes FAILURE_UNIT, FAILURE_TYPE, instances (none: all) and the charge at which a battery is critical.
+Injector = Callable[[int, int, Sequence[int], float], tuple[Result, str]]
 
 
 class Craft:
@@ -44,6 +48,7 @@ class Craft:
         rose: whether it was half a metre above that place since.
         critical: whether a failsafe is at work.
         terminated: whether its flight was terminated, which holds until a reboot.
+        injector: lets its parts fail as clients ask; None: it cannot.
     """
 
     def __init__(self, facts: Facts, parameters: Parameters, geodesy: Geodesy):
@@ -51,6 +56,7 @@ class Craft:
         self.fence = self.area = Fence(facts.fence)
         self._texts: list[Text] = []
         self._events: list[Event] = []
+        self.injector: Injector | None = None
         self.reset()
 
     def reset(self) -> None:

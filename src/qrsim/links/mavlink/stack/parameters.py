@@ -104,7 +104,7 @@ TABLE: tuple[Parameter, ...] = (
     _real("RTL_RETURN_ALT", 60.0, 0.0, 150.0, "m", "height over home of a return"),
     _int("SYS_AUTOCONFIG", 0, 0, 2, "kept for clients that look at it"),
     _int("SYS_AUTOSTART", 4001, 0, 9999999, "kept for clients that look at it: a quadrotor x"),
-    _int("SYS_FAILURE_EN", 0, 0, 1, "kept for clients that set it: failures are faults of the scenario"),
+    _int("SYS_FAILURE_EN", 0, 0, 1, "1: clients may inject failures (MAV_CMD_INJECT_FAILURE)"),
     _int("SYS_HITL", 0, 0, 2, "kept for clients that look at it: no hardware in the loop"),
 )
 READ_ONLY = frozenset({"MAV_SYS_ID", "MAV_COMP_ID"})

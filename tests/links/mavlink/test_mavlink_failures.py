@@ -1,0 +1,133 @@
+"""Failures that clients inject by MAV_CMD_INJECT_FAILURE (420)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from qrsim.errors import UsageError
+from qrsim.links.mavlink.fleet import prepared
+from qrsim.links.mavlink.stack.contracts import NAN, Command
+from qrsim.links.mavlink.stack.instances import instances_of
+from qrsim.links.mavlink.stack.stacks import stack_of
+from qrsim.links.mavlink.world import FlownWorld
+from qrsim.scenarios.scenario import load_scenario
+
+ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+GPS, BARO, BATTERY, MOTOR = 4, 3, 100, 101
+OK, OFF, WRONG, DRIFT = 0, 1, 4, 8
+
+
+class Field:
+    """The scenario mavlink_field, whose clients may let all fail."""
+
+    def __init__(self, *names: str, flavour: str = "px4"):
+        scenario = prepared(load_scenario("mavlink_field"), names)
+        self.world = FlownWorld(scenario, stack_of(flavour), seed=5)
+        self.said: list[str] = []
+        for system in self.world.systems:
+            system.text = lambda text: self.said.append(text.text)  # type: ignore[method-assign]
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.02)):
+            self.world.tick(0.0)
+
+    def command(self, number: int, id: int, *params: float) -> int:
+        numbers = (*map(float, params), *[NAN] * (7 - len(params)))
+        result = self.world.systems[number].stack.command(Command(id, numbers)).result  # type: ignore[union-attr, arg-type]
+        self.run(0.02)
+        return int(result)
+
+    def allow(self, number: int = 0) -> None:
+        self.world.systems[number].stack.parameters.set("SYS_FAILURE_EN", 1.0)
+
+
+@pytest.fixture(scope="module")
+def field() -> Field:
+    return Field("all")
+
+
+@pytest.mark.long
+def test_a_receiver_that_is_switched_off_has_no_fix_and_nobody_else_notices(field: Field) -> None:
+    field.run(2.0)
+    assert field.command(0, 420, GPS, OFF, 0) == DENIED
+    assert field.said[-1] == "Failure injection is off: set SYS_FAILURE_EN to 1"
+    field.allow()
+    assert field.command(0, 420, GPS, OFF, 0) == ACCEPTED
+    assert field.said[-1] == "Injected: gps off, instance all"
+    field.run(0.3)
+    fixes = [system.view.seen.fix_type for system in field.world.systems]
+    assert fixes[0] < 2
+    assert min(fixes[1:]) >= 3
+    assert field.command(0, 400, 1) == 1
+    assert field.command(0, 420, GPS, OK, 1) == ACCEPTED
+    assert field.said[-1] == "Cleared: gps"
+    field.run(1.0)
+    assert field.world.systems[0].view.seen.fix_type >= 3
+
+
+@pytest.mark.long
+def test_every_unit_and_type_is_answered_as_the_table_says(field: Field) -> None:
+    field.allow(1)
+    answers = {
+        unit: [field.command(1, 420, unit, kind, 0) for kind in range(10)] for unit in (*range(9), *range(100, 108))
+    }
+    every = [ACCEPTED] * 9 + [UNSUPPORTED]
+    # mavlink_field has no optical flow, distance sensor and airspeed.
+    for unit, expected in ((0, every), (1, every), (2, every), (BARO, every), (GPS, every)):
+        assert answers[unit] == expected, unit
+    for unit in (5, 7, 8):
+        assert answers[unit] == [DENIED] * 9 + [UNSUPPORTED], unit
+    for unit in (BATTERY, MOTOR):
+        assert answers[unit] == [ACCEPTED, ACCEPTED, *[UNSUPPORTED] * 2, ACCEPTED, *[UNSUPPORTED] * 5], unit
+    for unit in (6, *range(102, 108)):
+        assert answers[unit] == [UNSUPPORTED] * 10, unit
+    # By NaN or a fraction no instance is meant; there is one barometer, and four motors.
+    for unit, instance, mask, answer in (
+        (BARO, NAN, NAN, DENIED), (BARO, -1, 0, DENIED), (BARO, 0.5, 0, DENIED), (BARO, 2, 0, DENIED),
+        (BARO, NAN, 1, ACCEPTED), (MOTOR, 5, 0, DENIED), (MOTOR, NAN, 0b1010, ACCEPTED),
+    ):  # fmt: skip
+        assert field.command(1, 420, unit, OK, instance, mask) == answer, (unit, instance, mask)
+
+
+@pytest.mark.long
+def test_what_is_injected_acts(field: Field) -> None:
+    field.allow(2)
+    simulation = field.world.simulation
+    charge = simulation.state.fleets[0].battery.charge.copy()
+    assert field.command(2, 420, BATTERY, WRONG, 0) == ACCEPTED
+    assert field.command(2, 420, BARO, WRONG, 0) == ACCEPTED
+    field.run(0.1)
+    # A hundredth below BAT_CRIT_THR, 0.07; five metres.
+    now = simulation.state.fleets[0].battery.charge
+    np.testing.assert_allclose(now[2], 0.06, atol=1e-3)
+    np.testing.assert_allclose(now[3:], charge[3:], atol=1e-3)
+    error = np.asarray(simulation.reading.barometer.height) + simulation.truth.position_ned[:, 2]
+    assert error[2] - np.median(error) == pytest.approx(5.0, abs=1.5)
+    # PX4's first motor is the one in front on the right.
+    field.command(2, 420, MOTOR, OFF, 1)
+    (fault,) = [one for one in simulation.injected if one.target.startswith("rotor") and "field_2" in one.vehicles]
+    place = simulation.world.fleets[0].vehicle.rotors[int(fault.target.split()[1])].position
+    assert place[0] > 0.0
+    assert place[1] > 0.0
+    assert fault.asked_by == "mavlink:3"
+
+
+def test_instances_are_numbers_or_a_mask() -> None:
+    assert instances_of(0.0, NAN) == []
+    assert instances_of(3.0, NAN) == [3]
+    assert instances_of(NAN, 0b101) == [1, 3]
+    assert [instances_of(number, mask) for number, mask in ((17.0, 0.0), (1.5, 0.0), (NAN, NAN), (NAN, 0.5))] == [
+        None
+    ] * 4
+    assert instances_of(math.nan, 65536.0) is None
+
+
+def test_only_sensors_that_are_there_are_injectable() -> None:
+    with pytest.raises(UsageError, match="--injectable barrometer: there is no such sensor; did you mean 'barometer'?"):
+        prepared(load_scenario("mavlink_field"), ["barrometer"])
+    spec = prepared(load_scenario("mavlink_field"), ["gnss", "rotors"]).spec.fleets["field"].injectable
+    assert spec is not None
+    assert (spec.sensors, spec.rotors, spec.battery) == (["gnss"], [0, 1, 2, 3], False)
