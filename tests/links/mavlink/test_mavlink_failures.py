@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -105,7 +103,8 @@ def test_what_is_injected_acts(field: Field) -> None:
     np.testing.assert_allclose(now[2], 0.06, atol=1e-3)
     np.testing.assert_allclose(now[3:], charge[3:], atol=1e-3)
     error = np.asarray(simulation.reading.barometer.height) + simulation.truth.position_ned[:, 2]
-    assert error[2] - np.median(error) == pytest.approx(5.0, abs=1.5)
+    # That of vehicle 1 was emptied, which ended its flight.
+    assert error[2] - np.nanmedian(error) == pytest.approx(5.0, abs=1.5)
     # PX4's first motor is the one in front on the right.
     field.command(2, 420, MOTOR, OFF, 1)
     (fault,) = [one for one in simulation.injected if one.target.startswith("rotor") and "field_2" in one.vehicles]
@@ -119,14 +118,12 @@ def test_instances_are_numbers_or_a_mask() -> None:
     assert instances_of(0.0, NAN) == []
     assert instances_of(3.0, NAN) == [3]
     assert instances_of(NAN, 0b101) == [1, 3]
-    assert [instances_of(number, mask) for number, mask in ((17.0, 0.0), (1.5, 0.0), (NAN, NAN), (NAN, 0.5))] == [
-        None
-    ] * 4
-    assert instances_of(math.nan, 65536.0) is None
+    for number, mask in ((17.0, 0.0), (1.5, 0.0), (NAN, NAN), (NAN, 0.5), (NAN, 65536.0)):
+        assert instances_of(number, mask) is None, (number, mask)
 
 
 def test_only_sensors_that_are_there_are_injectable() -> None:
-    with pytest.raises(UsageError, match="--injectable barrometer: there is no such sensor; did you mean 'barometer'?"):
+    with pytest.raises(UsageError, match="--injectable barrometer: there is no such sensor; did you mean 'barometer'"):
         prepared(load_scenario("mavlink_field"), ["barrometer"])
     spec = prepared(load_scenario("mavlink_field"), ["gnss", "rotors"]).spec.fleets["field"].injectable
     assert spec is not None
