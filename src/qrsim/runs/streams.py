@@ -256,7 +256,11 @@ class EventFinder:
     def _faults(self, history: History) -> list[tuple[int, int, Content]]:
         """Return the scheduled faults that begin or end."""
         found, first = [], 0
-        for fleet in self.world.fleets:
+        world = self.world
+        if world.ranges:
+            # When a fault begins may be drawn.
+            world = world.with_drawn(tuple(np.asarray(drawn)[0] for drawn in history.state.drawn))
+        for fleet in world.fleets:
             for fault in fleet.faults:
                 for edge, word in ((fault.start_tick, "begins"), (fault.end_tick, "ends")):
                     for row in np.flatnonzero(history.ticks == int(edge)):

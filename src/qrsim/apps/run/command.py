@@ -48,6 +48,7 @@ class Run:
       qrsim run keep_spot --policy my_policy.py:hover --policy-ticks 5
       qrsim run search_and_rescue/2D --policy baseline
       qrsim run outdoor_patrol --every 10 --every measurements=2
+      qrsim run outdoor_patrol --inject faults.yaml
       qrsim run outdoor_patrol --view
     """
 
@@ -63,6 +64,9 @@ class Run:
         default_factory=list
     )
     """Change one value of the scenario; can be given several times."""
+    inject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Faults to inject: a YAML list of entries with target, kind and at, such as
+    {target: gnss, kind: 'off', at: 20, end: 30}."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/SCENARIO-seedSEED-TIME)"),
@@ -124,6 +128,10 @@ class Run:
                 raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
             overrides.append(f"duration={self.duration!r}")
         scenario = load_scenario(self.scenario, overrides)
+        if self.inject is not None:
+            from qrsim.scenarios.injection_file import with_injections
+
+            scenario = with_injections(scenario, self.inject)
         every = parse_every(self.every)
         folder = self.out or _new_folder(scenario.name, self.seed)
         # The folder is checked before anything is compiled.

@@ -1,0 +1,81 @@
+"""Files of injections, as ``qrsim run --inject`` takes them: faults of sensors and rotors at given times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
+from qrsim.files import Content
+from qrsim.files.yaml_text import parse_yaml
+from qrsim.scenarios.faults import vehicle_names
+from qrsim.scenarios.scenario import Scenario, load_scenario
+
+LARGEST_BYTES, MOST_ENTRIES = 2**24, 10_000
+
+
+def with_injections(scenario: Scenario, path: Path) -> Scenario:
+    """Return a scenario with the faults of a file.
+
+    Args:
+        scenario: what is flown.
+        path: a list of entries with ``target`` (a sensor or ``rotor N``), ``kind``, ``at`` [s], perhaps ``end`` [s] and
+            ``vehicles``, and the numbers of the kind; without vehicles an entry is of each fleet that has the target.
+
+    Raises:
+        UsageError: the file cannot be read, is too large, or an entry is no injection.
+        ScenarioError: a fault is not possible in the scenario.
+    """
+    content = scenario.spec.model_dump(mode="json")
+    for number, entry in enumerate(_entries(path)):
+        where = f"{path}: entry {number + 1}"
+        if not isinstance(entry, dict):
+            raise UsageError(f"{where}: expected target, kind, at and the like, not {type(entry).__name__}")
+        for name in ("target", "kind", "at"):
+            if name not in entry:
+                raise UsageError(f"{where}: {name} is missing")
+        target, vehicles = str(entry["target"]), entry.get("vehicles")
+        placed = False
+        for name, fleet in scenario.spec.fleets.items():
+            known = vehicle_names(name, fleet)
+            mine = None if vehicles is None else [each for each in vehicles if each in known]
+            if mine == [] or not (target.startswith("rotor") or target in fleet.sensors):
+                continue
+            content["fleets"][name]["faults"].append(_fault(target, entry, mine))
+            placed = True
+        if not placed:
+            whom = "" if vehicles is None else f" of {', '.join(map(str, vehicles))}"
+            sensors = sorted({sensor for fleet in scenario.spec.fleets.values() for sensor in fleet.sensors})
+            raise UsageError(f"{where}: there is no target '{target}'{whom}{did_you_mean(target, sensors)}")
+    try:
+        return load_scenario(content, quiet=True)
+    except ScenarioError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def _entries(path: Path) -> list[object]:
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise UsageError(f"{path}: larger than {LARGEST_BYTES // 2**20} MB")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}{did_you_mean_file(path)}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: it is no text in UTF-8") from None
+    content = parse_yaml(text, str(path))
+    if not isinstance(content, list):
+        raise UsageError(f"{path}: expected a list of injections, not {type(content).__name__}")
+    if len(content) > MOST_ENTRIES:
+        raise UsageError(f"{path}: {len(content)} entries; allowed: at most {MOST_ENTRIES}")
+    return content
+
+
+def _fault(target: str, entry: Content, vehicles: list[str] | None) -> Content:
+    """Return an entry as a fault of a fleet."""
+    rest = {name: value for name, value in entry.items() if name not in ("target", "at", "vehicles", "asked_by")}
+    chosen = {} if vehicles is None else {"vehicles": vehicles}
+    if not target.startswith("rotor"):
+        return {"sensor": target, "start": entry["at"]} | rest | chosen
+    kind = rest.pop("kind")
+    number = target.replace("_", " ").split()[-1]
+    fault: Content = {"type": "rotor", "rotor": int(number) if number.isdigit() else number, "at": entry["at"]}
+    return fault | ({"health": 0.0} if kind == "off" else {}) | rest | chosen
