@@ -52,8 +52,8 @@ def pages() -> Mapping[str, str]:
         for kind in kinds()
     ]
     introduction = """A scenario is made of components: a wind, a vehicle, a sensor. Each key below takes one of
-        the types listed beside it, as in `wind: {type: log_shear, speed_20ft: 6}`. Every type has defaults for most
-        of its parameters. [Components of your own](../howto/own_component.md) take the same places."""
+        the types in its row, as in `wind: {type: log_shear, speed_20ft: 6}`. Every type has defaults for most
+        of its parameters. [Your own components](../howto/own_component.md) work the same way."""
     made["components.md"] = page("Components", introduction, table(("kind", "key", "default", "types"), rows))
     return made
 
@@ -81,7 +81,7 @@ def _type(kind: Kind, name: str, node: Node) -> str:
     title = f"### {kind.name}: {name}" if kind.name != name else f"### {name} {name}"
     about = sentence(node.get("description", "")).strip()
     rows = [row for row in _rows(node) if kind.name != "sensors" or row[0].strip("`") not in FITTED]
-    parts = [title, about, table(HEAD, rows) if rows else "It has no parameters of its own."]
+    parts = [title, about, table(HEAD, rows) if rows else "It has no parameters."]
     return "\n\n".join(part for part in parts if part)
 
 

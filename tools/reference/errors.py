@@ -47,7 +47,7 @@ RAISED: tuple[tuple[type[errors.QrsimError], str, str, Callable[[], Any] | None]
     (
         errors.BusyError,
         "Two threads used a simulation at once.",
-        "Give each thread a simulation of its own, or guard it with a lock.",
+        "Give each thread its own simulation, or guard it with a lock.",
         None,
     ),
 )

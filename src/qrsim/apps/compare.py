@@ -14,15 +14,15 @@ from qrsim.errors import UsageError
 
 @dataclass(frozen=True)
 class Compare:
-    """Say in what two recorded runs differ: settings, headline numbers, and the logs quantity by quantity.
+    """Compare two recorded runs: settings, headline numbers, and the logs quantity by quantity.
 
-    Exit code: 0 where the logs are the same within the tolerance, 1 where they differ (or cannot be read), 2 for wrong
-    usage. Settings (seed, versions, scenario) are told but do not count. Ticks are matched by their time.
+    Exit code: 0 if the logs are the same within the tolerance, 1 if they differ (or cannot be read), 2 for wrong usage.
+    Settings (seed, versions, scenario) are printed but do not count. Ticks are matched by their time.
 
-    One table has the headline numbers of A and B side by side: how each ended, tracking and estimate errors over all
-    vehicles, the smallest separation, energy. Of each quantity that differs, the last table has where it does for the
-    first time, the values there in A and B, and the largest and the RMS difference over all vehicles and common ticks;
-    what differs first, then most, comes first.
+    One table compares the headline numbers of A and B: how each ended, tracking and estimate errors over all vehicles,
+    the smallest separation, energy. The last table has, for each quantity that differs, the first difference with the
+    values in A and B, and the largest and the RMS difference over all vehicles and common ticks. The quantity that
+    differs first, then most, comes first.
 
     Example:
       qrsim compare runs/first runs/second
@@ -33,7 +33,7 @@ class Compare:
     run_a: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN_A")]
     """Run folder."""
     run_b: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN_B")]
-    """Another one."""
+    """Run folder to compare with."""
     tolerance: Annotated[float, tyro.conf.arg(metavar="X")] = 0.0
     """Floating-point values this close are the same, in the unit of each quantity; flags and counts must be equal."""
     stream: Annotated[
@@ -41,7 +41,8 @@ class Compare:
     ] = field(default_factory=list)
     """Compare only this stream; can be given several times."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
-    """Picture to write, .png, .pdf or .svg: both plans, and how far apart each vehicle is over time."""
+    """Picture to write, .png, .pdf or .svg: both plans, and the distance between the two tracks of each vehicle over
+    time."""
     json: bool = False
     """Print the result as JSON."""
 

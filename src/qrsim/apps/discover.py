@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 class Discover:
     """Find the form of a vehicle's equations from a flight log, by co-evolutionary programming.
 
-    There is a population of expressions (+ - x /, inputs, constants) for each law: wanted thrust, roll and pitch, yaw,
-    drag. Each is judged by flying short pieces of the first part of the log together with the best of the others, and
-    its constants are fitted to that. Of those with the best trade of error and size the one is taken that flies best
-    over seconds. Printed are these laws and the Pareto front.
+    Each law (commanded thrust, roll and pitch, yaw, drag) has a population of expressions (+ - x /, inputs, constants).
+    Each expression is scored, and its constants are fitted, on short pieces of the first part of the log, together with
+    the best expressions of the other laws. From the Pareto front of error and size, the law with the smallest error
+    over seconds is selected. These laws and the Pareto front are printed.
 
     Example:
       qrsim discover flight.csv -o discovered.yaml
@@ -34,23 +34,23 @@ class Discover:
     log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
     """Flight log; see 'qrsim identify'."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o", "--output"], metavar="FILE")] = Path("discovered.yaml")
-    """Vehicle to write; a picture goes beside it."""
+    """Vehicle to write; a picture is written next to it."""
     seed: int = 0
     """The same seed finds the same laws."""
     generations: int = 12
-    """How often the populations are renewed."""
+    """Number of generations."""
     population: int = 30
     """Expressions for each law."""
     mass: float = 1.68
     """Take-off mass [kg]."""
     delay: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: estimated)")] = None
-    """By which commands act late."""
+    """Delay of the commands."""
     train: float = 0.6
     """Share of the log that is used; the rest scores the laws."""
     boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: most messages)")] = None
-    """Number of the boot in a DataFlash log that has several, from 1."""
+    """Number of the boot, from 1, in a DataFlash log with several."""
     overwrite: bool = False
-    """Replace FILE where it exists."""
+    """Replace FILE if it exists."""
     quiet: bool = False
     """Print no progress."""
     json: bool = False

@@ -28,8 +28,9 @@ class Export:
     and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json. rosbag2: the topics of 'qrsim
     ros2', as ROS 2 records them.
 
-    Heights are above the WGS-84 ellipsoid, those of kml above the ground unless --heights says otherwise. A run that is
-    running, was interrupted or killed is exported up to its last flush; what is damaged is left out with a warning.
+    Heights are above the WGS-84 ellipsoid; those of kml are above the ground unless --heights is given. A run that is
+    in progress, was interrupted or was killed is exported up to its last flush; damaged parts are left out with a
+    warning.
 
     Example:
       qrsim export runs/first --format csv
@@ -40,7 +41,7 @@ class Export:
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder."""
     format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rosbag2"]
-    """What to write."""
+    """File format."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(metavar="PATH", help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export)"),
@@ -52,11 +53,11 @@ class Export:
         int | None,
         tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv, mcap and rosbag2, 5 Hz for the others)"),
     ] = None
-    """Keep the ticks that N divides; events are all kept."""
+    """Keep every Nth tick; all events are kept."""
     heights: Literal["ground", "ellipsoid"] = "ground"
     """Heights of kml: above the ground, or above the WGS-84 ellipsoid."""
     distro: Annotated[str, tyro.conf.arg(metavar="NAME")] = "jazzy"
-    """Of ROS 2, that is to read the bag: humble, iron, jazzy, kilted or lyrical."""
+    """ROS 2 distribution that will read the bag: humble, iron, jazzy, kilted or lyrical."""
     code: bool = False
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
     force: bool = False

@@ -25,8 +25,9 @@ class Identify:
 
     Logs: PX4 ULog, ArduPilot DataFlash .bin, bags of ROS 2, CSV with names and units ('roll [deg]'), the public
     recordings. The first part of each is fitted through the simulator's own equations; the rest is held out and scored
-    open loop. A constant that the logs do not show, or that predicts the rest no better, stays at its start, and that
-    is said. Logs that show none (on the ground, not commanded) are refused, and nothing is written.
+    open loop. A constant that the logs do not show, or that does not improve the prediction of the rest, keeps its
+    start value, and this is reported. Logs that show no constant (on the ground, not commanded) are refused, and
+    nothing is written.
 
     Example:
       qrsim identify flight.ulg --mass 1.9 -o my_vehicle.yaml
@@ -39,31 +40,31 @@ class Identify:
     logs: Annotated[tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Flight logs of the same vehicle."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o", "--output"], metavar="FILE")] = OUT
-    """Vehicle to write; the report goes into a folder beside it, FILE without its ending plus _report."""
+    """Vehicle to write; the report goes into a folder next to it, FILE without its ending plus _report."""
     vehicle: Literal["quadrotor"] = "quadrotor"
     """Form of the model."""
     separate: bool = False
-    """Pitch has constants of its own."""
+    """Fit separate constants for pitch."""
     imu: bool = False
     """Find the noise of gyroscopes and accelerometers instead, from one log at rest, and write it as a sensor."""
     fit: Annotated[str | None, tyro.conf.arg(metavar="NAME[,NAME...]", help_behavior_hint="(default: all)")] = None
-    """Only these constants; the others stay at their start."""
+    """Only these constants; the others keep their start values."""
     start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: published)")] = None
-    """A vehicle written by this command, to begin with."""
+    """Vehicle written by this command, for the start values."""
     mass: Annotated[str | None, tyro.conf.arg(metavar="KG[:STD]", help_behavior_hint="(default: 1.68)")] = None
     """Take-off mass; with a standard deviation it is estimated about this value."""
     prior: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME=VALUE:STD")] = field(
         default_factory=list
     )
-    """What is known of a constant; can be given several times."""
+    """Prior of a constant; can be given several times."""
     delay: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: estimated)")] = None
-    """By which commands act late."""
+    """Delay of the commands."""
     train: float = 0.6
     """Share of each log that is fitted; the rest is held out."""
     horizon: float = 5.0
-    """Length of a window that is flown without looking at the record [s]."""
+    """Length of a window that is simulated open loop [s]."""
     loss: Literal["robust", "squares"] = "robust"
-    """What residuals count."""
+    """Loss of the residuals."""
     ignore: Annotated[str | None, tyro.conf.arg(metavar="SIGNAL[,SIGNAL...]", help_behavior_hint="(default: none)")] = (
         None
     )
@@ -73,11 +74,11 @@ class Identify:
     end: Annotated[float, SECONDS, tyro.conf.arg(name="to", help_behavior_hint="(default: its end)")] = math.inf
     """Leave out what comes later in each log."""
     namespace: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
-    """Of the vehicle's topics in a bag of ROS 2."""
+    """Namespace of the vehicle's topics in a ROS 2 bag."""
     boot: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: most messages)")] = None
-    """Number of the boot in a DataFlash log that has several, from 1."""
+    """Number of the boot, from 1, in a DataFlash log with several."""
     overwrite: bool = False
-    """Replace FILE where it exists."""
+    """Replace FILE if it exists."""
     quiet: bool = False
     """Print no progress."""
     json: bool = False

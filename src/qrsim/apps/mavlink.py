@@ -27,13 +27,13 @@ LAST_SYSTEM = 240
 class Mavlink:
     """Make every vehicle of a scenario a MAVLink system, for QGroundControl, MAVSDK, pymavlink and MAVProxy.
 
-    The vehicles stand on the ground below where the scenario has them, disarmed, with modes, parameters, missions and
-    failsafes like those of PX4. Vehicle i (from 0) is system i + 1. It speaks to UDP port 14540 + i for programs (from
-    the tenth on to 14549) and to 14550 for a ground station. docs/howto/mavlink_scripts.md has scripts,
-    docs/reference/mavlink.md what is not spoken.
+    The vehicles start disarmed on the ground, below their scenario positions, with modes, parameters, missions and
+    failsafes like those of PX4. Vehicle i (from 0) is system i + 1. It sends to UDP port 14540 + i for programs (from
+    the tenth vehicle on to 14549) and to 14550 for a ground station. docs/howto/mavlink_scripts.md has scripts,
+    docs/reference/mavlink.md the supported messages.
 
-    Anybody who can send to its ports can fly. Nothing is encrypted and nobody is asked who they are, so only programs
-    on this machine can, unless --allow-remote is given.
+    Anybody who can send to its ports can fly. Connections are neither encrypted nor authenticated, so only programs on
+    this machine can connect unless --allow-remote is given.
 
     Ctrl-C or SIGTERM ends it.
 
@@ -55,34 +55,34 @@ class Mavlink:
     )
     """Change one value of the scenario; can be given several times."""
     flavour: Annotated[str, tyro.conf.arg(metavar="px4|ardupilot")] = "px4"
-    """Whose numbers of modes are spoken."""
+    """Autopilot whose mode numbers are used."""
     local_origin: Annotated[str, tyro.conf.arg(metavar="start|site")] = "start"
-    """Origin of each vehicle's local frame (LOCAL_POSITION_NED, SET_POSITION_TARGET_LOCAL_NED, ...): where it was when
-    its estimator began, or the site of the scenario, which all vehicles share."""
+    """Origin of each vehicle's local frame (LOCAL_POSITION_NED, SET_POSITION_TARGET_LOCAL_NED, ...): its position when
+    its estimator started, or the site of the scenario, which all vehicles share."""
     first_sysid: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """MAVLink system id of the first vehicle; the last one is 240."""
     own_ports: bool = False
-    """Give vehicles from the tenth on a port of their own too: 14540 + i."""
+    """Also give vehicles from the tenth on separate ports: 14540 + i."""
     tcp: bool = False
-    """Listen on TCP port 5760 too; a client there hears all vehicles."""
+    """Also listen on TCP port 5760; a client there receives all vehicles."""
     gcs: Annotated[str, tyro.conf.arg(metavar="HOST")] = "127.0.0.1"
-    """Where the ground station is: vehicles speak to its UDP port 14550."""
+    """Address of the ground station: vehicles send to its UDP port 14550."""
     allow_remote: bool = False
-    """Let other machines fly: sockets are those of all addresses of this machine."""
+    """Let other machines connect: listen on all addresses of this machine."""
     stream_time: Annotated[str, tyro.conf.arg(metavar="wall|sim")] = "wall"
-    """By which clock a message goes out at most 100 times a second, where the world runs faster than the wall clock."""
+    """Clock for the limit of 100 messages of a kind per second, when the world runs faster than the wall clock."""
     lockstep: bool = False
-    """Begin when every vehicle has a set-point; then have the world wait at every tick, for at most 1 s of wall time,
-    until each has one newer than the last ATTITUDE that its client was sent: equal runs are equal to the bit."""
+    """Begin when every vehicle has a set-point. Then wait at every tick, for at most 1 s of wall time, until each
+    vehicle has a set-point newer than the last ATTITUDE sent to its client, so that runs are bit-identical."""
     respawn: bool = False
-    """Put a vehicle that has crashed or collided back to where it began, 3 s later; without it, a reboot does."""
+    """Return a crashed or collided vehicle to its start after 3 s; without this option, a reboot does so."""
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
     """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors, battery, or
     all; can be given several times."""
     truth: bool = False
-    """Let clients ask for HIL_STATE_QUATERNION, the true state; without it they get estimates and readings only."""
+    """Let clients request HIL_STATE_QUATERNION, the true state; without it they get only estimates and readings."""
 
     def run(self) -> None:
         """Check, compile, serve."""

@@ -47,9 +47,9 @@ class Plot:
     panel: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="QUANTITY[,QUANTITY...]")] = field(
         default_factory=list
     )
-    """Draw these quantities, of one unit, in a panel, vectors in one for each axis; given again, below. 'sky' is the
-    sky over a vehicle whose receiver has per_satellite: true; 'estimate' what the estimate errs by, with 3 std; 'radio'
-    who hears whom over the radio, delivery and connectivity."""
+    """Draw these quantities, of one unit, in a panel; a vector gets a panel for each axis. Repeat the option for more
+    panels. 'sky' draws the sky over a vehicle whose receiver has per_satellite: true; 'estimate' the errors of the
+    estimate, with 3 std; 'radio' the radio links, delivery and connectivity."""
     vehicle: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
     ] = field(default_factory=list)
@@ -72,7 +72,7 @@ class Plot:
     code: bool = False
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
     json: bool = False
-    """Print the quantities, or where the picture is, as JSON."""
+    """Print the quantities, or the path of the picture, as JSON."""
 
     def run(self) -> None:
         """Check, draw, and print the path of the picture."""

@@ -14,9 +14,9 @@ import tyro
 class Replay:
     """Fly a recorded world of several controllers again, without them, and compare.
 
-    Says whether all of it is the same to the bit. Takes a run of 'qrsim serve SCENARIO --pace free --record DIR' (or
-    --pace barrier), whose stream 'orders' says which order each vehicle flew by in each tick. Exit code: 0 where
-    everything is the same, 1 where something differs (or cannot be read), 2 for wrong usage.
+    Checks that all streams are bit-identical. Takes a run of 'qrsim serve SCENARIO --pace free --record DIR' (or --pace
+    barrier), whose stream 'orders' has the order of each vehicle in each tick. Exit code: 0 if everything is the same,
+    1 if something differs (or cannot be read), 2 for wrong usage.
 
     Example:
       qrsim replay runs/served/SESSION/episode-0001
@@ -28,7 +28,7 @@ class Replay:
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: not kept)")
     ] = None
-    """Run folder for the flight of now."""
+    """Run folder for the new flight."""
     code: bool = False
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 

@@ -31,13 +31,13 @@ ROUTER_S = 2.0
 
 @dataclass(frozen=True)
 class Ros2:
-    """Make a scenario a node of ROS 2, without a ROS installation: sensors, odometry, TF and /clock of every vehicle.
+    """Run a scenario as a ROS 2 node, without a ROS installation: sensors, odometry, TF and /clock of every vehicle.
 
-    Vehicles go by their scenario's guidance until a node flies them: by cmd_vel, setpoint_position/local,
+    Vehicles follow their scenario's guidance until a node flies them through cmd_vel, setpoint_position/local,
     setpoint_velocity/cmd_vel or setpoint_attitude/attitude in the namespace of the vehicle's name.
     docs/reference/ros2_topics.md lists the topics.
 
-    It speaks DDS, as the default middleware of ROS 2, or zenoh. Anybody in the network with the same domain can fly.
+    It uses DDS, like the default middleware of ROS 2, or zenoh. Anybody in the network with the same domain can fly.
 
     Ctrl-C or SIGTERM ends it.
 
@@ -55,12 +55,12 @@ class Ros2:
     )
     """Domain of DDS, 0 to 232."""
     transport: Annotated[str, tyro.conf.arg(metavar="dds|zenoh")] = "dds"
-    """What carries the messages: dds for most middlewares of ROS 2, zenoh for rmw_zenoh."""
+    """Transport of the messages: dds for most middlewares of ROS 2, zenoh for rmw_zenoh."""
     router: Annotated[str, tyro.conf.arg(metavar="ENDPOINT")] = "tcp/localhost:7447"
-    """With --transport zenoh: where rmw_zenohd listens."""
+    """Address of rmw_zenohd, with --transport zenoh."""
     api: Annotated[str, tyro.conf.arg(metavar="qrsim|mavros|px4")] = "qrsim"
-    """How nodes fly the vehicles. qrsim: by set-points alone; mavros: by its topics and services; px4: by the topics of
-    PX4's uXRCE-DDS bridge. With the last two, vehicles stand on the ground, with PX4's arming, modes and failsafes."""
+    """Interface for nodes. qrsim: set-points only; mavros: its topics and services; px4: the topics of PX4's uXRCE-DDS
+    bridge. With the last two, vehicles start on the ground, with PX4's arming, modes and failsafes."""
     namespaces: Annotated[
         str | None, tyro.conf.arg(metavar="PATTERN", help_behavior_hint="(default: see docs/howto/ros2_apis.md)")
     ] = None
@@ -68,10 +68,10 @@ class Ros2:
     realtime: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0
     """Simulated seconds per second of the wall clock."""
     pace: Annotated[str, tyro.conf.arg(metavar="free|fast|barrier")] = "free"
-    """free: by the wall clock; fast: as fast as it computes; barrier: each tick waits until every vehicle that a node
-    flies by velocities or attitudes was asked for the next one."""
+    """free: by the wall clock; fast: as fast as it computes; barrier: each tick waits for a command for every vehicle
+    that a node flies by velocities or attitudes."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 50.0
-    """How often estimates, TF and truth are published at most; sensors have their own rates."""
+    """Largest rate of estimates, TF and truth; sensors have their own rates."""
     seed: int = 0
     """Seed of the episode."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
@@ -81,17 +81,17 @@ class Ros2:
     distro: Annotated[str, tyro.conf.arg(metavar="NAME")] = "jazzy"
     """Distribution of the other nodes: humble, iron, jazzy, kilted or lyrical."""
     truth: bool = False
-    """Publish the true motion and wind too, below ground_truth/; without it there are estimates and readings only."""
+    """Also publish the true motion and wind, below ground_truth/; without it there are only estimates and readings."""
     reliable: bool = False
-    """Send lost readings of sensors again, for nodes that ask for reliable ones."""
+    """Publish sensors with reliable QoS, for nodes that require it."""
     hold: Annotated[float, SECONDS] = 0.5
-    """After so long without a velocity or an attitude, a vehicle that was flown by them holds its place."""
+    """Time without a velocity or an attitude until a vehicle flown by them holds its position."""
     paused: bool = False
-    """Begin standing, until 'resume' or 'step N' comes by /qrsim/control."""
+    """Begin paused, until 'resume' or 'step N' arrives on /qrsim/control."""
     duration: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: until Ctrl-C)")] = (
         None
     )
-    """End after so much simulated time."""
+    """End after this simulated time."""
 
     def run(self) -> None:
         """Check, compile, serve."""

@@ -19,9 +19,9 @@ class List:
     """
 
     components: bool = False
-    """List components of every kind instead: built in, and those that installed packages offer."""
+    """List components of every kind instead: built-in ones and those of installed packages."""
     json: bool = False
-    """Print JSON: name, description, duration and number of vehicles; of components kind, name, class and origin."""
+    """Print JSON: name, description, duration and number of vehicles; for components kind, name, class and origin."""
 
     def run(self) -> None:
         """Print one line per scenario or component."""
@@ -65,8 +65,8 @@ class List:
 class Show:
     """Print a scenario with every default filled in, as YAML that can be saved and changed.
 
-    What follows from it stands at its end, as comments: hover throttle, thrust over weight and the steady airspeed that
-    each fleet holds.
+    Comments at the end give derived values: hover throttle, thrust over weight and the steady airspeed that each fleet
+    holds.
 
     Example:
       qrsim show outdoor_patrol > mine.yaml
@@ -81,9 +81,9 @@ class Show:
     )
     """Change one value of the scenario; can be given several times."""
     json: bool = False
-    """Print JSON instead; without what follows, unless --derived asks for it."""
+    """Print JSON instead, without derived values unless --derived is given."""
     derived: bool = False
-    """Print only what follows from the parameters of each fleet's vehicles."""
+    """Print only the values derived from the parameters of each fleet's vehicles."""
     program: Annotated[str | None, tyro.conf.arg(metavar="FORM", help_behavior_hint="(default: none)")] = None
     """Print the compiled program of a tick instead: its graph of operations ('graph'), the loops that compute them in
     their order ('steps'), or the text that LLVM compiles ('llvm')."""

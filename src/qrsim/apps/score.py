@@ -20,16 +20,16 @@ MOST_SEEDS = 10_000
 
 @dataclass(frozen=True)
 class Score:
-    """Fly policies in the same episodes of a task, and say what each returns.
+    """Fly policies in the same episodes of a task, and compare their returns.
 
-    Of every policy the mean return of an agent with a 95 % bootstrap interval over the episodes, how many were flown to
-    the end, in a search the persons found, and the paired difference to the first policy. The task's baseline, where it
-    has one, and hovering are beside those that are named.
+    Prints for every policy the mean return of an agent with a 95 % bootstrap interval over the episodes, the number of
+    episodes flown to the end, in a search the persons found, and the paired difference to the first policy. The task's
+    baseline, if it has one, and hovering are always included.
 
-    POLICY is 'baseline', 'hover', 'random', 'oracle' (of a search: it is told where persons lie) or MODULE:NAME, where
-    MODULE may be a .py file: a function of what all agents see that returns their actions (n, A) in [-1, 1], or a class
-    that is made for each episode with (play, seed) and has act(seen), answer() where something is handed in, and
-    know(state) where it is to be told the truth before every act.
+    POLICY is 'baseline', 'hover', 'random', 'oracle' (in a search; it knows the persons' positions) or MODULE:NAME,
+    where MODULE may be a .py file. MODULE:NAME is a function from the observations of all agents to their actions (n,
+    A) in [-1, 1], or a class that is made for each episode with (play, seed). The class has act(seen), answer() in
+    tasks that ask for an answer, and optionally know(state), which gets the true state before every act.
 
     Example:
       qrsim score search_and_rescue/2A
@@ -43,20 +43,20 @@ class Score:
     policy: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="POLICY", help_behavior_hint="(default: none)")
     ] = field(default_factory=list)
-    """What flies; can be given several times. The others are compared with the first."""
+    """Policy to fly; can be given several times. The others are compared with the first."""
     seeds: int = 20
-    """How many episodes."""
+    """Number of episodes."""
     first_seed: int = 0
     """Seed of the first episode; the others follow."""
     set: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")
     ] = field(default_factory=list)
-    """Another value of the scenario; can be given several times."""
+    """Change one value of the scenario; can be given several times."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """Picture to write, .png, .pdf or .svg: all returns, and an episode of the first policy."""
     dataset: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """Also keep all episodes of the first policy as a new dataset of Minari, such as keep_spot/baseline-v0, where it
-    looks for them: in MINARI_DATASETS_PATH, or ~/.minari/datasets. Of tasks with one agent and no radio."""
+    """Also keep all episodes of the first policy as a new dataset of Minari, such as keep_spot/baseline-v0, in
+    MINARI_DATASETS_PATH, or ~/.minari/datasets. Only for tasks with one agent and no radio."""
     json: bool = False
     """Print the result as JSON."""
 

@@ -26,12 +26,12 @@ class Serve:
     """Let a program in any language fly a live simulation over TCP.
 
     Speaks the protocol of the reference simulator, whose clients work unchanged, with extensions.
-    docs/howto/tcp_client.md explains clients in Python and C++, docs/reference/tcp_protocol.md the protocol.
-    Clients choose a task by its name: any of 'qrsim list', those of the reference simulator, or SCENARIO. One
-    client at a time controls the simulation, others can watch it. With --pace barrier or free all clients share one
-    world of SCENARIO: each claims vehicles of it and flies these.
+    docs/howto/tcp_client.md explains clients in Python and C++, docs/reference/tcp_protocol.md the protocol. Clients
+    choose a task by its name: any of 'qrsim list', those of the reference simulator, or SCENARIO. One client at a time
+    controls the simulation, others can watch it. With --pace barrier or free all clients share one world of SCENARIO:
+    each claims vehicles and flies them.
 
-    Anybody who can connect can control the simulation. Nothing is encrypted and nobody is asked who they are, so only
+    Anybody who can connect can control the simulation. Connections are neither encrypted nor authenticated, so only
     programs on this machine can connect unless --allow-remote is given.
 
     Ctrl-C or SIGTERM ends the server.
@@ -46,36 +46,37 @@ class Serve:
     scenario: Annotated[
         tyro.conf.Positional[str | None], tyro.conf.arg(metavar="SCENARIO", help_behavior_hint="(default: none)")
     ] = None
-    """Name or YAML file of a scenario that clients can ask for by its names, or by an empty one; names of the reference
-    simulator are names of the same scenario."""
+    """Name or YAML file of a scenario that clients can select by its names, or by an empty name; names of the reference
+    simulator are accepted too."""
     host: str = "127.0.0.1"
     """Address to listen on."""
     port: int = 10000
-    """Port to listen on; 0: any that is free."""
+    """Port to listen on; 0: any free port."""
     allow_remote: bool = False
-    """Let other machines connect, where --host is not of this machine alone."""
+    """Let other machines connect, if --host is not a local-only address."""
     sessions: bool = False
-    """Give every client a session and world of its own."""
+    """Give every client its own session and world."""
     realtime: Annotated[
         float | None, tyro.conf.arg(metavar="FACTOR", help_behavior_hint="(default: as fast as clients ask)")
     ] = None
-    """Simulated seconds per second of the wall clock; with --pace free 1, if nothing is said."""
+    """Simulated seconds per second of the wall clock; 1 by default with --pace free."""
     pace: Annotated[str, tyro.conf.arg(metavar="owner|barrier|free")] = "owner"
-    """Who moves the world on: the client whose it is, by its steps; all clients that have claimed vehicles, together;
-    or the wall clock, from the first claim on."""
+    """What advances the world: the steps of its client ('owner'); all clients with claimed vehicles together
+    ('barrier'); or the wall clock, from the first claim on ('free')."""
     on_silence: Annotated[str, tyro.conf.arg(metavar="hold|return|stop")] = "hold"
-    """What a claimed vehicle does without its controller: hold its place, return to above its start, or stop its
+    """Action of a claimed vehicle without its controller: hold its position, return to above its start, or stop its
     motors."""
     hold: Annotated[float, SECONDS] = 0.5
-    """Without a command for so long, a claimed vehicle does so; 0: never, it flies on its last command."""
+    """Time without a command until a claimed vehicle takes this action; 0: never, it keeps its last command."""
     timeout: Annotated[float, SECONDS, tyro.conf.arg(help_behavior_hint="(default: for ever)")] = 0.0
-    """How long a barrier waits for a client, by the wall clock, before the world goes on without it."""
+    """Wall-clock time that a barrier waits for a client before the world continues without it."""
     seed: int = 0
-    """Seed of the first episode; with --episodes new those that follow have the seeds that follow it."""
+    """Seed of the first episode; with --episodes new, later episodes have the following seeds."""
     episodes: Annotated[str, tyro.conf.arg(metavar="new|same")] = "new"
-    """Whether each start of a task (INIT, RESET) is another episode or the first one again. The seeds are printed."""
+    """Each start of a task (INIT, RESET) is another episode ('new') or the first one again ('same'). The seeds are
+    printed."""
     idle_timeout: Annotated[float, SECONDS] = 1800.0
-    """End the session of a client that has asked for nothing for so long; 0: never."""
+    """End the session of a client that has sent no request for this time; 0: never."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
         default_factory=list
     )
@@ -83,16 +84,16 @@ class Serve:
     allow_quit: bool = False
     """Let clients end the server."""
     max_clients: Annotated[int, tyro.conf.arg(metavar="N")] = 32
-    """Most connections at a time."""
+    """Largest number of simultaneous connections."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
     """Folder for recordings: one folder for each session, in it a run folder for each start of its task."""
     view: bool = False
     """Show the simulation in three dimensions on a page for a browser; its address is printed. Not with --sessions."""
     view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
-    """Port of the page; where it is taken, the next free one."""
+    """Port of the page; if it is in use, the next free one."""
     view_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
-    has a token, and only who knows it can look and steer; nothing is encrypted."""
+    """Address of this machine that the page listens on. If it is not 127.0.0.1, the printed address has a token, which
+    is needed to view and control the page; nothing is encrypted."""
 
     def run(self) -> None:
         """Check, compile, serve."""

@@ -25,7 +25,7 @@ CONVERGED = ("converged", "plain", "bias")
 
 @dataclass(frozen=True)
 class SlamCommand:
-    """Show what coloured GNSS noise does to range-only SLAM: fly, find trajectory and landmarks, compare.
+    """Show the effect of coloured GNSS noise on range-only SLAM: fly, estimate trajectory and landmarks, compare.
 
     A Pelican flies between random waypoints, once with the simulator's time-correlated GNSS errors and once with white
     ones of the same size. Ranges to ten unknown landmarks and the commands then give trajectory and landmarks, in one
@@ -40,15 +40,15 @@ class SlamCommand:
     """
 
     graph: Literal["paper", "gnss"] = "gnss"
-    """Where GNSS enters: at the start of the iterations only, or as factors."""
+    """Use of GNSS: only for the start of the iterations, or as factors."""
     states: Literal["full", "poses"] = "full"
     """Unknown at each time: all 13 states of the model, or position and heading only, which is much faster."""
     noise: Literal["white", "coloured", "both"] = "both"
     """GNSS errors to fly with."""
     gnss: Literal["m8n", "f9p_single", "f9p_sbas", "f9p_rtk", "gps_2011"] | None = None
-    """Receiver whose errors the coloured ones are (docs/howto/choose_a_receiver.md), in place of the published one."""
+    """Receiver for the coloured errors (docs/howto/choose_a_receiver.md), instead of the published one."""
     seeds: int = 5
-    """How many flights with each."""
+    """Number of flights with each kind of noise."""
     first_seed: int = 0
     """Seed of the first flight; the others follow."""
     duration: Annotated[float, SECONDS] = 120.0
@@ -58,13 +58,14 @@ class SlamCommand:
     run_folder: Annotated[
         Path | None, tyro.conf.arg(name="run", metavar="RUN", help_behavior_hint="(default: none)")
     ] = None
-    """Take this recorded run in place of new flights."""
+    """Use this recorded run instead of new flights."""
     code: bool = False
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Vehicle of the run."""
     vehicles: int = 1
-    """How many fly over the same landmarks, range to each other and are solved together; of a run, its first ones."""
+    """Number of vehicles that fly over the same landmarks, range to each other and are solved together; with --run, the
+    first ones."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: no figures)")] = None
     """New or empty folder for figures and result.json."""
     json: bool = False

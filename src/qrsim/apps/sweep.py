@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 class Sweep:
     """Fly a study: a scenario under many conditions, with many seeds each, on all cores or on a cluster.
 
-    A study says what varies, how often each condition is flown, and what is kept of an episode;
-    docs/howto/own_study.md explains it.
+    A study lists the parameters that vary, the seeds for each condition, and the metrics; docs/howto/own_study.md
+    explains it.
 
-    Results go to a store, an xarray Dataset in Zarr, as they come in, and can be read from there at once. A sweep
-    that was interrupted or killed goes on where it was when the same command is given again.
+    Results go to a store, an xarray Dataset in Zarr, as they come in, and can be read from there at once. To continue
+    an interrupted or killed sweep, run the same command again.
 
     Studies that come with qrsim: station_keeping, station_keeping_plain, gnss_errors, swarm_collisions,
     formation_gusts, search_in_wind, team_errors.
@@ -47,25 +47,25 @@ class Sweep:
     scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
     """Fly on the workers of this Dask scheduler instead."""
     tls_ca: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Certificate of the authority that a scheduler by tls:// is checked against; with --tls-cert and --tls-key."""
+    """CA certificate for a scheduler at tls://; with --tls-cert and --tls-key."""
     tls_cert: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Certificate to show to that scheduler."""
     tls_key: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Private key of that certificate."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="STORE", help_behavior_hint="(default: sweeps/NAME.zarr)")] = None
-    """Store to write, or to go on with."""
+    """Store to write, or to continue."""
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the study's)")] = None
     """Episodes at each point."""
     points: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the study's)")] = None
     """Points of the sample."""
     values: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
-    """At most so many values of each parameter that has values, evenly chosen."""
+    """Largest number of values for each parameter with values, evenly selected."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
         default_factory=list
     )
     """Change one value of the scenario at all points; can be given several times."""
     plan: bool = False
-    """Check the study and say what would be flown."""
+    """Check the study and print the planned flights."""
     json: bool = False
     """Print the result as JSON."""
 

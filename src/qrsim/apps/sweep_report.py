@@ -13,11 +13,11 @@ from qrsim.errors import RunError, UsageError, os_error_as
 
 @dataclass(frozen=True)
 class SweepReport:
-    """Say what a sweep found: tables, pictures, and the commands that fly the worst episodes again.
+    """Report the results of a sweep: tables, pictures, and the commands that fly the worst episodes again.
 
-    How a metric depends on each parameter, with confidence bands; a map over two parameters; where half of the episodes
-    fail, by a logistic fit; Sobol indices, where the study was sampled for them. A sweep that still runs can be looked
-    at too: the report is then of what has been flown.
+    How a metric depends on each parameter, with confidence bands; a map over two parameters; the point where half of
+    the episodes fail, by a logistic fit; Sobol indices, if the study was sampled for them. You can also report a
+    running sweep: the report then covers the episodes flown so far.
 
     Example:
       qrsim sweep-report sweeps/station_keeping.zarr
@@ -35,13 +35,13 @@ class SweepReport:
         tyro.conf.UseAppendAction[list[str]],
         tyro.conf.arg(metavar="PARAMETER", help_behavior_hint="(default: the first two)"),
     ] = field(default_factory=list)
-    """Parameter of the maps; to be given twice."""
+    """Parameter of the maps; give it twice."""
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: STORE-report)")
     ] = None
     """Folder for pictures and report.json."""
     format: Literal["png", "pdf", "svg"] = "png"
-    """Of the pictures."""
+    """Format of the pictures."""
     json: bool = False
     """Print the tables as JSON."""
 

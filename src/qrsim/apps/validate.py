@@ -23,14 +23,15 @@ PAGE, PRINTED, NUMBERS, FIGURES = "validation.html", "validation.pdf", "validati
 
 @dataclass(frozen=True)
 class Validate:
-    """Hold every model against recordings, closed forms and an independent simulator, and write a report.
+    """Compare every model with recordings, closed forms and an independent simulator, and write a report.
 
-    The figures that made the original simulator credible, each with its number, its bound and what it says: thrust,
-    rotation, translation, turbulence, wind_field, gnss, receivers, drifts, imu. One HTML page that needs nothing else,
-    a PDF of the same with all pictures as vectors, these one by one in figures/, and a JSON of every number. Parts
-    whose recordings are missing are skipped, and named; 'qrsim data fetch' gets the recordings.
+    The validation figures of the original simulator, each with its number, its bound and a verdict: thrust, rotation,
+    translation, turbulence, wind_field, gnss, receivers, drifts, imu. Writes a self-contained HTML page, a PDF of the
+    same with vector graphics, each picture in figures/, and a JSON of every number. Parts whose recordings are missing
+    are skipped, and named; 'qrsim data fetch' gets the recordings.
 
-    Exit code 0: every check passed; 1: one did not. How well a model fits a recording is told, and fails nothing.
+    Exit code 0: every check passed; 1: one did not. The fit of a model to a recording is reported, but does not count
+    as a failure.
 
     Example:
       qrsim validate
@@ -44,7 +45,7 @@ class Validate:
     ] = field(default_factory=list)
     """Run only this part; can be given several times."""
     json: bool = False
-    """Print the JSON of every number in place of the summary."""
+    """Print the JSON of every number instead of the summary."""
 
     def run(self) -> int:
         """Check, run, write, report."""

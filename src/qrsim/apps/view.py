@@ -43,20 +43,20 @@ class View:
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a picture (.png), and end."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="VIEW", help_behavior_hint="(default: see below)")] = None
-    """From where the picture is taken, by default as the page begins: south, north, east, west, above, area for
-    the whole flight area, the name of a vehicle for a view of it from near, or both, as in NAME:above."""
+    """View of the picture, by default the initial view of the page: south, north, east, west, above, area for the whole
+    flight area, the name of a vehicle for a close view, or both, as in NAME:above."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WxH", help_behavior_hint="(default: 1280x800)")] = None
     """Width and height of the picture in pixels."""
     layers: Annotated[str | None, tyro.conf.arg(metavar="NAMES", help_behavior_hint="(default: see below)")] = None
-    """Layers of the picture, separated by commas, or "all"; --layers=-gusts,-poles: all of the page but these;
-    by default those of the page."""
+    """Layers of the picture, separated by commas, or "all"; --layers=-gusts,-poles: the page's layers except these; by
+    default those of the page."""
     at: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: see below)")] = None
-    """Time to begin at, or of the picture; by default the begin, and for a picture the end."""
+    """Start time of the replay, or time of the picture; by default the start, and for a picture the end."""
     port: int = 8080
-    """Port of the page; where it is taken, the next free one. 0: any that is free."""
+    """Port of the page; if it is in use, the next free one. 0: any free port."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
-    has a token, and only who knows it can look and steer; nothing is encrypted."""
+    """Address of this machine that the page listens on. If it is not 127.0.0.1, the printed address has a token, which
+    is needed to view and control the page; nothing is encrypted."""
     code: bool = False
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 

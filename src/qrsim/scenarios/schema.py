@@ -62,7 +62,7 @@ class VehicleSpec(Strict):
     position_ned: Position = Field(default_factory=list, description="start position [m]: north, east, down")
     position_geodetic: GeodeticSpec | None = Field(None, description="start position, instead of NED", exclude=True)
     on_ground: bool = Field(
-        False, description="start on the ground at north and east; down is not looked at", strict=True, exclude=True
+        False, description="start on the ground at north and east; down is ignored", strict=True, exclude=True
     )
     yaw_rad: Finite = Field(0.0, description="heading at the start and along the route [rad]", ge=-6.3, le=6.3)
     velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity in body axes [m/s]")
@@ -82,7 +82,7 @@ class VehicleSpec(Strict):
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
     )
     repeat_from: int | None = Field(
-        None, description="index of the leg that follows the last one; default: none does", ge=0, strict=True
+        None, description="index of the leg that follows the last one; default: none", ge=0, strict=True
     )
 
     @model_validator(mode="after")
@@ -138,10 +138,10 @@ LimitsModel: Any = component_model("limits", StateLimits, tagged=False, each=Tru
 def _base_model() -> object:
     """Return the schema of a base station with its place, and the times at which it is silent."""
     places = {
-        "position_ned": (Position, Field(description="where its antenna is [m]: north, east, down")),
+        "position_ned": (Position, Field(description="position of its antenna [m]: north, east, down")),
         "silent": (
             list[Span],
-            Field([], description="from when to when it sends nothing [s], [start, end] each", max_length=MOST_SPANS),
+            Field([], description="times without corrections [s], [start, end] each", max_length=MOST_SPANS),
         ),
     }
     return component_model("base_station", BaseStation, tagged=False, arrays=places)
@@ -163,13 +163,13 @@ class SkySpec(Strict):
 class WorldSpec(Strict):
     """The environment of the vehicles."""
 
-    area: AreaSlot = Field({"type": "box"}, description="where vehicles may be", validate_default=True)
-    ground: GroundSlot = Field({"type": "flat"}, description="what vehicles stand on", validate_default=True)
+    area: AreaSlot = Field({"type": "box"}, description="area in which vehicles may fly", validate_default=True)
+    ground: GroundSlot = Field({"type": "flat"}, description="surface of the ground", validate_default=True)
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="random gusts", validate_default=True)
     gust: GustSlot = Field({"type": "none"}, description="discrete gust", validate_default=True)
     updrafts: list[UpdraftSlot] = Field(
-        [], description="rising air, and what terrain and buildings do to the wind", max_length=MOST_UPDRAFTS
+        [], description="rising air, and the effects of terrain and buildings on the wind", max_length=MOST_UPDRAFTS
     )
     sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
     base_station: BaseStationModel | None = Field(
@@ -177,13 +177,13 @@ class WorldSpec(Strict):
     )
     plume: PlumeSlot = Field({"type": "none"}, description="concentration field", validate_default=True)
     terrain: TerrainSlot = Field({"type": "clear"}, description="cover of the ground", validate_default=True)
-    persons: PersonsSlot = Field({"type": "none"}, description="who is to be found", validate_default=True)
-    obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=MOST_OBSTACLES)
+    persons: PersonsSlot = Field({"type": "none"}, description="persons to find", validate_default=True)
+    obstacles: list[ObstacleSlot] = Field([], description="solid objects", max_length=MOST_OBSTACLES)
     buildings: BuildingsSpec | None = Field(None, description="buildings from a file, which become obstacles")
     interference: list[InterferenceSlot] = Field(
-        [], description="jammers, spoofers, outages and storms that receivers of type gnss feel", max_length=MOST
+        [], description="jammers, spoofers, outages and storms that affect receivers of type gnss", max_length=MOST
     )
-    radio: RadioModel | None = Field(None, description="messages between vehicles; default: nobody has a radio")
+    radio: RadioModel | None = Field(None, description="messages between vehicles; default: no radios")
     beacons: list[BeaconSpec] = Field(
         [], description="radios at known places, for sensors of type ranging", max_length=MOST_BEACONS
     )
@@ -201,7 +201,7 @@ class FleetSpec(Strict):
     )
     guidance: GuidanceSlot = Field(
         {"type": "route"},
-        description="what hands out set-points; default: 'mission' for legs and plans if the controller takes paths, "
+        description="source of the set-points; default: 'mission' for legs and plans if the controller takes paths, "
         "else that of the controller's name, 'route' for waypoints",
         validate_default=True,
     )
@@ -229,11 +229,11 @@ class FleetSpec(Strict):
     )
     ground: Literal["stop", "parked"] = Field(
         "stop",
-        description="what touching the ground does to vehicles without a contact of their own: it ends the flight, or "
+        description="effect of touching the ground on vehicles without a contact model: it ends the flight, or "
         "they stand there until their thrust exceeds their weight",
     )
     radio: FleetRadioSpec | None = Field(
-        None, description="what its radios have of their own, or none, which is silent and deaf; default: world.radio"
+        None, description="parameters of its radios, or none: no radios; default: world.radio"
     )
     vehicles: Annotated[
         list[VehicleSpec],
@@ -295,9 +295,9 @@ def _with_controller(fleet: Content) -> Content:
 
 
 class RangeSpec(Strict):
-    """A number that every episode draws anew, uniformly."""
+    """A number that every episode redraws, uniformly."""
 
-    path: str = Field(description="where the number is in the scenario, for example world.wind.speed_20ft")
+    path: str = Field(description="path of the number in the scenario, for example world.wind.speed_20ft")
     low: Finite = Field(description="smallest value, in the unit of the number")
     high: Finite = Field(description="largest value, in the unit of the number")
 
@@ -311,7 +311,7 @@ class ScenarioSpec(Strict):
     """A scenario: site, world and fleets."""
 
     extends: Annotated[str, AfterValidator(_only_in_a_source)] | None = Field(
-        None, description="scenario this one changes: a built-in name, or a path relative to this file", exclude=True
+        None, description="scenario to extend: a built-in name, or a path relative to this file", exclude=True
     )
     name: str = Field(description="short name, used in folders", pattern=NAME, max_length=100)
     description: str = Field("", description="one or two sentences")
@@ -322,11 +322,11 @@ class ScenarioSpec(Strict):
     )
     site: SiteSpec = Field(default_factory=lambda: SiteSpec.model_validate({}), description="origin of the local frame")
     world: WorldSpec = Field(
-        default_factory=lambda: WorldSpec.model_validate({}), description="what is around the vehicles"
+        default_factory=lambda: WorldSpec.model_validate({}), description="environment of the vehicles"
     )
     fleets: dict[str, FleetSpec] = Field(description="fleets by name", min_length=1)
-    ranges: list[RangeSpec] = Field([], description="numbers that every episode draws anew", max_length=1000)
-    task: TaskSlot = Field({"type": "none"}, description="what is to be done, and its reward", validate_default=True)
+    ranges: list[RangeSpec] = Field([], description="numbers that every episode redraws", max_length=1000)
+    task: TaskSlot = Field({"type": "none"}, description="task of the vehicles, and its reward", validate_default=True)
 
     _sky = model_validator(mode="before")(with_sky)
 

@@ -25,14 +25,14 @@ MOST_SEEDS = 6
 
 @dataclass(frozen=True)
 class Check:
-    """Fly a scenario with many seeds and say how often something goes wrong, with which seeds, when and where.
+    """Fly a scenario with many seeds and report failures: how often, with which seeds, when and where.
 
     For the day before a field day: the fraction of runs in which any vehicle leaves the area, collides, runs out of
     battery, breaks a state limit or loses GNSS, with the exact 95 % interval; and the narrowest margins over all runs.
-    Where vehicles fly on an estimator that states how far off it is, also whether it errs by that much.
-    'qrsim run SCENARIO --seed S' flies one of the runs again, to look at it.
+    For estimators with a covariance, also the actual errors compared with it. 'qrsim run SCENARIO --seed S' flies one
+    of the runs again.
 
-    Exit code 0: nothing went wrong in any run; 1: something did.
+    Exit code 0: no run failed; 1: at least one did.
 
     Example:
       qrsim check outdoor_patrol --seeds 100
@@ -42,7 +42,7 @@ class Check:
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")]
     """Name (see 'qrsim list') or YAML file."""
     seeds: int = 100
-    """How many runs."""
+    """Number of runs."""
     first_seed: int = 0
     """Seed of the first run; the others follow."""
     duration: Annotated[
@@ -56,13 +56,13 @@ class Check:
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your policy: a function of a reading; under jax.jit it is compiled into the loop."""
     estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
-    """Your estimator: what feeds the controllers in place of the sensors."""
+    """Your estimator: a function of a reading that returns the state estimate for the controllers."""
     policy_ticks: int = 1
-    """The policy is asked at every so-many-th tick."""
+    """Number of ticks between calls of the policy."""
     cores: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Cores to spread the runs over."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Draw where it went wrong (png, pdf or svg)."""
+    """Draw the positions of failures (png, pdf or svg)."""
     json: bool = False
     """Print the result as JSON."""
 

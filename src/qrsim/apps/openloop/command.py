@@ -48,15 +48,15 @@ class OpenLoop:
         str | None, tyro.conf.arg(metavar="NUMBERS", help_behavior_hint="(default: at rest, 10 m up, thrust m g)")
     ] = None
     """State before the first step, numbers separated by commas: position NED [m], Euler angles [rad]; or these and
-    body velocity [m/s], rates [rad/s]; or these and thrust [N]. What is left out is zero, the thrust m g."""
+    body velocity [m/s], rates [rad/s]; or these and thrust [N]. Missing numbers are zero, and the thrust is m g."""
     precision: Literal["float64", "float32"] = "float64"
     """Arithmetic."""
     time_step: Annotated[float, SECONDS] = 0.02
     """Length of a step."""
     clip: bool = False
-    """Bring commands that are out of range into it (and say how many rows) instead of refusing them."""
+    """Clip commands to their range (and print the number of rows) instead of refusing them."""
     overwrite: bool = False
-    """Replace the output file where it exists."""
+    """Replace the output file if it exists."""
 
     def run(self) -> None:
         """Check everything, then simulate, then write."""

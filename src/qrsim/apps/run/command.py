@@ -35,10 +35,10 @@ BASELINE = "baseline"
 class Run:
     """Fly a scenario, record it, and show what happened.
 
-    Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table:
-    distance flown, tracking error (from the leg being flown), GNSS error (reported minus true position at the time
-    of the fix), worst wind, waypoints reached, and why a vehicle stopped; then the smallest separation of two vehicles,
-    and of a task the score, as 'qrsim score' counts.
+    Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table: distance
+    flown, tracking error (from the leg being flown), GNSS error (reported minus true position at the time of the fix),
+    worst wind, waypoints reached, and why a vehicle stopped. It also prints the smallest separation of two vehicles,
+    and for a task the score, as in 'qrsim score'.
 
     Example:
       qrsim run
@@ -75,26 +75,27 @@ class Run:
     every: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="[STREAM=]N")] = field(
         default_factory=list
     )
-    """Log only the ticks that N divides, of truth, measurements, commands, wind, or all of them; can be given several
-    times. Events are all kept."""
+    """Log every Nth tick of truth, measurements, commands, wind, or all of them; can be given several times. All events
+    are kept."""
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your policy: a function of a reading that returns a command or a set-point; MODULE may be a .py file. 'baseline'
-    is that of the scenario's task, asked once in a step of the task."""
+    is that of the scenario's task, called once per step of the task."""
     estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
-    """Your estimator: a function of a reading that returns what feeds the controllers in place of the sensors."""
+    """Your estimator: a function of a reading that returns the state estimate for the controllers."""
     policy_ticks: int = 1
-    """The policy is asked at every so-many-th tick."""
+    """Number of ticks between calls of the policy."""
     realtime: bool = False
     """Fly at the speed of the wall clock instead of as fast as possible."""
     view: Literal["off", "now", "wait"] = "off"
-    """Show the flight in three dimensions while it goes on, on a page for a browser; its address is printed. The page
-    sets the speed, at first that of the wall clock, and is a replay of the run afterwards: on a terminal until Ctrl-C,
-    else while a browser shows it. '--view' alone is '--view now'; 'wait' flies once a browser has opened the page."""
+    """Show the flight live in three dimensions on a page for a browser; its address is printed. The page sets the
+    speed, at first that of the wall clock. Afterwards it is a replay of the run: in a terminal until Ctrl-C, otherwise
+    while a browser shows it. '--view' alone is '--view now'; 'wait' starts the flight once a browser has opened the
+    page."""
     view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
-    """Port of the page; where it is taken, the next free one."""
+    """Port of the page; if it is in use, the next free one."""
     view_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
-    has a token, and only who knows it can look and steer; nothing is encrypted."""
+    """Address of this machine that the page listens on. If it is not 127.0.0.1, the printed address has a token, which
+    is needed to view and control the page; nothing is encrypted."""
     precision: Literal["float32", "float64"] = "float32"
     """Arithmetic."""
     no_figure: bool = False
