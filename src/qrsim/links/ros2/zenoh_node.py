@@ -16,6 +16,7 @@ import zenoh
 import zenoh.ext
 
 from qrsim.errors import RunError
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.participant import checked_domain
 from qrsim.links.ros2.profiles import PROFILES, Profile
 from qrsim.links.ros2.topics import Topic
@@ -248,7 +249,7 @@ class ZenohService:
                 found += [(query, each) for each in self._types.heard([cdr], f"{self._kind}_Request")]
         return found
 
-    def reply(self, request: Any, response: Any) -> None:
+    def reply(self, request: Message, response: Message) -> None:
         """Send the response to a request."""
         own = request.attachment
         request.reply(self._key, self._types.encode(response), attachment=None if own is None else own.to_bytes())
