@@ -110,7 +110,7 @@ def _names() -> list[str]:
 
 def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Any]:
     """Return the rows of the figure that there is something for."""
-    rows: dict[str, Any] = dict(ROWS)
+    rows: dict[str, object] = dict(ROWS)
     if WIND[0][0] in errors:
         rows["wind"] = WIND
     return rows | {what: row for what, row in BIASES.items() if f"commands.estimate.{what}.x" in values}

@@ -312,7 +312,7 @@ def _print_json(
     import json
     from dataclasses import asdict
 
-    result: dict[str, Any] = {
+    result: dict[str, object] = {
         "scenario": recorded.info.scenario,
         "seed": recorded.info.seed,
         "precision": recorded.info.precision,

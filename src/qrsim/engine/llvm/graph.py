@@ -158,7 +158,7 @@ class Graph:
         args: tuple[Access, ...],
         shape: Shape,
         dtype: Any,
-        attributes: tuple[Any, ...] = (),
+        attributes: tuple[object, ...] = (),
         *,
         domain: Shape | None = None,
         regions: tuple[Region, ...] = (),

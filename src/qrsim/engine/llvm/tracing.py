@@ -46,7 +46,7 @@ class Tracer(Indexing):
         # By functions, which are equal by identity.
         self._read_once: dict[Any, set[Any]] = {}
 
-    def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
+    def run(self, jaxpr: Any, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
         environment: dict[Any, View] = dict(zip(jaxpr.invars, arguments, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):

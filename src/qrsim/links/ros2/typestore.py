@@ -48,8 +48,8 @@ class Types:
         self.distro = distro
         self.store = get_typestore(Stores[f"ROS2_{distro.upper()}"])
         self.store.register(definitions_of(*packages))
-        self._structs: dict[str, Any] = {}
-        self._samples: dict[str, Any] = {}
+        self._structs: dict[str, object] = {}
+        self._samples: dict[str, object] = {}
 
     def __getitem__(self, name: str) -> Any:
         """Return the class of a message, such as ``types["std_msgs/msg/String"]``."""

@@ -64,7 +64,7 @@ class ZenohNode:
             raise RunError(f"zenoh does not start with the router {router}: {str(error).splitlines()[0]}") from None
         self._zid = str(self._session.zid())
         # What nobody holds any more is undeclared.
-        self._kept: list[Any] = []
+        self._kept: list[object] = []
         self._entities = 0
         self._read: dict[str, set[str]] = {}
         self._others = self._session.liveliness().declare_subscriber(
@@ -87,7 +87,7 @@ class ZenohNode:
         if topic.quality == "sensor" and self._resend:
             profile = Profile(reliable=True, depth=profile.depth)
         key, token = self._key(topic), self._declare("MP", self._told(topic, profile))
-        options: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
+        options: dict[str, object] = {"congestion_control": zenoh.CongestionControl.DROP}
         if profile.latched:
             cache = zenoh.ext.CacheConfig(profile.depth)
             made = zenoh.ext.declare_advanced_publisher(
