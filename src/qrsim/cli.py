@@ -284,7 +284,7 @@ def _help_text(docstring: str) -> str:
 
 def _menu(commands: Mapping[str, type[Command] | Group]) -> Any:
     """Return a type whose tyro help lists the commands with the first line of their descriptions."""
-    choices: list[Any] = []
+    choices: list[object] = []
     for name, entry in commands.items():
         text = entry.description if isinstance(entry, Group) else inspect.getdoc(entry) or ""
         placeholder = make_dataclass(name, [])

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,6 @@ from qrsim_client.errors import UsageError
 from qrsim_client import qrsim_pb2 as pb
 from qrsim_client.qrsim_pb2 import Message, Step
 from qrsim_client.replies import Claim, Heard, Sensed, SensedVehicle, Status, VehicleStatus, heard_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 # What a vehicle may be ordered to do, with the numbers of it.
 KINDS = {
@@ -68,7 +66,7 @@ class SharedCalls(ABC):
         """Give claimed vehicles back to the guidance of their scenario; without names all."""
         self._ask(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
 
-    def command(self, orders: Mapping[str, Any], *, computed_from: int | None = None) -> int:
+    def command(self, orders: Mapping[str, object], *, computed_from: int | None = None) -> int:
         """Have claimed vehicles fly by orders until the next ones; return the tick from which they do (pace "free").
 
         Args:
@@ -133,7 +131,7 @@ class SharedCalls(ABC):
             self._pushed.clear()
         return sensed_of(found)
 
-    def say(self, words: Mapping[str, Any], *, to: str | None = None) -> None:
+    def say(self, words: Mapping[str, object], *, to: str | None = None) -> None:
         """Hand messages to the radios of vehicles, which send them as soon as their turns come; all or none.
 
         In a shared world of claimed vehicles only, and of several messages of one in a tick the last one counts.
@@ -227,7 +225,7 @@ def _given(found: Any, name: str) -> Any:
     return getattr(found, name) if found.HasField(name) else None
 
 
-def numbers_of(vehicle: str, said: Any) -> list[float]:
+def numbers_of(vehicle: str, said: object) -> list[float]:
     """Return what somebody says as numbers; raises UsageError for what is none."""
     try:
         values = np.asarray(said, np.float64)

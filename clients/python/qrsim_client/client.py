@@ -101,12 +101,12 @@ class Client(SharedCalls):
         """Start the next episode of the task; ``restart`` does it too, and returns its seed and its state."""
         self._ask(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
 
-    def set_state(self, state: Any) -> None:
+    def set_state(self, state: object) -> None:
         """Set the vehicles' states (n, 13), (n, 12), (n, 6) or (n, 3); see ``Simulation.set_state``."""
         rows = pb.SetState(X=_vectors("state", state, (3, 6, 12, 13)))
         self._ask(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
 
-    def step_waypoint(self, dt: float, waypoints: Any) -> State:
+    def step_waypoint(self, dt: float, waypoints: object) -> State:
         """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for a simulated time [s]."""
         return self._step(dt, Step.WP, waypoints, 4)
 
@@ -123,11 +123,11 @@ class Client(SharedCalls):
             raise UsageError(f"command: expected numbers of shape {shape}") from None
         return self._fly(Step(dt=dt, type=Step.CTRL, cmd=vectors))
 
-    def step_velocity(self, dt: float, velocities: Any) -> State:
+    def step_velocity(self, dt: float, velocities: object) -> State:
         """Fly at velocities NED (n, 3) [m/s], heading north, for a simulated time [s]."""
         return self._step(dt, Step.VEL, velocities, 3)
 
-    def step_setpoint(self, dt: float, kind: str, setpoints: Any) -> State:
+    def step_setpoint(self, dt: float, kind: str, setpoints: object) -> State:
         """Fly set-points of a kind of ``claiming.KINDS``, one row for each vehicle, for a simulated time [s]."""
         return self._fly(Step(dt=dt, type=kind_of(kind), cmd=_vectors("set-point", setpoints)))
 
@@ -145,7 +145,7 @@ class Client(SharedCalls):
         self.close()
         return said
 
-    def _step(self, dt: float, kind: Step.Type, rows: Any, width: int) -> State:
+    def _step(self, dt: float, kind: Step.Type, rows: object, width: int) -> State:
         return self._fly(Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,))))
 
     def _fly(self, step: Step) -> State:
@@ -249,7 +249,7 @@ class Client(SharedCalls):
             info=arrays_of(found.info), say_size=found.say_size,
         )  # fmt: skip
 
-    def act(self, action: Any, answer: Any = None, say: Any = None) -> Outcome:
+    def act(self, action: object, answer: object = None, say: Any = None) -> Outcome:
         """Advance the episode by a step.
 
         Args:
@@ -378,7 +378,7 @@ def _seed(seed: int | None) -> int | None:
     return seed
 
 
-def _vectors(what: str, rows: Any, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
+def _vectors(what: str, rows: object, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
     """Return one vector for each vehicle, of one of the widths; none: the server knows which."""
     try:
         array = np.atleast_2d(np.asarray(rows, np.float64))
@@ -390,7 +390,7 @@ def _vectors(what: str, rows: Any, widths: tuple[int, ...] = ()) -> list[pb.Arra
     return [pb.Arrayd(value=row) for row in array.tolist()]
 
 
-def _answers(answer: Any) -> list[pb.Act.Answer]:
+def _answers(answer: object) -> list[pb.Act.Answer]:
     """Return each agent's answer."""
     try:
         array = np.zeros((0, 1)) if answer is None else np.asarray(answer, np.float32)

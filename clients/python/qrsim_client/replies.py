@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,6 @@ import numpy as np
 from qrsim_client.errors import RunError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     Array = np.ndarray[Any, Any]
 
 
@@ -277,7 +276,7 @@ def arrays_of(found: Iterable[Any]) -> dict[str, Array]:
     return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
 
 
-def seen_of(found: Iterable[Any]) -> Array | dict[str, Array]:
+def seen_of(found: Iterable[object]) -> Array | dict[str, Array]:
     """Return what agents see: an array, or several by name."""
     arrays = arrays_of(found)
     return arrays[""] if list(arrays) == [""] else arrays

@@ -92,7 +92,7 @@ class Score:
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
 
-        makers: dict[str, Any] = {}
+        makers: dict[str, object] = {}
         for name in self.policy:
             if name in makers:
                 raise UsageError(f"--policy {name}: given twice")

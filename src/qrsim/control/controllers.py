@@ -74,8 +74,19 @@ class QuadrotorController(Controller):
         return replace(command, throttle=throttle, battery=battery)
 
 
+class HeightController(QuadrotorController):
+    """Base of those that hold a height."""
+
+    height: HeightLoop
+
+    @property
+    def hover_throttle(self) -> Array:
+        """Throttle that carries the weight."""
+        return self.height.hover_throttle
+
+
 @record
-class WaypointController(QuadrotorController):
+class WaypointController(HeightController):
     """Flies to a waypoint at a limited speed, holding height and heading."""
 
     position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error")
@@ -91,11 +102,6 @@ class WaypointController(QuadrotorController):
     feed: Feed = _feed()
 
     setpoints: ClassVar[tuple[type, ...]] = (WaypointSetpoint,)
-
-    @property
-    def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
-        return self.height.hover_throttle
 
     def init(self, estimate: Estimate) -> HeightState:
         """Return the state of a controller that has not run."""
@@ -184,7 +190,7 @@ class VelocityHeightState:
 
 
 @record
-class VelocityHeightController(QuadrotorController):
+class VelocityHeightController(HeightController):
     """Flies at a horizontal velocity over ground, holding height and heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
@@ -196,11 +202,6 @@ class VelocityHeightController(QuadrotorController):
     feed: Feed = _feed()
 
     setpoints: ClassVar[tuple[type, ...]] = (VelocityHeightSetpoint,)
-
-    @property
-    def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
-        return self.height.hover_throttle
 
     def init(self, estimate: Estimate) -> VelocityHeightState:
         """Return the state of a controller that has not run."""
@@ -226,7 +227,7 @@ class VelocityHeightController(QuadrotorController):
 
 
 @record
-class AttitudeHeightController(QuadrotorController):
+class AttitudeHeightController(HeightController):
     """Hands tilt to the platform's own stabilisation, holding height and heading."""
 
     height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
@@ -237,11 +238,6 @@ class AttitudeHeightController(QuadrotorController):
     feed: Feed = _feed()
 
     setpoints: ClassVar[tuple[type, ...]] = (AttitudeHeightSetpoint,)
-
-    @property
-    def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
-        return self.height.hover_throttle
 
     def init(self, estimate: Estimate) -> HeightState:
         """Return the state of a controller that has not run."""
@@ -299,7 +295,7 @@ class OffboardState:
 
 
 @record
-class OffboardController(QuadrotorController):
+class OffboardController(HeightController):
     """Takes every kind of set-point, as an autopilot in offboard mode does: the gains of all the controllers."""
 
     position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error, for waypoints")
@@ -323,11 +319,6 @@ class OffboardController(QuadrotorController):
         AttitudeHeightSetpoint,
         AttitudeSetpoint,
     )
-
-    @property
-    def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
-        return self.height.hover_throttle
 
     def init(self, estimate: Estimate) -> OffboardState:
         """Return the state of a controller that has not run."""

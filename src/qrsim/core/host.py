@@ -61,7 +61,7 @@ def evaluate(closed: Any, arguments: Sequence[Any]) -> list[Any]:
     return [np.broadcast_to(array, aval.shape) for array, aval in zip(found, closed.out_avals, strict=True)]
 
 
-def _run(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
+def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -> list[Any]:
     known: dict[Any, Any] = {}
     for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
         known[variable] = np.asarray(value)
@@ -79,13 +79,13 @@ def _run(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[Any]) -> list
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _applied(equation: Any, inputs: list[Any]) -> Sequence[Any]:
+def _applied(equation: Any, inputs: list[object]) -> Sequence[object]:
     name, parameters = equation.primitive.name, equation.params
     rule = _RULES.get(name)
     if rule is not None:
         return (rule(parameters, *inputs),)
     if name in _WHOLE and parameters.get("length", 0) <= _MOST_TURNS:
-        found: Sequence[Any] = _WHOLE[name](parameters, *inputs)
+        found: Sequence[object] = _WHOLE[name](parameters, *inputs)
         return found
     if name.startswith("kernel_"):
         body = _kernel(name.removeprefix("kernel_"))

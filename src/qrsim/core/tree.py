@@ -147,7 +147,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     # By place, which is quicker, where a constructor takes parts and settings in this order.
     by_place = [field.name for field in dataclasses.fields(cls) if field.init and not field.kw_only] == data + static
 
-    def unflatten(settings: tuple[Any, ...], parts: Any) -> object:
+    def unflatten(settings: tuple[object, ...], parts: Any) -> object:
         if by_place:
             return cls(*parts, *settings)
         return cls(**dict(zip(data, parts, strict=True)), **dict(zip(static, settings, strict=True)))

@@ -253,7 +253,7 @@ def write_file(path: Path, data: bytes) -> None:
             part.unlink(missing_ok=True)
 
 
-def _plain_state(layout: Packer) -> dict[str, Any]:
+def _plain_state(layout: Packer) -> dict[str, object]:
     """Return how the state of a start looks, in plain data."""
     leaves = [[list(shape), str(dtype)] for shape, dtype in zip(layout.shapes, layout.dtypes, strict=True)]
     return {"structure": to_plain(layout.structure), "leaves": leaves, "identity": identity(layout)}

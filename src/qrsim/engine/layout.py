@@ -57,7 +57,7 @@ class Packer:
         # and two types may have one name.
         return (repr(self.structure), tuple(kinds(self.structure)), tuple(self.shapes), tuple(self.dtypes))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # JAX cannot pickle a structure in which there are records.
         return Packer, (self.template(),)
 

@@ -186,7 +186,7 @@ def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
     return entries
 
 
-def _manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | None) -> dict[str, Any]:
+def _manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | None) -> dict[str, object]:
     found = None
     if member is not None and member.isreg() and member.name == MANIFEST and member.size <= _LARGEST_MANIFEST:
         try:

@@ -77,7 +77,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return self.action_spaces[agent]
 
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
+        self, seed: int | None = None, options: dict[str, object] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode; without a seed the next one of the series. Options as of ``SingleTask``.
 
@@ -191,13 +191,13 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> dict[str, Any]:
+    def _seen(self) -> dict[str, object]:
         return {
             agent: jax.tree.map(lambda leaf: leaf[0], self.batch.of_agent(self.batch.seen, i))
             for i, agent in enumerate(self.possible_agents)
         }
 
-    def _truth(self) -> dict[str, dict[str, Any]]:
+    def _truth(self) -> dict[str, dict[str, object]]:
         return {
             agent: {name: leaf[0, i].copy() for name, leaf in self.batch.truth.items()}
             for i, agent in enumerate(self.possible_agents)

@@ -78,7 +78,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         ended = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        told: list[dict[str, object]] = [{} for _ in range(self.num_envs)]
         for i in map(int, np.flatnonzero(ended)):
             last = jax.tree.map(lambda leaf, i=i: leaf[i].copy(), infos["final_obs"])
             told[i] = _row(infos["final_info"], i) | {

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qrsim.envs.scoring import Scored
@@ -30,7 +30,7 @@ def draw_scores(task: str, found: Sequence[Scored]) -> Figure:
     return figure
 
 
-def _returns(axes: Any, found: Sequence[Scored]) -> None:
+def _returns(axes: Axes, found: Sequence[Scored]) -> None:
     every = np.concatenate([each.returns for each in found])
     for row, each in enumerate(found):
         colour = share(VEHICLES[row % len(VEHICLES)])

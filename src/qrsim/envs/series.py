@@ -54,7 +54,7 @@ class Series:
         self._drawings = [] if render_mode is None else [Drawing(batch, row) for row in range(batch.size)]
         self._over = np.zeros(batch.size, bool)
 
-    def reset(self, seed: object, options: dict[str, Any] | None) -> None:
+    def reset(self, seed: object, options: dict[str, object] | None) -> None:
         """Start all episodes, or those of ``options["reset_mask"]``; as ``VectorTask.reset``."""
         size = self.batch.size
         rows = self.rows((options or {}).get("reset_mask"), "reset_mask")

@@ -88,7 +88,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self._running = False
         self._seeded = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, object] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; return the observation and the info with the ground truth.
 
         Args:
@@ -161,5 +161,5 @@ class SingleTask(gymnasium.Env[Any, Any]):
     def _seen(self) -> Any:
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)
 
-    def _truth(self) -> dict[str, Any]:
+    def _truth(self) -> dict[str, object]:
         return {name: leaf[0, 0].copy() for name, leaf in self.batch.truth.items()}

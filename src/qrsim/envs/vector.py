@@ -76,7 +76,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start all episodes, or those of ``options["reset_mask"]`` (num_envs,) bool.
 
@@ -102,7 +102,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         actions, words = split_say(self.batch, actions, "actions", self.num_envs)
         flown = shaped(self.batch, actions, "actions", self.num_envs)
         moved = self._series.step(flown[:, None], words[:, None])
-        infos: dict[str, Any] = {}
+        infos: dict[str, object] = {}
         if moved.last is not None:
             seen, truth = moved.last
             infos = {

@@ -91,7 +91,7 @@ class VectorParallelTask:
         return self.action_spaces[agent]
 
     def reset(
-        self, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start all episodes, or those of ``options["reset_mask"]``; as ``VectorTask.reset``.
 

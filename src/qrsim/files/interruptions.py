@@ -184,7 +184,7 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 def _installed(handler: Any) -> dict[int, Any]:
     """Set a handler of all signals that are not ignored, and return those before."""
-    before: dict[int, Any] = {int(number): signal.getsignal(number) for number in WORDS}
+    before: dict[int, object] = {int(number): signal.getsignal(number) for number in WORDS}
     heeded = {number: now for number, now in before.items() if now not in (signal.SIG_IGN, None)}
     for number in heeded:
         signal.signal(number, handler)

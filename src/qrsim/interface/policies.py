@@ -109,7 +109,7 @@ class UserFunction:
             raised = f"{type(error).__name__}: {error}" + (f" ({location})" if location else "")
             raise RunError(f"{self.what} {self.name}{where}: {raised}") from error
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return user_function, (self.what, self.given)
 
     def __call__(self, reading: object, memory: object) -> tuple[object, object]:

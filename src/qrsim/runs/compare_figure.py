@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -73,7 +73,7 @@ def _read(first: Run, second: Run) -> _Data:
     return _Data(names, times[0][rows[0]], (paths[0], paths[1]), apart)
 
 
-def _plan(axes: Any, data: _Data, colours: Floats, width: float) -> None:
+def _plan(axes: Axes, data: _Data, colours: Floats, width: float) -> None:
     for i, colour in enumerate(colours):
         for path, style in zip(data.paths, ("-", "--"), strict=True):
             axes.plot(path[:, i, 1], path[:, i, 0], style, color=colour, lw=width)
@@ -83,7 +83,7 @@ def _plan(axes: Any, data: _Data, colours: Floats, width: float) -> None:
     axes.grid(alpha=0.3)
 
 
-def _distance(axes: Any, data: _Data, colours: Floats) -> None:
+def _distance(axes: Axes, data: _Data, colours: Floats) -> None:
     title = f"distance between the true positions in A and B, at most {np.nanmax(data.apart):.3g} m"
     if len(data.names) <= MOST_NAMED:
         for i, colour in enumerate(colours):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -109,7 +110,7 @@ def _names() -> list[str]:
 
 def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Any]:
     """Return the rows of the figure that there is something for."""
-    rows: dict[str, Any] = dict(ROWS)
+    rows: dict[str, object] = dict(ROWS)
     if WIND[0][0] in errors:
         rows["wind"] = WIND
     return rows | {what: row for what, row in BIASES.items() if f"commands.estimate.{what}.x" in values}
@@ -147,7 +148,7 @@ def _velocity_ned(truth: dict[str, Floats]) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def _draw_value(axes: Any, time: Floats, values: Floats, stds: Floats) -> None:
+def _draw_value(axes: Axes, time: Floats, values: Floats, stds: Floats) -> None:
     """Draw what is estimated, and the band in which the truth is said to be."""
     count = values.shape[1]
     if count > MOST_NAMED:
@@ -160,7 +161,7 @@ def _draw_value(axes: Any, time: Floats, values: Floats, stds: Floats) -> None:
     axes.grid(alpha=0.3)
 
 
-def _draw(axes: Any, time: Floats, errors: Floats, stds: Floats | None) -> None:
+def _draw(axes: Axes, time: Floats, errors: Floats, stds: Floats | None) -> None:
     count = errors.shape[1]
     if count > MOST_NAMED:
         spread(axes, time, errors, colours_of(1)[0])

@@ -294,7 +294,7 @@ def _gnss(panels: Any, data: _Data) -> None:
     panels[-1].set_xlabel("time [s]")
 
 
-def _wind(axes: object, data: _Data) -> None:
+def _wind(axes: Axes, data: _Data) -> None:
     flying = data.flying("wind")
     mean = np.linalg.norm(data.mean, axis=-1) * flying
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
@@ -307,7 +307,7 @@ def _wind(axes: object, data: _Data) -> None:
     from_zero(axes)
 
 
-def _lines(axes: object, data: _Data, time: Floats, values: Floats, style: str = "-", colour: object = FIRST) -> None:
+def _lines(axes: Axes, data: _Data, time: Floats, values: Floats, style: str = "-", colour: object = FIRST) -> None:
     """Draw a quantity (E, n): per vehicle, or its spread over many vehicles."""
     if not data.few:
         spread(axes, time, values, colour, style)
@@ -316,7 +316,7 @@ def _lines(axes: object, data: _Data, time: Floats, values: Floats, style: str =
         trace(axes, time, values[:, i], ls=style, color=own, lw=1.1)
 
 
-def _over_time(axes: Any, data: _Data, label: str, title: str) -> None:
+def _over_time(axes: Axes, data: _Data, label: str, title: str) -> None:
     axes.set(xlabel="time [s]", ylabel=label, title=title)
     time_limits(axes, *data.span)
     axes.grid(alpha=0.3)

@@ -171,7 +171,7 @@ class RunInfo:
             started=utc_now(),
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields by name, without copying, in reading order."""
         first = ("state", "message", "scenario", "seed", "ticks", "time_step", "every")
         names = [*first, *(item.name for item in fields(self) if item.name not in first)]

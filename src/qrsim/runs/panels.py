@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -191,7 +192,7 @@ def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> Num
     return rows
 
 
-def _draw(axes: Any, panel: Panel, data: Data) -> None:
+def _draw(axes: Axes, panel: Panel, data: Data) -> None:
     handles = [line for i, item in enumerate(panel.quantities) for line in _lines(axes, i, item, data)]
     if len(panel.quantities) > 1:
         names = [item.name for item in panel.quantities]
@@ -207,7 +208,7 @@ def _draw(axes: Any, panel: Panel, data: Data) -> None:
     axes.grid(alpha=0.3)
 
 
-def _lines(axes: Any, number: int, item: Quantity, data: Data) -> Iterator[Any]:
+def _lines(axes: Axes, number: int, item: Quantity, data: Data) -> Iterator[Any]:
     """Draw the quantity number ``number`` of a panel; yield one line for its legend."""
     time, values = data.series[item]
     colour = colours_of(MOST_NAMED)[number]

@@ -112,7 +112,7 @@ def binned_text(time: Floats) -> str:
     return f"; lines: mean and range of {(time[-1] - time[0]) / BINS:.2g} s each" if is_long(time) else ""
 
 
-def trace(axes: Any, time: Floats, values: Floats, **look: Any) -> Any:
+def trace(axes: Axes, time: Floats, values: Floats, **look: Any) -> Any:
     """Draw values (T,) as a line; of a long one mean and range in bins. Return the line."""
     if not is_long(time):
         return axes.plot(time, values, **look)[0]
@@ -143,7 +143,7 @@ def path_rows(points: Floats, most: int) -> NumpyArray:
     return np.unique(np.concatenate([*kept, [0, count - 1]]))
 
 
-def spread(axes: Any, time: Floats, values: Floats, colour: Any, style: Any = "-") -> Any:
+def spread(axes: Axes, time: Floats, values: Floats, colour: Any, style: Any = "-") -> Any:
     """Draw range, quartiles and median of (T, n) values over many vehicles; return the line of the median."""
     # Once all vehicles have stopped there is no value left, and no range; the gap stays a gap.
     some = np.isfinite(values).any(axis=1)
@@ -164,7 +164,7 @@ def time_limits(axes: Axes, first: float, last: float) -> None:
     axes.set_xlim(first, max(last, first + 1e-3))
 
 
-def from_zero(axes: Any) -> None:
+def from_zero(axes: Axes) -> None:
     """Start the vertical axis just below 0, so that a line at 0 stays visible."""
     # Not the digits of nothing where all is zero.
     largest = axes.dataLim.y1 if np.isfinite(axes.dataLim.y1) and axes.dataLim.y1 > 1e-6 else 1.0

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qrsim.core.arrays import Floats
@@ -86,7 +87,7 @@ def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
     return found
 
 
-def _draw(axes: Any, name: str, seen: dict[str, Floats], where: Any) -> str:
+def _draw(axes: Axes, name: str, seen: dict[str, Floats], where: Any) -> str:
     """Draw one satellite, and return the letter of its system."""
     system = name[0]
     turn, low = seen["azimuth"][where], 90.0 - np.degrees(seen["elevation"][where])

@@ -77,7 +77,7 @@ class VehicleSummary:
     charge_least: float = math.nan
     endurance_s: float = math.nan
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields by name, None in place of NaN (JSON has no NaN)."""
         return {
             name: None if isinstance(value, float) and not np.isfinite(value) else value

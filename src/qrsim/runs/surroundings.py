@@ -155,7 +155,7 @@ def _drawn_again(run: Run) -> dict[str, Any]:
         places = _grid(world.area) if world.contents.plume.random else None
         found = jax.jit(_begin)(world, task, keys_of(world, key), _task_stream(task, key), places)
         contents, locations, values = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), found)
-    result: dict[str, Any] = {}
+    result: dict[str, object] = {}
     if locations is not None:
         result["locations"] = np.stack([locations.x, locations.y, locations.z], axis=-1)
     if contents.persons is not None:

@@ -48,7 +48,7 @@ from qrsim.world.state import Fleet, Start, World
 def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: ScenarioSpec) -> Any:
     """Build the component of a part of a scenario, with its inherited parameters."""
     cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
         if field_info(field).derived:
             continue

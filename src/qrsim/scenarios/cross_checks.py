@@ -227,7 +227,7 @@ def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
             return
 
 
-def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, Any]]:
+def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
     for name in type(part).model_fields:
         value = getattr(part, name)
         if isinstance(value, BaseModel):

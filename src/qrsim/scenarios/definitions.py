@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def with_short_names(schema: Mapping[str, object]) -> dict[str, Any]:
+def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
     """Return a schema in which the definitions of types are called by their key and their type.
 
     Args:

@@ -84,7 +84,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
 
 def _built(spec: Any, ephemeris: object) -> object:
     cls = _CLASSES[spec.kind]
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
         if spec.kind == "outage" and field.name == "satellites":
             values[field.name] = _failing(spec, ephemeris)

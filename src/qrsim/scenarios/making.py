@@ -88,7 +88,7 @@ def make_scenario(
             raise UsageError(f"make_scenario: {name} is a part of a fleet; give it in fleets")
         if name not in known:
             raise UsageError(f"make_scenario: no part is called '{name}'{did_you_mean(name, known)}")
-    content: dict[str, Any] = {"name": "experiment"}
+    content: dict[str, object] = {"name": "experiment"}
     content |= {name: _plain(parts[name], name, name) for name in SCENARIO_PARTS if name in parts}
     world = {name: _part(parts[name], name) for name in WORLD_PARTS if name in parts}
     if world:
@@ -120,7 +120,7 @@ def make_world(
     return make_scenario(vehicles, fleets=fleets, **parts).world(check_precision(precision))
 
 
-def _fleet(name: str, fleet: object, extends: bool) -> dict[str, Any]:
+def _fleet(name: str, fleet: object, extends: bool) -> dict[str, object]:
     if not isinstance(fleet, Mapping):
         raise UsageError(f"make_scenario: fleets.{name}: expected a dict, found {fleet!r}")
     known = ("vehicles", *FLEET_PARTS)
@@ -150,7 +150,7 @@ def _sensors(name: str, sensors: object) -> Any:
     return sensors
 
 
-def _vehicles(name: str, vehicles: object) -> list[Any]:
+def _vehicles(name: str, vehicles: object) -> list[object]:
     if isinstance(vehicles, str | Mapping) or not hasattr(vehicles, "__iter__"):
         raise UsageError(f"make_scenario: fleets.{name}.vehicles: expected a list of vehicles, found {vehicles!r}")
     plain = [_plain(vehicle, "vehicles") for vehicle in vehicles]

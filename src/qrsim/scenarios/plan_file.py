@@ -352,7 +352,7 @@ def _name_of(command: object) -> str:
 
 
 def _params(item: Mapping[str, object], path: str) -> list[object]:
-    params: list[Any] = part_of(item, "params", list, path)
+    params: list[object] = part_of(item, "params", list, path)
     if len(params) != 7:
         raise PlanFaultError(f"{path}.params: expected 7 values, found {len(params)}")
     return params

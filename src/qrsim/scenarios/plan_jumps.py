@@ -95,7 +95,7 @@ def _endless(items: list[SimpleItem], order: list[SimpleItem], again: int, jump:
 
 def _goal(items: list[SimpleItem], jump: SimpleItem) -> tuple[int, int]:
     """Return the index of the item that a jump leads to, and its repeats, below 0 for ever."""
-    params: list[Any] = part_of(jump.content, "params", list, jump.path)
+    params: list[object] = part_of(jump.content, "params", list, jump.path)
     if len(params) < 2:
         raise PlanFaultError(f"{jump.path}.params: expected 7 values, found {len(params)}")
     target, repeats = (number_of(params[i], f"{jump.path}.params.{i}", _MOST_REPEATS, "") for i in (0, 1))

@@ -34,7 +34,7 @@ def legs_of(
         places_ned: of each waypoint [m].
         home_ned: of the plan [m].
     """
-    legs: list[Any] = [{"type": "loiter", "time": plan.delay}] if plan.delay > 0.0 else []
+    legs: list[object] = [{"type": "loiter", "time": plan.delay}] if plan.delay > 0.0 else []
     here, again = start_ned, None
     for i, (waypoint, place) in enumerate(zip(plan.waypoints, places_ned, strict=True)):
         again = len(legs) if i == plan.again else again
@@ -46,7 +46,7 @@ def legs_of(
 
 def _shared(waypoint: Waypoint) -> dict[str, Any]:
     """Return what every leg says."""
-    shared: dict[str, Any] = {"item": waypoint.item}
+    shared: dict[str, object] = {"item": waypoint.item}
     if waypoint.speed is not None:
         shared["speed"] = waypoint.speed
     if waypoint.yaw_deg is not None:
@@ -54,9 +54,9 @@ def _shared(waypoint: Waypoint) -> dict[str, Any]:
     return shared
 
 
-def _legs_at(waypoint: Waypoint, place: list[float], here: list[float], home: list[float]) -> list[dict[str, Any]]:
+def _legs_at(waypoint: Waypoint, place: list[float], here: list[float], home: list[float]) -> list[dict[str, object]]:
     name, hold = waypoint.command, waypoint.hold
-    fly: dict[str, Any] = {"type": "fly", "to_ned": place, "hold": hold, "stop": True}
+    fly: dict[str, object] = {"type": "fly", "to_ned": place, "hold": hold, "stop": True}
     waits = [{"type": "loiter", "time": hold}] if hold > 0.0 else []
     if name == "NAV_LOITER_UNLIM":
         return [{"type": "loiter", "to_ned": place}]

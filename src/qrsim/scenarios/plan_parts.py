@@ -51,7 +51,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
     """Return problems that begin with the path of a value, with the line of the file on which its object begins."""
     decoder: Any = json.JSONDecoder()
     lines: dict[int, int] = {}
-    kept: list[Any] = []
+    kept: list[object] = []
     parse = decoder.parse_object
 
     def parse_object(text_and_begin: tuple[str, int], *args: object) -> tuple[Any, int]:

@@ -22,7 +22,7 @@ def places(content: object) -> Iterator[tuple[str, str, Content]]:
             yield path, kind, part
 
 
-def _parts(content: object) -> Iterator[tuple[str, str, Any]]:
+def _parts(content: object) -> Iterator[tuple[str, str, object]]:
     world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
     for kind in WORLD_KINDS:
         yield f"world.{kind}", kind, world.get(kind)

@@ -311,7 +311,7 @@ def _check_name(target: Content, parts: list[str], depth: int, assignment: str) 
         raise UsageError(f"--set {assignment}: no {'fleet' if is_fleet else 'sensor'} is called '{parts[depth]}'{hint}")
 
 
-def _index(target: list[Any], parts: list[str], depth: int, assignment: str) -> int:
+def _index(target: list[object], parts: list[str], depth: int, assignment: str) -> int:
     text = parts[depth]
     if re.fullmatch("[0-9]{1,9}", text) and int(text) < len(target):
         return int(text)

@@ -340,7 +340,7 @@ def _commanded(self: object, args: Any, result: object) -> Iterator[str]:
             yield from _action(fleet, part)
 
 
-def _parts(action: object) -> list[Any]:
+def _parts(action: object) -> list[object]:
     """Return the commands and set-points that are in an action."""
     if isinstance(action, Saying):
         return _parts(action.action)

@@ -116,7 +116,7 @@ class Scenario(Tabled):
         """Build its task, with numbers as arrays of ``precision``; ``NoTask`` if it has none."""
         return build.build_task(self.spec, precision)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # By its content, because the classes of its parts are made while the package is imported and have no names.
         return _of_content, (self.spec.model_dump(),)
 

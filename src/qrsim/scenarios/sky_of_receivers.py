@@ -25,7 +25,7 @@ def with_sky(data: Any) -> object:
         for sensor in each.values()
         if isinstance(sensor, dict)
     ]
-    made_for: dict[str, Any] = {"orbits": ORBITS} if "gnss" in types else {}
+    made_for: dict[str, object] = {"orbits": ORBITS} if "gnss" in types else {}
     if any(kind in RECEIVERS for kind in types):
         made_for["errors"] = ERRORS
     return {**data, "world": {**(world or {}), "sky": {**made_for, **sky}}} if made_for else data

@@ -24,7 +24,7 @@ def _model(name: str, kind: type) -> type[Strict]:
     if not issubclass(kind, Thermals):
         return component_model(name, kind)
     text = "[north, east] [m] of each at the start; empty: drawn once an episode"
-    places: dict[str, Any] = {"places_ned": (list[Corner], Field([], description=text, max_length=MOST_THERMALS))}
+    places: dict[str, object] = {"places_ned": (list[Corner], Field([], description=text, max_length=MOST_THERMALS))}
     return component_model(name, kind, arrays=places)
 
 

@@ -137,7 +137,7 @@ def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> Non
     """Refuse metrics whose memory changes its structure or shapes from tick to tick."""
     after = jax.eval_shape(metrics.update, flight, world, state, jnp.int32(1))
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (flight, after)]
-    structures: list[Any] = [jax.tree.structure(tree) for tree in (flight, after)]
+    structures: list[object] = [jax.tree.structure(tree) for tree in (flight, after)]
     if structures[0] != structures[1] or shapes[0] != shapes[1]:
         trees = [jax.tree.map(jnp.shape, tree) for tree in (flight, after)]
         raise UsageError(

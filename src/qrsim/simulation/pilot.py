@@ -52,7 +52,7 @@ class Pilot:
             if function is not None and function.compiled
         }
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         return {name: value for name, value in vars(self).items() if name != "_compiled"}
 
     def __setstate__(self, kept: Mapping[str, object]) -> None:

@@ -91,7 +91,7 @@ class Simulation(Radios, Injecting, Tabled):
     def __reduce_ex__(self, protocol: Any) -> Any:
         return with_files(self, self.world, protocol) or super().__reduce_ex__(protocol)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         # Programs are those of the world, and made again; locks are nobody else's.
         with self._lock:
             kept = {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}

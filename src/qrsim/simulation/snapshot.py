@@ -238,7 +238,7 @@ def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray
                     yield here, leaf[~np.isnan(leaf)]
 
 
-def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Any]]:
+def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, object]]:
     """Yield what may be NaN and is infinite in no built-in component; a user's own may mean something by it."""
     for sensor, memory, reading, true in zip(
         fleet.sensors, state.sensors, state.readings, state.true_readings, strict=True

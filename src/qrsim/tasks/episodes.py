@@ -75,7 +75,7 @@ class Episodes:
         keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
         self._worlds.prepare(keys, np.zeros((1, len(play.agents), play.width + play.message), dtype))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         # Programs are in memory of this process, and are loaded or made again in another.
         state = self._all(lambda progress: progress) if self.started else None
         return {"play": self._play, "size": self._size, "dtype": self._dtype, "state": state}

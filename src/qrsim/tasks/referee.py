@@ -66,7 +66,7 @@ class TaskScore:
         finite = [value for value in known if value is not None]
         return float(np.mean(finite)) if finite and len(finite) == len(known) else None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields by name, for JSON; of several fleets the mean return of each too."""
         several = {"fleets": {name: self._mean(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
         return {

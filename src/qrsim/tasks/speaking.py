@@ -66,7 +66,7 @@ def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, numb
     return tuple(of(action) for action in actions)
 
 
-def overheard(world: World, state: State, name: str, seen: object, tick: Array) -> dict[str, Any]:
+def overheard(world: World, state: State, name: str, seen: object, tick: Array) -> dict[str, object]:
     """Return what the agents of the named fleet see, with what they have heard by a tick; 0 where there is no message.
 
     Returns:

@@ -143,7 +143,7 @@ class Browser:
             raise RunError(f"the browser does not answer {method}")
         if "error" in message:
             raise RunError(f"the browser refuses {method}: {message['error'].get('message')}")
-        result: dict[str, Any] = message["result"]
+        result: dict[str, object] = message["result"]
         return result
 
     def _send(self, method: str, parameters: Mapping[str, object], **more: str) -> int:
@@ -203,6 +203,6 @@ class Browser:
     def click(self, x: float, y: float) -> None:
         """Click with the left button at a position [pixels]."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            button: dict[str, Any] = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+            button: dict[str, object] = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
             time.sleep(0.05)

@@ -156,7 +156,7 @@ def _readings(recording: Recording) -> Iterator[str]:
         yield packing.text({"measured": packing.array(measured), "true": packing.array(true)})
 
 
-def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, Any]:
+def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, object]:
     """Write what receivers said of their satellites, and return when, and the names of all satellites by number."""
     skies = Skies(recording.run, recording.end)
     numbers: set[int] = set()
@@ -234,7 +234,7 @@ class _Film:
             yield tape.part(positions=np.stack(positions))
         progress(len(self._times), len(self._times))
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Return what the page says beside what it draws."""
         recording, layers = self._recording, self._scene.layers
         times = times_of_readings(recording.run, recording.end)

@@ -159,7 +159,7 @@ class LiveView:
             self._newest = _Offered(look, count, time.perf_counter())
             self._there.notify()
 
-    def changes(self, simulation: Simulation) -> list[dict[str, Any]]:
+    def changes(self, simulation: Simulation) -> list[dict[str, object]]:
         """Apply the changes made on the page, and return them as events of a run."""
         wished, self._wished = self._wished, None
         if wished is None:

@@ -149,9 +149,9 @@ class Overlay:
         run_script(browser or self._server, what, told)
 
 
-def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, Any]]:
+def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, object]]:
     """Return the rows of the legend."""
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, object]] = []
     if not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
         for number in sorted(set(stage.cast.fleets.tolist())):
             first = stage.cast.names[int(np.argmax(stage.cast.fleets == number))]

@@ -49,7 +49,7 @@ def wind_of(world: World) -> Wind | None:
     return Wind(speed, bearing, min(limit or math.inf, max(20.0, math.ceil(speed))))
 
 
-def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, Any]]:
+def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, object]]:
     """Change the wind from the next tick on; return the change as events of a run."""
     asked = {SPEED: wind.speed, BEARING: wind.from_deg}
     simulation.change_world(with_wind(simulation.world, asked))

@@ -32,7 +32,7 @@ class Packing:
 
     def message(self, message: Any) -> dict[str, Any]:
         """Return a message of viser, with references to its arrays."""
-        found: dict[str, Any] = self._referring(message.as_serializable_dict(self.arrays))
+        found: dict[str, object] = self._referring(message.as_serializable_dict(self.arrays))
         return found
 
     def array(self, values: Any) -> dict[str, Any]:
@@ -71,8 +71,8 @@ class Tape:
         # viser has no other way to learn what it sends.
         self._messages = server._websock_server
         self._numbers: dict[int, int] = {}
-        self._made: list[Any] = []
-        self._nodes: list[dict[str, Any]] = []
+        self._made: list[object] = []
+        self._nodes: list[dict[str, object]] = []
         self.frames: list[tuple[float, list[Item]]] = []
         self._packing, self._packing_of_nodes = Packing(), Packing()
         handles: Any = self._messages._record_handles

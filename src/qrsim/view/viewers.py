@@ -60,7 +60,7 @@ class Viewer:
         self.choice = Choice(choice.vehicle, choice.follow)
         self._client, self._scene, self._plotted, self._changed = client, scene, plotted, chosen
         self._sky = sky
-        self._told: dict[str, Any] | None = None
+        self._told: dict[str, object] | None = None
         gui, names = client.gui, scene.cast.names
         gui.reset()
         self.folder = gui.add_folder("Vehicle", order=ORDER)

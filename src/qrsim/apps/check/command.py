@@ -148,7 +148,7 @@ class Check:
             import json
             from dataclasses import asdict
 
-            result: dict[str, Any] = {
+            result: dict[str, object] = {
                 "scenario": scenario.name,
                 "runs": self.seeds,
                 "first_seed": self.first_seed,

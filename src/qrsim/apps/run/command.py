@@ -329,7 +329,7 @@ def _print_json(
     from qrsim.runs.separation import smallest_separation
 
     nearest = smallest_separation(recorded)
-    result: dict[str, Any] = {
+    result: dict[str, object] = {
         "scenario": recorded.info.scenario,
         "seed": recorded.info.seed,
         "precision": recorded.info.precision,

@@ -6,7 +6,7 @@ another way (a slice, a new axis, a transposition) is no operation but an index,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -16,6 +16,8 @@ import numpy as np
 from qrsim.engine.llvm.text import scalar_type
 
 Shape = tuple[int, ...]
+# Of an equation of JAX, by name.
+Parameters = Mapping[str, Any]
 # For each axis of a node: the axis of the loop it follows, or None where it stands still, and an offset.
 Index = tuple[tuple[int | None, int], ...]
 _NEVER_EQUAL = ("cond", "while", "carry", "output", "input")
@@ -156,7 +158,7 @@ class Graph:
         args: tuple[Access, ...],
         shape: Shape,
         dtype: Any,
-        attributes: tuple[Any, ...] = (),
+        attributes: tuple[object, ...] = (),
         *,
         domain: Shape | None = None,
         regions: tuple[Region, ...] = (),

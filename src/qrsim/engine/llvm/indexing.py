@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jax.core import ShapedArray
 
-from qrsim.engine.llvm.graph import Shape, View, squeezed
+from qrsim.engine.llvm.graph import Parameters, Shape, View, squeezed
 from qrsim.engine.llvm.nodes import Like, Nodes
 from qrsim.engine.llvm.refusal import UnsupportedError
 
@@ -19,7 +20,7 @@ class Indexing(Nodes):
     be out of range, so ranges are checked for every axis of the program's own, and before nodes are read.
     """
 
-    def dynamic_slice(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
+    def dynamic_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return a part that begins where the program computes, brought into range."""
         operand, shape = inputs[0], tuple(out.shape)
         # Where the whole extent is taken, JAX brings any start to zero.
@@ -28,7 +29,7 @@ class Indexing(Nodes):
         return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
 
     def _pick(
-        self, operand: View, starts: dict[int, View], limits: dict[int, int], follows: dict[int, int], out: Any
+        self, operand: View, starts: dict[int, View], limits: dict[int, int], follows: dict[int, int], out: ShapedArray
     ) -> View:
         """Return elements of an array that lie where the program computes.
 
@@ -50,7 +51,7 @@ class Indexing(Nodes):
         accesses = (still.access(), *(start.access(shape) for start in starts.values()))
         return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, (moved,)), shape)
 
-    def gather(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def gather(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return single elements, each from where an array of whole numbers says."""
         operand, places = inputs
         numbers, shape, mode = parameters["dimension_numbers"], tuple(out.shape), parameters["mode"].name
@@ -88,7 +89,7 @@ class Indexing(Nodes):
                 inside = self.apply("and", shape, np.bool_, inside, within)
         return inside
 
-    def scatter(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def scatter(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Put single elements, each to where an array of whole numbers says."""
         operand, places, updates = inputs
         numbers, shape, mode = parameters["dimension_numbers"], updates.shape, parameters["mode"].name
@@ -133,7 +134,7 @@ class Indexing(Nodes):
             found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
         return found
 
-    def reshape(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
+    def reshape(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return the same numbers in the order of rows, in another shape."""
         (operand, *dynamic), shape = inputs, tuple(out.shape)
         if dynamic:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from jax.core import ShapedArray
 
-from qrsim.engine.llvm.graph import Graph, Shape, View, squeezed
+from qrsim.engine.llvm.graph import Graph, Parameters, Shape, View, squeezed
 
 
 class Like(NamedTuple):
@@ -31,7 +32,7 @@ class Nodes:
         accesses = tuple([view.access(shape) for view in inputs])
         return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)
 
-    def iota(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def iota(self, op: str, inputs: list[View], out: ShapedArray | Like, parameters: Parameters) -> View:
         """Return the place of each element along an axis."""
         shape, dtype = tuple(out.shape), np.dtype(out.dtype)
         # An axis of one element is none of the loop, so it has no counter.

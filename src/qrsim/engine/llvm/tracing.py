@@ -10,12 +10,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend import core as jex
 from jax.extend import source_info_util
 
 from qrsim.core.nearest import by_all_pairs
 from qrsim.core.primitives import KERNELS
-from qrsim.engine.llvm.graph import Access, Graph, Region, Shape, View, squeezed
+from qrsim.engine.llvm.graph import Access, Graph, Parameters, Region, Shape, View, squeezed
 from qrsim.engine.llvm.indexing import Indexing
 from qrsim.engine.llvm.nodes import Like
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -45,7 +46,7 @@ class Tracer(Indexing):
         # By functions, which are equal by identity.
         self._read_once: dict[Any, set[Any]] = {}
 
-    def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
+    def run(self, jaxpr: Any, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
         environment: dict[Any, View] = dict(zip(jaxpr.invars, arguments, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
@@ -89,7 +90,7 @@ class Tracer(Indexing):
         found = getattr(self, rule.method)(rule.op, inputs, out, equation.params)
         return found if isinstance(found, list) else [found]
 
-    def _contracted(self, op: str, equation: Any, inputs: list[View], out: Any, products: _Products) -> View:
+    def _contracted(self, op: str, equation: Any, inputs: list[View], out: ShapedArray, products: _Products) -> View:
         """Return a sum, a difference or a product; in one rounding with a product that only goes into this sum.
 
         A compiler may do so where it sees both together, so that the last bit depends on the program around. Here it
@@ -114,7 +115,7 @@ class Tracer(Indexing):
         name = "fma" if op == "add" else ("fms", "fnma")[which]
         return self.apply(name, shape, out.dtype, *factors, rest)
 
-    def elementwise(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def elementwise(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return an operation of one element from one element of each argument."""
         shape: Shape = tuple(out.shape)
         before = inputs[0].node.dtype
@@ -131,28 +132,28 @@ class Tracer(Indexing):
         attributes = (int(parameters[_ATTRIBUTES[op]]),) if op in _ATTRIBUTES else ()
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
-    def kernel(self, op: str, inputs: list[View], out: Any, parameters: object) -> list[View]:
+    def kernel(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Return the results of an elementwise function whose body is compiled as a function."""
         return [
             self.apply("kernel", tuple(out.shape), np.dtype(dtype), *inputs, attributes=(op, i))
             for i, dtype in enumerate(KERNELS[op].gives)
         ]
 
-    def transparent(self, op: str, inputs: list[View], out: object, parameters: object) -> list[View]:
+    def transparent(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Pass the arguments on."""
         return inputs
 
-    def call(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
+    def call(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Trace an inner function."""
         closed = parameters[op]
         inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
         return self.run(inner, getattr(closed, "consts", ()), inputs)
 
-    def reduction(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def reduction(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Reduce over some axes."""
         return self._reduced(op, inputs[0], out, parameters["axes"])
 
-    def _reduced(self, op: str, operand: View, out: Any, axes: Sequence[int]) -> View:
+    def _reduced(self, op: str, operand: View, out: ShapedArray | Like, axes: Sequence[int]) -> View:
         kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
         reduced = [axis for axis in axes if operand.shape[axis] != 1]
         moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
@@ -167,7 +168,7 @@ class Tracer(Indexing):
         )
         return View.whole(node, tuple(out.shape))
 
-    def running(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def running(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Reduce the elements up to each one along an axis."""
         shape = tuple(out.shape)
         if shape[parameters["axis"]] == 1 or 0 in shape:
@@ -176,7 +177,7 @@ class Tracer(Indexing):
         node = self.graph.node("running", (inputs[0].access(),), squeezed(shape), out.dtype, attributes)
         return View.whole(node, shape)
 
-    def nearest(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
+    def nearest(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return the squared distance of each point's nearest neighbour."""
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
@@ -186,7 +187,7 @@ class Tracer(Indexing):
         accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
 
-    def place_of(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def place_of(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return the first place of the least or largest element, or of the first NaN."""
         operand, axes = inputs[0], parameters["axes"]
         (axis,), shape = axes, operand.shape
@@ -207,7 +208,7 @@ class Tracer(Indexing):
         chosen = self.apply("select_n", shape, out.dtype, found, beyond, places)
         return self._reduced("min", chosen, out, axes)
 
-    def broadcast_in_dim(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def broadcast_in_dim(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return an array along more axes."""
         if len(inputs) != 1:
             raise UnsupportedError("a shape that the program computes")
@@ -215,22 +216,22 @@ class Tracer(Indexing):
         grows = {axis: to[axis] for axis, extent in enumerate(operand.shape) if extent != 1}
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
-    def squeeze(self, op: str, inputs: list[View], out: Any, parameters: object) -> View:
+    def squeeze(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return an array without some axes of one element."""
         return self.without_unit_axes(inputs[0], tuple(out.shape))
 
-    def transpose(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def transpose(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return an array with its axes in another order."""
         moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
         return inputs[0].moved(moves, tuple(out.shape))
 
-    def slice(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return a part."""
         if any(stride != 1 for stride in parameters["strides"] or ()):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
-    def split(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
+    def split(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Return parts side by side along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
         for size in map(int, parameters["sizes"]):
@@ -239,7 +240,7 @@ class Tracer(Indexing):
             begin += size
         return parts
 
-    def unstack(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
+    def unstack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Return the parts of one element along an axis, without it."""
         (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
         parts = []
@@ -249,7 +250,7 @@ class Tracer(Indexing):
             parts.append(self.without_unit_axes(part, (*shape[:axis], *shape[axis + 1 :])))
         return parts
 
-    def tile(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def tile(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return an array several times, side by side along each axis."""
         view = inputs[0]
         for axis, count in enumerate(parameters["reps"]):
@@ -257,7 +258,7 @@ class Tracer(Indexing):
             view = self._join([view] * count, shape, out.dtype, axis)
         return view
 
-    def stack(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def stack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Join arrays along a new axis."""
         axis = parameters["axis"] % len(out.shape)
         grown = []
@@ -266,7 +267,7 @@ class Tracer(Indexing):
             grown.append(view.moved({i: i if i < axis else i + 1 for i in range(len(view.shape))}, shape))
         return self._join(grown, tuple(out.shape), out.dtype, axis)
 
-    def concatenate(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def concatenate(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Join arrays along an axis."""
         return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
 
@@ -283,7 +284,7 @@ class Tracer(Indexing):
         accesses = tuple(part.access() for part in parts)
         return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
 
-    def cond(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
+    def cond(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Return the results of one of two branches."""
         which, operands = inputs[0], inputs[1:]
         branches = parameters["branches"]
@@ -311,7 +312,7 @@ class Tracer(Indexing):
         )
         return View.whole(node, first.shape)
 
-    def while_(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
+    def while_(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Trace a loop; its result is the carry at which its condition no longer holds."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
@@ -333,7 +334,7 @@ class Tracer(Indexing):
         node.attributes = (tuple(carries), tuple(outputs))
         return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
 
-    def scan(self, op: str, inputs: list[View], out: object, parameters: Any) -> list[View]:
+    def scan(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
         """Trace a loop of a fixed number of turns, which goes through no arrays."""
         constants, length = parameters["num_consts"], parameters["length"]
         carries = len(inputs) - constants

@@ -229,7 +229,7 @@ class Layout:
             ValueError: there is no such field, or an array has another length.
             struct.error: a number is out of its range.
         """
-        numbers: list[Any] = []
+        numbers: list[object] = []
         for field in self.fields:
             value = values.pop(field.name, None)
             if field.type == "c":
@@ -246,7 +246,7 @@ class Layout:
         """Return the message of a payload, in which zeros at the end may be missing, or more may follow."""
         size = self.struct.size
         numbers = self.struct.unpack(payload[:size].ljust(size, b"\0"))
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         at = 0
         for field in self.fields:
             if field.type == "c":

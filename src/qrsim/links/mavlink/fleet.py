@@ -164,7 +164,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     handling = handling_of(fleet.vehicle)
     if handling is None or not flown(fleet):
         return common
-    speeds: tuple[Any, ...] = (8.0, 3.0, 1.5)
+    speeds: tuple[object, ...] = (8.0, 3.0, 1.5)
     if isinstance(controller, CascadeController):
         speeds = (controller.speed_limit, controller.climb_limit, controller.sink_limit)
     pitch = handling.tilt_gain if handling.pitch_gain is None else handling.pitch_gain

@@ -7,7 +7,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from qrsim.errors import UsageError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 from qrsim.links.reference.replies import Claim, Heard, Sensed, SensedVehicle, Status, VehicleStatus, heard_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 # What a vehicle may be ordered to do, with the numbers of it.
 KINDS = {

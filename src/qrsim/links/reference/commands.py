@@ -94,7 +94,7 @@ class Commands:
             numbers[...] = rows
         return command
 
-    def samples(self, start_ned: NumpyArray) -> list[Any]:
+    def samples(self, start_ned: NumpyArray) -> list[object]:
         """Return a command of each kind of the reference, for vehicles at positions (n, 3) [m]."""
         hover = np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start_ned), 1))
         return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import jax
 import numpy as np
@@ -214,9 +213,9 @@ class EpisodeSession:
         self.thread.shutdown(wait=False)
 
 
-def _flat(arrays: Mapping[str, object], before: str = "") -> dict[str, Any]:
+def _flat(arrays: Mapping[str, object], before: str = "") -> dict[str, object]:
     """Return the arrays of a dict of dicts, with the names on the way to each."""
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for name, array in arrays.items():
         found |= _flat(array, f"{before}{name}.") if isinstance(array, dict) else {f"{before}{name}": array}
     return found

@@ -276,9 +276,9 @@ def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
     return np.concatenate([np.stack([low.x, low.y, low.z], axis=1) for low in lows if low is not None])
 
 
-def _measured_places(fleet: FleetState) -> dict[int, Any]:
+def _measured_places(fleet: FleetState) -> dict[int, object]:
     """Return column of the measured vector -> places (n,) of its numbers."""
-    found: dict[int, Any] = {}
+    found: dict[int, object] = {}
     for reading in reversed(fleet.readings):
         if isinstance(reading, GnssReading):
             position, velocity = reading.position_ned, reading.velocity_ned

@@ -11,8 +11,6 @@ import numpy as np
 from qrsim.errors import RunError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     Array = np.ndarray[Any, Any]
 
 

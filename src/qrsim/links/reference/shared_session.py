@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -154,7 +154,7 @@ class SharedSession(Session):
             # Who hands over does not wait for the result.
             warn_user(f"session {self.number}: {type(error).__name__} while ticks were kept: {error}")
 
-    def keep_events(self, found: list[dict[str, Any]]) -> None:
+    def keep_events(self, found: list[dict[str, object]]) -> None:
         """Keep events, in the thread that keeps everything."""
         if threading.current_thread().name.startswith("keep-"):
             super().keep_events(found)

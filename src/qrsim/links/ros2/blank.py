@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.typestore import Types
 
 
-def empty(types: Types, name: str) -> Any:
+def empty(types: Types, name: str) -> Message:
     """Return a message of a type: numbers 0, texts and sequences empty."""
     return types[name](**{field: _nothing(types, description) for field, description in types.fields(name)})
 
 
-def stamped(types: Types, name: str, time: float, frame: str = "") -> Any:
+def stamped(types: Types, name: str, time: float, frame: str = "") -> Message:
     """Return an empty message with a header of a time [s]."""
     message = empty(types, name)
     message.header.stamp.sec, message.header.stamp.nanosec = stamp_of(time)

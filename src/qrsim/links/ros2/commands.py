@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.frames import angles_ned_frd
 from qrsim.links.ros2.names import MAP
 from qrsim.links.ros2.topics import Topic
@@ -73,7 +74,7 @@ def topics_of(namespace: str, kinds: Any) -> list[tuple[str, Topic]]:
     return [(own, Topic(f"/{namespace}/{own}", kind, "command")) for own, kind, order in TAKEN if order in kinds]
 
 
-def wish_of(own: str, message: Any) -> Wish:
+def wish_of(own: str, message: Message) -> Wish:
     """Return what a message asks.
 
     Args:
@@ -103,7 +104,7 @@ def wish_of(own: str, message: Any) -> Wish:
     return Place((north, east, -up), None if angles is None else angles[2])
 
 
-def _motion(own: str, twist: Any) -> Motion:
+def _motion(own: str, twist: Message) -> Motion:
     x, y, z = _vector(own, "linear", twist.linear)
     rate = -_vector(own, "angular", twist.angular)[2]
     return Motion((x, -y, -z), rate, True) if own == CMD_VEL else Motion((y, x, -z), rate, False)

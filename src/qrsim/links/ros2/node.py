@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.topics import Topic
 
 
@@ -31,7 +32,7 @@ class Service(Protocol):
     def take(self) -> list[tuple[Any, Any]]:
         """Return the requests that have come, oldest first: what ``reply`` needs to know, and the message."""
 
-    def reply(self, request: Any, response: Any) -> None:
+    def reply(self, request: Message, response: Message) -> None:
         """Send the response to a request."""
 
 

@@ -22,6 +22,7 @@ from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
 from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.profiles import PROFILES, Profile
 from qrsim.links.ros2.rtps.services import RawService, Request, Services
 from qrsim.links.ros2.topics import Topic
@@ -211,7 +212,7 @@ class Writer:
         lost: messages for which there was no room, because a reader is slow.
     """
 
-    def __init__(self, entity: Any, sample: Any):
+    def __init__(self, entity: Any, sample: Message):
         self.entity = entity
         self._sample = packed(sample, b"")
         self.lost = 0
@@ -264,6 +265,6 @@ class Service:
             found += [(request, each) for each in self._types.heard([cdr], f"{self._kind}_Request")]
         return found
 
-    def reply(self, request: Request, response: Any) -> None:
+    def reply(self, request: Request, response: Message) -> None:
         """Send the response to a request."""
         self._rtps.reply(self._raw, request, self._types.encode(response))

@@ -8,6 +8,7 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.typestore import Types
 
 HEADER = 4
@@ -30,7 +31,7 @@ class Template:
         places: of each number or array of numbers, its offset, format of ``struct`` and count, by its dotted path.
     """
 
-    def __init__(self, types: Types, message: Any):
+    def __init__(self, types: Types, message: Message):
         self._types = types
         self.cdr = bytearray(types.encode(message))
         self.places: dict[str, tuple[int, str, int]] = {}

@@ -115,7 +115,7 @@ def on_earth(types: Types, site: Site) -> object:
 
 def _beacons(types: Types, world: World) -> list[object]:
     """Return the transforms from the map to beacons that a sensor ranges to."""
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for sensor in (each for fleet in world.fleets for each in fleet.sensors):
         if isinstance(sensor, RANGINGS) and sensor.beacon_ned is not None:
             places = np.stack([np.asarray(axis, np.float64) for axis in sensor.beacon_ned.axes], axis=-1)
@@ -125,7 +125,7 @@ def _beacons(types: Types, world: World) -> list[object]:
 
 
 def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[object]:
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for number, sensor in enumerate(fleet.sensors):
         turn: Sequence[float] = _LEVEL
         if isinstance(sensor, Rangefinder | IdealRangefinder):

@@ -15,6 +15,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.definitions import EVENT_INFO, definitions_of, service_types
 
 DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
@@ -47,8 +48,8 @@ class Types:
         self.distro = distro
         self.store = get_typestore(Stores[f"ROS2_{distro.upper()}"])
         self.store.register(definitions_of(*packages))
-        self._structs: dict[str, Any] = {}
-        self._samples: dict[str, Any] = {}
+        self._structs: dict[str, object] = {}
+        self._samples: dict[str, object] = {}
 
     def __getitem__(self, name: str) -> Any:
         """Return the class of a message, such as ``types["std_msgs/msg/String"]``."""
@@ -71,7 +72,7 @@ class Types:
         found: str = store.hash_rihs01(name)
         return found
 
-    def encode(self, message: Any) -> bytes:
+    def encode(self, message: Message) -> bytes:
         """Return a message as CDR."""
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
@@ -130,7 +131,7 @@ class Types:
         return idl.sequence[self._type(element), count] if count else idl.sequence[self._type(element)]
 
 
-def _bytes_of(sample: Any, *args: Any, **options: Any) -> bytes:
+def _bytes_of(sample: Message, *args: Any, **options: Any) -> bytes:
     cdr: bytes = sample.cdr
     return cdr
 

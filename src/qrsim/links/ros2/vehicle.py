@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any
 
+from qrsim.links.ros2 import Message, variances
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
-from qrsim.links.ros2 import variances
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.names import base_link
 from qrsim.links.ros2.template import Template
@@ -111,7 +111,7 @@ def _nothing(message: object, sensors: Sensors, number: int) -> None:
     """Leave the message as it is."""
 
 
-def _of_fix(message: Any, sensors: Sensors, number: int) -> None:
+def _of_fix(message: Message, sensors: Sensors, number: int) -> None:
     receiver = sensors(s.FIX_POSITION)
     message.status.service = _SERVICES["G"]
     if isinstance(receiver, Gnss):
@@ -119,7 +119,7 @@ def _of_fix(message: Any, sensors: Sensors, number: int) -> None:
     message.position_covariance_type = _KNOWN if sensors(s.HORIZONTAL) is not None else 0
 
 
-def _of_inertial(message: Any, sensors: Sensors, number: int) -> None:
+def _of_inertial(message: Message, sensors: Sensors, number: int) -> None:
     for covariance, column, variance in (
         (message.angular_velocity_covariance, s.RATES, variances.of_rates),
         (message.linear_acceleration_covariance, s.FORCE, variances.of_force),
@@ -131,15 +131,15 @@ def _of_inertial(message: Any, sensors: Sensors, number: int) -> None:
             covariance[0] = -1.0
 
 
-def _of_field(message: Any, sensors: Sensors, number: int) -> None:
+def _of_field(message: Message, sensors: Sensors, number: int) -> None:
     message.magnetic_field_covariance[[0, 4, 8]] = variances.of_field(sensors(s.FIELD), number)
 
 
-def _of_pressure(message: Any, sensors: Sensors, number: int) -> None:
+def _of_pressure(message: Message, sensors: Sensors, number: int) -> None:
     message.variance = variances.of_pressure(sensors(s.PRESSURE), number)
 
 
-def _of_range(message: Any, sensors: Sensors, number: int) -> None:
+def _of_range(message: Message, sensors: Sensors, number: int) -> None:
     sensor = sensors(s.RANGE)
     message.radiation_type = _INFRARED
     message.min_range, message.max_range = 0.0, FARTHEST
@@ -148,7 +148,7 @@ def _of_range(message: Any, sensors: Sensors, number: int) -> None:
         message.max_range = variances.own(sensor.range_max, number)
 
 
-def _of_battery(message: Any, sensors: Sensors, number: int) -> None:
+def _of_battery(message: Message, sensors: Sensors, number: int) -> None:
     # What is not measured is NaN (sensor_msgs/BatteryState).
     message.temperature = message.current = message.charge = message.capacity = message.design_capacity = NAN
     message.power_supply_status, message.power_supply_health = _DISCHARGING, _GOOD

@@ -16,6 +16,7 @@ import zenoh
 import zenoh.ext
 
 from qrsim.errors import RunError
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.participant import checked_domain
 from qrsim.links.ros2.profiles import PROFILES, Profile
 from qrsim.links.ros2.topics import Topic
@@ -63,7 +64,7 @@ class ZenohNode:
             raise RunError(f"zenoh does not start with the router {router}: {str(error).splitlines()[0]}") from None
         self._zid = str(self._session.zid())
         # What nobody holds any more is undeclared.
-        self._kept: list[Any] = []
+        self._kept: list[object] = []
         self._entities = 0
         self._read: dict[str, set[str]] = {}
         self._others = self._session.liveliness().declare_subscriber(
@@ -86,7 +87,7 @@ class ZenohNode:
         if topic.quality == "sensor" and self._resend:
             profile = Profile(reliable=True, depth=profile.depth)
         key, token = self._key(topic), self._declare("MP", self._told(topic, profile))
-        options: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
+        options: dict[str, object] = {"congestion_control": zenoh.CongestionControl.DROP}
         if profile.latched:
             cache = zenoh.ext.CacheConfig(profile.depth)
             made = zenoh.ext.declare_advanced_publisher(
@@ -248,7 +249,7 @@ class ZenohService:
                 found += [(query, each) for each in self._types.heard([cdr], f"{self._kind}_Request")]
         return found
 
-    def reply(self, request: Any, response: Any) -> None:
+    def reply(self, request: Message, response: Message) -> None:
         """Send the response to a request."""
         own = request.attachment
         request.reply(self._key, self._types.encode(response), attachment=None if own is None else own.to_bytes())

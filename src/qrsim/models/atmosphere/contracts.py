@@ -76,7 +76,7 @@ class Wind(Protocol):
         By default that of time 0 at the origin.
         """
         origin = Vec3.zeros(height_agl.shape, height_agl.dtype)
-        inputs: dict[str, Any] = {"position_ned": origin} if "position_ned" in self.reads else {}
+        inputs: dict[str, object] = {"position_ned": origin} if "position_ned" in self.reads else {}
         return self.velocity_ned(height_agl, jnp.int32(0), jnp.zeros((), height_agl.dtype), **inputs)
 
 

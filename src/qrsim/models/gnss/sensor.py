@@ -170,7 +170,7 @@ class Gnss(Sensor):
 
     def placed(self, chosen: Array, fresh: GnssState, before: GnssState) -> GnssState:
         """Return the state in which only chosen receivers (n,) were placed anew; what all share stays."""
-        shared: dict[str, Any] = {"geometry": before.geometry, "ids": before.ids}
+        shared: dict[str, object] = {"geometry": before.geometry, "ids": before.ids}
         if fresh.tracking is not None and before.tracking is not None:
             shared["tracking"] = before.tracking.placed(chosen, fresh.tracking)
         if before.ranges is not None and before.apart is None:

@@ -120,7 +120,7 @@ class SlottedSky(Sky):
         """Advance one period to ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
         tick = draw.tick.astype(jnp.int32)
 
-        def held() -> tuple[Any, ...]:
+        def held() -> tuple[object, ...]:
             # What interferes is of the epoch, and told below.
             return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
@@ -149,10 +149,10 @@ class SlottedSky(Sky):
         """Return the state at a tick () int32: a condition in another one would copy all of it at every epoch."""
         epoch = max(1, round(self.period / self.time_step))
 
-        def held() -> tuple[Any, ...]:
+        def held() -> tuple[object, ...]:
             return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
 
-        def knot() -> tuple[Any, ...]:
+        def knot() -> tuple[object, ...]:
             memory, slots, satellites, error = self._knot(state, draw)
             return memory, replace(slots, part=None), satellites, error
 

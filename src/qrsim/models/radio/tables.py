@@ -86,7 +86,7 @@ def taken(heard: Heard, chosen: Any) -> Heard:
 
     def of(leaf: Array, nothing: Any) -> Any:
         # Single elements, which both compilers take.
-        place: tuple[Any, ...]
+        place: tuple[object, ...]
         if leaf.ndim == 3:
             number = library.arange(leaf.shape[1], dtype=library.int32)[None, :, None]
             place, has = (row[:, None], number, vehicle[None, None]), there[:, None]

@@ -18,7 +18,7 @@ _MILLIGAUSS = 0.1
 
 def _chip(
     rms: float, rate: float, step: float, largest: float, scale: float, cross_axis: float, drift: float
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the parameters of a chip.
 
     Args:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from qrsim.runs import Run
@@ -30,13 +29,13 @@ def write_layout(run: Run, path: Path) -> None:
         file.write(f"{json.dumps(layout(run), indent=2)}\n".encode())
 
 
-def layout(run: Run) -> dict[str, Any]:
+def layout(run: Run) -> dict[str, object]:
     """Return the layout."""
     topics = [f"/{quote(name, safe='')}" for name in run.vehicles]
     shown = topics[:MOST_PLOTTED]
     drawn = {"/scene": {"visible": True}} | {f"{topic}/pose": {"visible": True, "type": "arrow"} for topic in topics}
     grid = {"grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True, "size": 200, "divisions": 20}}
-    space: dict[str, Any] = {
+    space: dict[str, object] = {
         "cameraState": {
             "distance": 150.0,
             "perspective": True,
@@ -75,6 +74,6 @@ def layout(run: Run) -> dict[str, Any]:
     }
 
 
-def _plot(title: str, paths: list[str]) -> dict[str, Any]:
+def _plot(title: str, paths: list[str]) -> dict[str, object]:
     lines = [{"value": path, "enabled": True, "timestampMethod": "headerStamp"} for path in paths]
     return {"title": title, "paths": lines, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}

@@ -41,9 +41,9 @@ def _features(content: Tracks) -> Iterator[dict[str, Any]]:
         yield _event(mark)
 
 
-def _piece(track: Track, number: int, segment: Segment) -> dict[str, Any]:
+def _piece(track: Track, number: int, segment: Segment) -> dict[str, object]:
     line = [_coordinates(place) for place in segment.geodetic]
-    geometry: dict[str, Any] = {"type": "LineString", "coordinates": line}
+    geometry: dict[str, object] = {"type": "LineString", "coordinates": line}
     if len(line) == 1:  # a LineString has two positions or more
         geometry = {"type": "Point", "coordinates": line[0]}
     properties = {
@@ -59,7 +59,7 @@ def _piece(track: Track, number: int, segment: Segment) -> dict[str, Any]:
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-def _event(mark: Mark) -> dict[str, Any]:
+def _event(mark: Mark) -> dict[str, object]:
     point = None if mark.geodetic is None else {"type": "Point", "coordinates": _coordinates(mark.geodetic)}
     event = asdict(mark.event)
     seconds, name = event.pop("time"), event.pop("vehicle")

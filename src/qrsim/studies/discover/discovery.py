@@ -94,7 +94,7 @@ class Discovery:
         """Return the vehicle in the form of scenario files."""
         laws = {name: law for name, law in self.laws.items() if name not in self.held}
         texts = {f"{name}_law": str(law.expression) for name, law in laws.items() if name != "drag"}
-        content: dict[str, Any] = {"type": "expression", "mass": mass, **texts}
+        content: dict[str, object] = {"type": "expression", "mass": mass, **texts}
         drag = laws["drag"].terms if "drag" in laws else None
         # A drag that is proportional to the velocity is a constant of the vehicle; others have no place in it yet.
         if drag is not None and set(drag) == {(1,)} and drag[(1,)] < 0.0:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from qrsim.runs.picture import new_figure
 from qrsim.studies.discover.discovery import Discovery
 from qrsim.studies.flight_logs import SIGNALS
 
 
-def draw(found: Discovery) -> Any:
+def draw(found: Discovery) -> Figure:
     """Draw the figure."""
     rows = len(found.names)
     figure = new_figure(12.0, 1.8 * rows + 1.0)

@@ -131,7 +131,7 @@ def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> object:
     known = primitives(law)
     add, times = known.mapping["add"], known.mapping["mul"]
 
-    def term(each: tuple[int, ...]) -> list[Any]:
+    def term(each: tuple[int, ...]) -> list[object]:
         factors = [known.mapping[leaf] for leaf, power in zip(LEAVES[law], each, strict=True) for _ in range(power)]
         nodes = [known.mapping[CONSTANT]]
         for factor in factors:

@@ -62,7 +62,7 @@ def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool,
         _print(found, content, quiet=quiet)
 
 
-def _terms(kind: str, noise: Noise) -> dict[str, dict[str, Any]]:
+def _terms(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
     from qrsim.studies.identify.at_rest import UNITS
 
     return {

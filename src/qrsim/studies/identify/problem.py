@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -242,7 +242,7 @@ class Shooting:
         with jax.enable_x64(True):
             return np.asarray(predict(self.piece.places, **self._arguments(values)))
 
-    def _arguments(self, values: Mapping[str, float]) -> dict[str, Any]:
+    def _arguments(self, values: Mapping[str, float]) -> dict[str, object]:
         piece = self.piece
         return {
             "names": tuple(values),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from qrsim.runs.picture import new_figure
 from qrsim.studies.flight_logs.signals import SIGNALS
@@ -39,7 +39,7 @@ def write_report(result: Result, folder: Path) -> list[Path]:
     return [*written, folder / "identified.json", folder / "report.md"]
 
 
-def constants_figure(result: Result) -> Any:
+def constants_figure(result: Result) -> Figure:
     """Draw each constant over its start with its 95 % interval."""
     found = result.constants()
     figure = new_figure(8.0, 1.2 + 0.32 * len(found))
@@ -57,7 +57,7 @@ def constants_figure(result: Result) -> Any:
     return figure
 
 
-def held_out_figure(result: Result, i: int) -> Any:
+def held_out_figure(result: Result, i: int) -> Figure:
     """Draw the held-out part of a log: recorded, and simulated open loop with the constants before and after."""
     piece = cut(result.pieces[i].log, math.inf, result.train, 1.0)
     nuisances = result.answer.nuisances[i]
@@ -81,7 +81,7 @@ def held_out_figure(result: Result, i: int) -> Any:
     return figure
 
 
-def residual_figure(result: Result, i: int) -> Any:
+def residual_figure(result: Result, i: int) -> Figure:
     """Draw the residuals of a log's training part and their autocorrelations."""
     piece, residuals = result.pieces[i], result.answer.residuals[i]
     figure = new_figure(11.0, 1.6 * len(piece.channels) + 0.6)

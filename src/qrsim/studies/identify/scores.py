@@ -39,7 +39,7 @@ def score(
     identified: Mapping[str, float],
     nuisances: Mapping[str, float],
     separate: bool,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Compare constants on a part of a log, open loop from its first row (again from the first row after a gap).
 
     The constants at the start have the same delay, once with neither wind nor trims and once with those of the fit.

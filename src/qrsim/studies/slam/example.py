@@ -108,7 +108,7 @@ def base_world(precision: str = "float32", gnss: str | None = None, **overrides:
     return load_scenario(SCENARIO if gnss is None else with_receiver(gnss), assignments).world(precision)
 
 
-def with_receiver(preset: str) -> dict[str, Any]:
+def with_receiver(preset: str) -> dict[str, object]:
     """Return the scenario of the example with a receiver of type gnss; a base station is there for those that need it.
 
     Nothing of it is late, as in the example, and carrier phase is fixed.

@@ -306,7 +306,7 @@ def make_graph(
     reckoned = dead_reckon(flight.vehicle, mean, flight.commands, flight.air_ned, flight.time_step)
     seen = np.isfinite(ranging.ranges) & (active > 0)
     with jax.enable_x64(True):
-        arrays: dict[str, Any] = {
+        arrays: dict[str, object] = {
             "commands": flight.commands,
             "air_ned": flight.air_ned,
             "nominal": reckoned,

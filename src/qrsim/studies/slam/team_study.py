@@ -102,7 +102,7 @@ def compare(
     memory = BIAS_TIME_CONSTANT if gnss is None else MEMORY[gnss]
     found = TeamStudy(vehicles, tuple(seeds), {}, {})
     for name, (kind, modelled, share) in CASES.items():
-        options: dict[str, Any] = {"states": states, "common_share": share}
+        options: dict[str, object] = {"states": states, "common_share": share}
         options["bias_time_constant"] = memory if modelled else None
         for seed, flown_of in zip(seeds, flights[kind], strict=True):
             for count, solved in ((1, found.alone), (vehicles, found.together)):

@@ -44,7 +44,7 @@ class Tls:
 
 
 @contextmanager
-def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> Iterator[Any]:
+def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> Iterator[object]:
     """Yield a Dask client whose workers have this process's versions.
 
     The cluster of this machine takes nobody who has not the key that is made for it, because whoever talks to a
@@ -65,7 +65,7 @@ def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> I
 
     security = None if tls is None else tls.security()
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    quiet: dict[str, Any] = {
+    quiet: dict[str, object] = {
         "distributed.logging.distributed": "critical",
         "distributed.comm.timeouts.connect": f"{WAIT_S}s",
     }

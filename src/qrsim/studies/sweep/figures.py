@@ -121,7 +121,7 @@ def _mesh(axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, col
     return image
 
 
-def _scale(axes: Any, one: Parameter, other: Parameter | None = None) -> None:
+def _scale(axes: Axes, one: Parameter, other: Parameter | None = None) -> None:
     """Make the axes of what is spread evenly in its logarithm logarithmic."""
     if one.log:
         axes.set_xscale("log")

@@ -180,9 +180,9 @@ class Plan:
         unit = self.sample.rows(start, stop)
         return {axis.path: axis.scaled(unit[:, i]) for i, axis in enumerate(self.sampled)}
 
-    def values_at(self, position: tuple[int, ...]) -> dict[str, Any]:
+    def values_at(self, position: tuple[int, ...]) -> dict[str, object]:
         """Return the value of each parameter at an index of the Dataset, in the study's terms."""
-        found: dict[str, Any] = {}
+        found: dict[str, object] = {}
         for dimension, axis in enumerate(self.crossed):
             assert axis.values is not None
             found[axis.path] = axis.values[position[dimension]]

@@ -285,7 +285,7 @@ def _changed(content: Content, changes: Content, values: int) -> Content:
     return content
 
 
-def _thinned(values: list[Any], most: int) -> list[Any]:
+def _thinned(values: list[object], most: int) -> list[Any]:
     """Return at most so many of some values, the first and the last among them."""
     if most >= len(values) or most < 2:
         return values[: max(1, most)] if most < 2 else values

@@ -23,7 +23,7 @@ class Condition(str):
 
     settings: dict[str, Any]
 
-    def __new__(cls, name: str, settings: dict[str, Any]) -> Condition:
+    def __new__(cls, name: str, settings: dict[str, object]) -> Condition:
         """Return the name, which knows what it sets."""
         made = super().__new__(cls, name)
         made.settings = settings

@@ -100,11 +100,11 @@ def autocorrelation(kind: str, lag: float) -> Floats:
     return decay if kind == "dryden_first_order" else decay * np.array([1.0, 1.0 - x[1] / 2.0, 1.0 - x[2] / 2.0])
 
 
-def statistics(kind: str, gusts_ned: Floats) -> dict[str, Any]:
+def statistics(kind: str, gusts_ned: Floats) -> dict[str, object]:
     """Compare variances and autocovariances of the gusts of many vehicles (T, n, 3) with their closed forms."""
     gusts, sigma = in_wind_axes(gusts_ned) / scales(CASE)[1], autocorrelation(kind, LAG_S)
     lag = round(LAG_S / (DT * EVERY))
-    results: dict[str, Any] = {}
+    results: dict[str, object] = {}
     for i, axis in enumerate(AXES):
         found = {}
         for name, products, expected in (

@@ -38,7 +38,7 @@ class Check:
         """Whether the value is within the tolerance; NaN is not."""
         return abs(self.value - self.expected) <= self.tolerance
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields and the outcome; a non-finite value becomes null."""
         value = self.value if math.isfinite(self.value) else None
         return {

@@ -130,7 +130,7 @@ def compare(series: Floats, theory: Any, case: Case) -> tuple[dict[str, Any], Fl
     over_theory, over_closed = (
         10.0 * np.log10(levels / band_levels(omega, form(omega))) for form in (theory, partial(closed_form, case))
     )
-    results: dict[str, Any] = {}
+    results: dict[str, object] = {}
     for i, name in enumerate(COMPONENTS):
         expected, wanted = float(np.mean(density[i]) / DT), float(np.mean(target[i]) / DT)
         # The variance of a mean of squares is 2/n times the sum of squared autocovariances (Parseval).

@@ -106,7 +106,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     spectra, series, levels = study_case(case, steps, SEED, ("ours", *TYPES) if oracle else ("ours",))
     vehicles = VEHICLES if full else FEW_VEHICLES
     gusts = {name: our_gusts(name, TRACE_S, vehicles, SEED + number) for number, name in enumerate(MODELS)}
-    hover: dict[str, Any] = {name: statistics(name, found) for name, found in gusts.items()}
+    hover: dict[str, object] = {name: statistics(name, found) for name, found in gusts.items()}
     traces = {MODELS[name]: found[:, 0] for name, found in gusts.items()}
     if oracle:
         windows = JSBSIM_WINDOWS if full else FEW_WINDOWS

@@ -106,7 +106,7 @@ class BaselinePolicy:
         self._memory: Any = None
         self._observe = jax.jit(self._observed)
 
-    def __call__(self, reading: Any) -> dict[str, Any]:
+    def __call__(self, reading: Any) -> dict[str, object]:
         """Return set-points for the agents' fleet."""
         state, tick = reading.state, round(reading.time / self.play.world.time_step)
         if self._memory is None:

@@ -110,6 +110,9 @@ class FlightStack(Flight):
         """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
         return self.craft.thrust_of(throttle)
 
+    def _refuse(self, what: str, why: str) -> None:
+        self.craft.say(Severity.WARNING, f"{what} denied: {why}")
+
     def go_to(self, item: Item) -> bool:
         """Fly to the place of a waypoint at once, in ArduPilot's GUIDED; return whether it does."""
         if item.command != WAYPOINT or not self.guided:

@@ -139,9 +139,6 @@ class RoverStack(FlightStack):
         else:
             super().switch(Mode.HOLD)
 
-    def _refuse(self, what: str, why: str) -> None:
-        self.craft.say(Severity.WARNING, f"{what} denied: {why}")
-
 
 def away(craft: Craft, place: Triple) -> float:
     """Return the horizontal distance [m] to a place NED [m]."""

@@ -224,9 +224,6 @@ class WingStack(FlightStack):
             self._refuse("Set-point", "a fixed wing flies missions and circles")
         return False
 
-    def _refuse(self, what: str, why: str) -> None:
-        self.craft.say(Severity.WARNING, f"{what} denied: {why}")
-
 
 def _signed_radius(command: Command) -> float:
     """Return the radius [m] of a DO_REPOSITION, below 0 counterclockwise (``param4`` = 1); NaN where it has none."""

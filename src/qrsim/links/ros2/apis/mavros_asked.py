@@ -22,6 +22,7 @@ from qrsim.links.mavlink.stack.contracts import (
 )
 from qrsim.links.mavlink.stack.offboard import NO_ATTITUDE, NO_RATES
 from qrsim.links.mavlink.system import System
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.apis import forms as f
 from qrsim.links.ros2.apis.contracts import Answered, Heard
 from qrsim.links.ros2.apis.modes import number_of
@@ -38,7 +39,7 @@ _TAKE_OFF, _LAND, _SET_HOME, _ARM, _GET_HOME = 22, 21, 179, 400, 410
 _CUSTOM = 1
 
 
-def _vector(message: Any) -> Triple:
+def _vector(message: Message) -> Triple:
     return message.x, message.y, message.z
 
 
@@ -86,13 +87,13 @@ class Asked:
         ):
             yield Heard(Topic(self._space + name, kind, "command"), take)
 
-    def _position(self, message: Any) -> None:
+    def _position(self, message: Message) -> None:
         pose = message.pose
         yaw = f.heading(_attitude(pose.orientation))
         mask = _VELOCITY | _ACCELERATION | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, position=f.enu(_vector(pose.position)), yaw=yaw))
 
-    def _place(self, message: Any) -> None:
+    def _place(self, message: Message) -> None:
         yaw = f.heading(_attitude(message.pose.orientation))
         self._global(_VELOCITY | _ACCELERATION | _YAW_RATE, _GLOBAL, message.pose.position, yaw=yaw)
 
@@ -102,30 +103,30 @@ class Asked:
         whole = (int(north * 1e7), int(east * 1e7)) if known else (UNSET_INT, UNSET_INT)
         self._stack.setpoint(GlobalTarget(frame, mask, *whole, place.altitude, **others))
 
-    def _velocity(self, twist: Any) -> None:
+    def _velocity(self, twist: Message) -> None:
         mask = _POSITION | _ACCELERATION | _YAW
         velocity = f.enu(_vector(twist.linear))
         self._stack.setpoint(LocalTarget(_LOCAL, mask, velocity=velocity, yaw_rate=-twist.angular.z))
 
-    def _acceleration(self, message: Any) -> None:
+    def _acceleration(self, message: Message) -> None:
         mask = _POSITION | _VELOCITY | _YAW | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, acceleration=f.enu(_vector(message.vector))))
 
-    def _lean(self, message: Any) -> None:
+    def _lean(self, message: Message) -> None:
         self._attitude = AttitudeTarget(NO_RATES, _attitude(message.pose.orientation), _ZERO, 0.0)
 
-    def _turn(self, message: Any) -> None:
+    def _turn(self, message: Message) -> None:
         # With the axes that mavros has here: those of ENU, for rates of the body.
         rates = f.enu(_vector(message.twist.angular))
         self._attitude = AttitudeTarget(NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), rates, 0.0)
 
-    def _thrust(self, message: Any) -> None:
+    def _thrust(self, message: Message) -> None:
         asked = self._attitude
         if asked is not None:
             self._attitude = None
             self._stack.setpoint(AttitudeTarget(asked.mask, asked.q, asked.rates, message.thrust))
 
-    def _raw(self, message: Any) -> None:
+    def _raw(self, message: Message) -> None:
         of_body = message.coordinate_frame in (_BODY, _BODY_OFFSET)
         turned = f.flu if of_body else f.enu
         yaw = -message.yaw if of_body else 0.5 * math.pi - message.yaw
@@ -134,7 +135,7 @@ class Asked:
         frame, mask, rate = message.coordinate_frame, message.type_mask, -message.yaw_rate
         self._stack.setpoint(LocalTarget(frame, mask, position, velocity, acceleration, yaw, rate))
 
-    def _raw_place(self, message: Any) -> None:
+    def _raw_place(self, message: Message) -> None:
         self._global(
             message.type_mask,
             message.coordinate_frame,
@@ -145,7 +146,7 @@ class Asked:
             yaw_rate=-message.yaw_rate,
         )
 
-    def _raw_attitude(self, message: Any) -> None:
+    def _raw_attitude(self, message: Message) -> None:
         thrust = min(max(message.thrust, 0.0), 1.0)
         q, rates = _attitude(message.orientation), f.flu(_vector(message.body_rate))
         self._stack.setpoint(AttitudeTarget(message.type_mask, q, rates, thrust))
@@ -177,23 +178,23 @@ class Asked:
         result = self._stack.command(Command(command, whole)).result  # type: ignore[arg-type]
         return self._response(kind, result is Result.ACCEPTED, int(result))
 
-    def _long(self, r: Any) -> object:
+    def _long(self, r: Message) -> object:
         params = (r.param1, r.param2, r.param3, r.param4, r.param5, r.param6, r.param7)
         return self._obey("CommandLong", r.command, *params)
 
-    def _int(self, r: Any) -> object:
+    def _int(self, r: Message) -> object:
         self._stack.command(Command.of_int(r.command, r.frame, (r.param1, r.param2, r.param3, r.param4), r.x, r.y, r.z))
         # mavros does not wait for the result.
         return self._response("CommandInt", True)
 
-    def _take_off_or_land(self, command: int, first: float, r: Any) -> object:
+    def _take_off_or_land(self, command: int, first: float, r: Message) -> object:
         return self._obey("CommandTOL", command, first, 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
 
-    def _home(self, r: Any) -> object:
+    def _home(self, r: Message) -> object:
         params = (float(r.current_gps), 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
         return self._obey("CommandHome", _SET_HOME, *params)
 
-    def _mode(self, r: Any) -> object:
+    def _mode(self, r: Message) -> object:
         base, custom = r.base_mode, 0
         if r.custom_mode:
             number = number_of(r.custom_mode)

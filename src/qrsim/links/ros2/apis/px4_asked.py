@@ -17,6 +17,7 @@ from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.offboard import NO_ATTITUDE, NO_RATES
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.view import View
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.apis.contracts import EACH, Answered, Heard, Told
 from qrsim.links.ros2.apis.modes import NAV_STATES
 from qrsim.links.ros2.blank import empty
@@ -153,16 +154,16 @@ class Asked:
         """Return the service of commands, whose response has the acknowledgement."""
         response = self._types["px4_msgs/srv/VehicleCommand_Response"]
 
-        def answer(request: Any) -> Any:
+        def answer(request: Message) -> Any:
             return response(self._acknowledged(request.request))
 
         return Answered(f"{self._space}vehicle_command", "px4_msgs/srv/VehicleCommand", answer)
 
-    def _obey(self, message: Any) -> None:
+    def _obey(self, message: Message) -> None:
         if message.target_system in (0, self._system.number) and message.target_component in (0, 1):
             self._acks.append(self._types.encode(self._acknowledged(message)))
 
-    def _acknowledged(self, message: Any) -> object:
+    def _acknowledged(self, message: Message) -> object:
         """Obey or refuse a command, and return its acknowledgement."""
         command = int(message.command)
         params: Any = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))

@@ -66,11 +66,11 @@ class MotorCommand:
 def _motor_command(count: int) -> type:
     """Make the class of commands for a number of rotors."""
     name = f"MotorCommand{count}"
-    fields: dict[str, Any] = {
+    fields: dict[str, object] = {
         f"rotor_{i}": quantity(unit="1", doc=f"speed of rotor {i}, of the largest", minimum=0.0, maximum=1.0)
         for i in range(count)
     }
-    namespace: dict[str, Any] = {
+    namespace: dict[str, object] = {
         "__annotations__": dict.fromkeys(fields, Array),
         "__module__": __name__,
         "__qualname__": name,
