@@ -83,6 +83,19 @@ def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.Monk
         assert cli.main(words[1:]) == 0, line
 
 
+@pytest.mark.long
+def test_the_first_flight_prints_its_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "start" / "first_flight.md").read_text("utf-8")
+    shown = [line for line in page.splitlines() if line.startswith(("pelicans_", "separation:"))]
+    assert len(shown) == 3
+    assert cli.main(["run", "outdoor_patrol", "--seed", "1", "--out", "runs/first", "--no-figure"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line for line in shown if line not in {each.rstrip() for each in printed}] == []
+
+
 # The mouse runs out of its area where no cats are flown.
 WITHOUT_A_TASK = [name for name in built_in_names() if not name.startswith("cats_and_mouse")]
 # Of a family of tasks, all but one.

@@ -41,7 +41,7 @@ OTHERS = [
 
 
 def test_a_quadrotor_by_the_rules_of_thumb() -> None:
-    """Worked out by hand from the rules in docs/start/your_vehicle.md, with R = 0.6 of the arm and 1.225 kg/m^3."""
+    """By hand from the rules in docs/explanation/models/multirotor.md, with R = 0.6 of the arm and 1.225 kg/m^3."""
     found = own_multirotor(**QUAD)
     numbers = {
         "mass": 1.2, "inertia_x": 0.0139725, "inertia_y": 0.0139725, "inertia_z": 0.02612250, "rotor_radius": 0.135,

@@ -1,6 +1,6 @@
 """Ranges and rules of a multirotor of one's own at their edges.
 
-By hand from the rules in docs/start/your_vehicle.md.
+By hand from the rules in docs/explanation/models/multirotor.md.
 """
 
 from __future__ import annotations

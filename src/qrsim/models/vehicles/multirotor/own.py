@@ -1,6 +1,6 @@
 """A multirotor of one's own from six numbers that its builder knows, by rules of thumb with stated ranges.
 
-docs/start/your_vehicle.md lists the rules, with the range that vehicles with published parameters (sets.py) have.
+docs/explanation/models/multirotor.md lists the rules, with the range of vehicles with published parameters (sets.py).
 Whatever is known better replaces what is derived here.
 """
 
@@ -119,7 +119,7 @@ def own_parameters(
     known: Mapping[str, Any] | None = None,
     curve: float | None = None,
 ) -> dict[str, Any]:
-    """Derive the parameters of a multirotor by the rules of docs/start/your_vehicle.md.
+    """Derive the parameters of a multirotor by the rules of docs/explanation/models/multirotor.md.
 
     Args:
         mass: take-off mass [kg].
