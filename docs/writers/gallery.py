@@ -1,4 +1,7 @@
-"""Write docs/images/gallery_NAME.png by the code of docs/gallery/NAME.md: ``python -m docs.writers.gallery [NAME ...]``."""
+"""Write the pictures of the gallery: ``python -m docs.writers.gallery [NAME ...]``.
+
+The code of docs/gallery/NAME.md saves docs/images/gallery_NAME.png.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ def code(name: str) -> str:
     Raises:
         ValueError: the page has none, or several.
     """
-    (block,) = re.findall(r"^```python\n(.*?)^```$", (FOLDER / f"{name}.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    page = (FOLDER / f"{name}.md").read_text("utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     return str(block)
 
 
