@@ -86,9 +86,10 @@ bench: $(TOOLS)  ## run every benchmarks/*.py
 evidence: $(TOOLS)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
 
-pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; docs/writers/pictures.py lists all pictures
+pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png, gallery_*.png and the README's figure; docs/writers/pictures.py lists all pictures
 	@$(BIN)/python -m docs.writers.pictures
 	@$(BIN)/python -m docs.writers.task_pictures
+	@$(BIN)/python -m docs.writers.gallery
 
 $(DOCS): $(STAMP)
 	$(PIP) '.[docs]'

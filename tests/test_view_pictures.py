@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from docs.writers import pictures
+from docs.writers import gallery, pictures
 from PIL import Image
 
 from qrsim.scenarios.reading import built_in_names
@@ -22,12 +22,24 @@ def test_each_picture_has_a_command_and_a_place():
     assert {path.name for path in pictures.IMAGES.iterdir()} == set(pictures.every())
     for name, command in pictures.every().items():
         showing = [text for text in PAGES.values() if f"images/{name})" in text]
-        # The README shows one of a page again.
-        again = f"docs/images/{name})" in PAGES[ROOT / "README.md"]
+        # The README shows one of a page again, and the index of the gallery those of its pages.
+        again = any(f"images/{name})" in PAGES[ROOT / page] for page in ("README.md", "docs/gallery/index.md"))
         assert len(showing) == 1 + again, name
         if name.startswith(("view_", "slam_")) or name == "outdoor_patrol.png":
             said = " ".join(showing[0].split()).replace("\\ ", "")
             assert all(part.strip() in said for part in command.split(";")), command
+
+
+def test_each_page_of_the_gallery_is_a_picture_and_the_code_that_makes_it():
+    index = PAGES[gallery.FOLDER / "index.md"]
+    assert len(pictures.GALLERY) >= 12
+    for name in pictures.GALLERY:
+        block = gallery.code(name)
+        assert 20 <= len(block.splitlines()) <= 60, name
+        assert f'savefig("gallery_{name}.png"' in block
+        assert f"](../images/gallery_{name}.png)" in PAGES[gallery.FOLDER / f"{name}.md"]
+        assert f"](../images/gallery_{name}.png)]({name}.md)" in index
+        assert (pictures.IMAGES / f"gallery_{name}.png").stat().st_size < 150_000, name
 
 
 def test_pictures_of_the_page_are_small_enough_to_be_kept_with_the_code():

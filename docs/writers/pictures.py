@@ -58,8 +58,10 @@ SHOTS = {
 }
 # The figure of a run, which the README shows.
 FIGURE, FIGURE_RUN = "outdoor_patrol", "outdoor_patrol --seed 1"
-# Who writes the other pictures.
+# Who writes the other pictures; those of the gallery are made by the code of its pages.
+GALLERY = sorted(page.stem for page in (IMAGES.parent / "gallery").glob("*.md") if page.stem != "index")
 OTHERS = {
+    **{f"gallery_{name}.png": f"python -m docs.writers.gallery {name}" for name in GALLERY},
     "slam_trajectories.png": "qrsim slam --seeds 8",
     "slam_allan.png": "qrsim slam --seeds 8",
     "slam_gain.png": "qrsim slam --vehicles 5 --seeds 8 --duration 60 --states poses",
