@@ -7,13 +7,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
-from qrsim.tasks.play import Play
+
+if TYPE_CHECKING:
+    from qrsim.tasks.play import Play
 
 MOST_SEEDS = 10_000
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import progress_bar
-from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
+    from qrsim.core.arrays import NumpyArray
     from qrsim.studies.sweep.plan import Batch, Plan
     from qrsim.studies.sweep.study import Study
 
