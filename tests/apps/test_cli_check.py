@@ -184,6 +184,17 @@ class TestTable:
         assert re.search(rf" 0 +0.0 % +0.0 to +{100 * scipy.stats.beta.ppf(0.975, 1, 3):.1f} %", row)
         assert "to look at" not in printed
 
+    def test_a_mission_that_no_run_finishes(self, tmp_path, capsys):
+        file = tmp_path / "short.yaml"
+        legs = "[{to_ned: [90, 0, -20]}, {to_ned: [0, 0, -20]}]"
+        file.write_text(
+            "name: short\nduration: 1.0\nfleets: {one: {vehicle: multirotor, sensors: ideal, vehicles: "
+            f"[{{position_ned: [0, 0, -20], legs: {legs}}}]}}}}\n"
+        )
+        assert cli.main(["check", str(file), "--seeds", "2"]) == 1
+        printed = capsys.readouterr().out
+        assert "\nno run finished its mission in 1 s; a longer --duration may be enough\n" in printed
+
 
 class TestBadInput:
     @pytest.mark.parametrize(

@@ -220,6 +220,14 @@ class TestWithoutFixes:
         np.testing.assert_allclose(flown["flown_s"], 1.0)
         assert np.all(flown["distance_m"] < 0.5)
 
+    def test_a_policy_of_velocities_flies_no_leg(self):
+        """The scenario's set-point of the start does not count as a leg that is followed without error."""
+        world = qrsim.load_scenario("hover_ideal").world()
+        flown = rollout(world, lambda reading: qrsim.VelocitySetpoint.of([[1, 0, 0]]), ticks=20, worlds=1)
+        assert flown["distance_m"][0, 0] > 0.01
+        for name in ("tracking_error_rms_m", "tracking_error_max_m", "tracking_error_max_position_ned"):
+            assert np.all(np.isnan(flown[name])), name
+
 
 class TestParts:
     def test_extremes(self):

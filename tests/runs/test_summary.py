@@ -12,7 +12,7 @@ from flight import FIX_TICKS, GNSS_ERROR, SPEED, STEP, write_flight
 
 from qrsim.runs import open_run
 from qrsim.runs.separation import Separation, _nearer, smallest_separation
-from qrsim.runs.summary import _battery, gnss_error, gnss_sensor, summarise, tracking_error, vectors
+from qrsim.runs.summary import _battery, _without_start, gnss_error, gnss_sensor, summarise, tracking_error, vectors
 
 
 def path(*points: tuple[float, float, float]) -> np.ndarray:
@@ -52,6 +52,16 @@ def test_tracking_error_of_a_route_that_comes_back_to_a_waypoint():
     target = path((10, 0, 0), (0, 0, 0), (10, 0, 0))
     place = path((0, 0, 0), (10, 1, 0), (0, 0, 2))
     np.testing.assert_allclose(tracking_error(place, target)[:, 0], [0, 1, 2])
+
+
+def test_the_set_point_of_the_start_alone_is_no_waypoint():
+    """A policy of velocities replaces that of the first vehicle; the second holds its own; the third stops."""
+    nan = float("nan")
+    gone = path((0, 0, -9), (nan, nan, nan), (nan, nan, nan))
+    held = path(*[(0, 0, -9)] * 3)
+    flying = np.array([[1, 1, 1], [1, 1, nan], [1, 1, nan]])
+    kept = _without_start(np.concatenate([gone, held, gone], axis=1), flying)
+    np.testing.assert_array_equal(kept, np.concatenate([nan * held, held, gone], axis=1))
 
 
 def test_tracking_error_keeps_the_vehicles_apart():

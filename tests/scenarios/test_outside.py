@@ -261,6 +261,11 @@ BAD = {
         "class Gauge lacks the method step(state, draw, position_ned=...) that a sensor has; did you mean that by "
         "'stepp'?",
     ),
+    "no step, and a field of a similar name": (
+        changed("def step", "def stpe").replace("gain", "step_m"),
+        "class Gauge lacks the method step(state, draw, position_ned=...) that a sensor has; did you mean that by "
+        "'stpe'?",
+    ),
     "arguments": (
         changed("def step(self, state, draw, position_ned)", "def step(self, draw, position)"),
         "Gauge.step takes (draw, position); expected (state, draw, position_ned=...), with which a sensor is called",

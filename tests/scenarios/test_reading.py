@@ -219,6 +219,13 @@ def test_degrees_override_radians_and_the_other_way_round() -> None:
     assert math.isclose(turned.fleets["pelicans"].vehicles[0].yaw_rad, math.pi / 4)
 
 
+def test_a_sensor_of_a_set_is_changed_where_sensors_are_listed(tmp_path: Path) -> None:
+    file = tmp_path / "set.yaml"
+    file.write_text("name: set\nfleets: {one: {sensors: noisy, vehicles: [{position_ned: [0, 0, -20]}]}}\n")
+    with pytest.raises(UsageError, match=r"sensors is the value 'noisy', it has no parts; 'qrsim show' lists the"):
+        load_scenario(file, ["fleets.one.sensors.attitude=attitude_estimator"])
+
+
 @pytest.mark.parametrize(
     ("override", "expected"),
     [

@@ -144,12 +144,19 @@ class TestEstimators:
         np.testing.assert_allclose(found[0], found[1], **SAME)
 
     def test_is_blamed_for_what_is_its_own(self, world):
-        pilot = Pilot(simulation(world), lambda reading: None, lambda reading: 3)
+        pilot = Pilot(simulation(world), lean, lambda reading: 3)
         with pytest.raises(UsageError, match=r"^estimator .*at tick 0 \(0 s\): estimate: expected a qrsim.Estimate"):
             pilot.record(1)
 
 
 class TestWhatIsWrong:
+    def test_a_forgotten_return_is_a_warning(self, world):
+        def forgets(reading: Any) -> None:
+            lean(reading)
+
+        with pytest.warns(UserWarning, match=r"^policy .*forgets returned None at tick 0, so the vehicles fly by"):
+            Pilot(simulation(world), forgets).record(1)
+
     @pytest.mark.parametrize(
         ("policy", "message"),
         [

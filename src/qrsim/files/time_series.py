@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, nearest
 from qrsim.files.csv_file import CsvFile, open_csv
 from qrsim.files.csv_rows import name_and_unit
 from qrsim.files.user_files import LARGEST_TABLE
@@ -48,10 +48,11 @@ def read_series(
     rows, before = array.array("d"), None
     with open_csv(path, LARGEST_TABLE) as file:
         header = _without_units(file, {TIME: "s", **columns, **optional, **instead})
+        expected = " or ".join(", ".join([TIME, *names]) for names in (columns, instead) if names)
         if instead.keys() & set(header) and not columns.keys() & set(header):
             columns = instead
         names = [TIME, *columns, *(name for name in optional if name in header)]
-        places = _places(file, header, names)
+        places = _places(file, header, names, expected)
         for fields in file:
             row = [file.number(name, fields[place], HINTS.get(name, "")) for name, place in places.items()]
             _check_time(file, before, row[0], max_gap)
@@ -94,11 +95,13 @@ def _without_units(file: CsvFile, units: Mapping[str, str]) -> list[str]:
     return names
 
 
-def _places(file: CsvFile, header: list[str], names: Sequence[str]) -> dict[str, int]:
-    """Return where the columns are."""
+def _places(file: CsvFile, header: list[str], names: Sequence[str], expected: str) -> dict[str, int]:
+    """Return where the columns are; ``expected`` names, for the message, all that a file needs."""
     for name in names:
         if name not in header:
-            file.fail(f"no column '{name}'{did_you_mean(name, [other for other in header if other])}")
+            match = nearest(name, [other for other in header if other])
+            hint = f"did you mean '{match}'?" if match else f"found {', '.join(header)[:80]}; expected {expected}"
+            file.fail(f"no column '{name}'; {hint}")
         if header.count(name) > 1:
             file.fail(f"the column '{name}' is there {header.count(name)} times")
     return {name: header.index(name) for name in names}

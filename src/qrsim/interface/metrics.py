@@ -168,10 +168,12 @@ class FlightMetrics:
         def when(tick: Array) -> Floats:
             return np.where(tick >= 0, tick * dt, np.nan)
 
+        # The set-point of the start, which a policy replaces at once, is no leg that was flown.
+        replaced = (np.asarray(flight.tracked) == 1) & (np.asarray(flight.ticks) > 0)
         found: dict[str, npt.ArrayLike] = {
             "flown_s": flight.ticks * dt,
             "distance_m": joined(flight.distance, flight.distance_low),
-            "tracking_error_rms_m": root_mean(flight.tracking_square, flight.tracked),
+            "tracking_error_rms_m": np.where(replaced, np.nan, root_mean(flight.tracking_square, flight.tracked)),
             **flight.fixes.finish(dt),
             "clipped_s": flight.clipped * dt,
             "charge_min": flight.charge,
@@ -192,6 +194,8 @@ class FlightMetrics:
                 found[f"{name}_{unit}"] = -extreme.value if name in smallest else extreme.value
             found[f"{name}_at_s"] = when(extreme.tick)
             found[f"{name}_position_ned"] = np.stack(jax.tree.leaves(extreme.position_ned), axis=-1)
+        for name in ("tracking_error_max_m", "tracking_error_max_at_s", "tracking_error_max_position_ned"):
+            found[name] = np.where(replaced[..., None] if name.endswith("ned") else replaced, np.nan, found[name])
         looks, nothing = flight.looks, np.full(np.shape(flight.charge), np.nan)
         for what in CONSISTENCY:
             name = "anees" if what == "every" else f"anees_{what}"

@@ -251,6 +251,12 @@ def _rms(values: Floats, axis: int | tuple[int, ...] = 0) -> Floats:
     return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
+def _without_start(waypoints: Floats, flying: Floats) -> Floats:
+    """Return the waypoints (T, n, 3), NaN for a vehicle that has only that of the start, which a policy replaced."""
+    replaced = np.isfinite(waypoints[1:, :, 2]).sum(axis=0) == 0
+    return np.where((replaced & (np.nansum(flying, axis=0) > 1.0))[:, None], np.nan, waypoints)
+
+
 def summarise(run: Run) -> list[VehicleSummary]:
     """Return one summary per vehicle, in the order of the run's vehicles."""
     position = vectors(run["truth"], "position_ned")
@@ -258,7 +264,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
     [rows] = common_rows(run, "truth")
     distance = np.linalg.norm(np.diff(position[rows], axis=0), axis=-1).sum(axis=0)
     rows, commanded = common_rows(run, "truth", "commands")
-    waypoints = waypoints_of(run, commanded)
+    waypoints = _without_start(waypoints_of(run, commanded), flying[rows])
     radius = radii_of(run, commanded)
     on_legs, on_circles = tracking_error(position[rows], waypoints), circling_error(position[rows], waypoints, radius)
     tracking = _rms(np.where(np.abs(radius) > 0.0, on_circles, on_legs) * flying[rows])

@@ -155,7 +155,7 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
         if not callable(method) or getattr(method, "__isabstractmethod__", False):
             yield (
                 f"class {component.__name__} lacks the method {name}({', '.join(arguments)}) that {_a(kind)} "
-                f"has{_meant(component, name)}"
+                f"has{_meant(component, name, method=True)}"
             )
             continue
         # What belongs to the class is called without an object.
@@ -257,8 +257,12 @@ def _common(kind: str) -> list[str]:
     return sorted(set.intersection(*methods)) if methods else []
 
 
-def _meant(component: type, name: str) -> str:
-    own = [known for known in vars(component) if not known.startswith("_")]
+def _meant(component: type, name: str, method: bool = False) -> str:
+    own = [
+        known
+        for known, value in vars(component).items()
+        if not known.startswith("_") and (callable(value) or not method)
+    ]
     match = nearest(name, own)
     return f"; did you mean that by '{match}'?" if match else ""
 

@@ -298,7 +298,9 @@ def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
         _check_name(target, parts, depth, assignment)
         child = target.setdefault(name, {})
     if not isinstance(child, dict | list):
-        raise UsageError(f"--set {assignment}: {'.'.join(parts[: depth + 1])} is the value {child!r}, it has no parts")
+        hint = "; 'qrsim show' lists the sensors of a set, to save and change" if name == "sensors" else ""
+        where = ".".join(parts[: depth + 1])
+        raise UsageError(f"--set {assignment}: {where} is the value {child!r}, it has no parts{hint}")
     return child
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.errors import warn_user
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.policies import UserFunction, user_function
 from qrsim.interface.readings import Reading
@@ -79,6 +80,11 @@ class Pilot:
         simulation, estimate = self.simulation, None
         if self.policy is not None and simulation.tick % self.policy_ticks == 0:
             self.command = self._call(self.policy)
+            if self.command is None and simulation.tick == 0:
+                warn_user(
+                    f"policy {self.policy.name} returned None at tick 0, so the vehicles fly by the guidance and "
+                    "controllers of the scenario; to fly them, return a command or a set-point"
+                )
         if self.estimator is not None:
             estimate = self._call(self.estimator)
         period = 1 if self.estimator else self.policy_ticks

@@ -117,7 +117,14 @@ BAD = {
         ["line 1", "column 'north' is in km/h; expected m/s"],
     ),
     "missing column": ("time,nort,east,down\n0,1,2,3\n", ["line 1", "no column 'north'", "did you mean 'nort'?"]),
-    "no bearing": ("time,speed,direction\n0,1,2\n1,2,3\n", ["line 1", "no column 'wind_from'"]),
+    "no bearing": (
+        "time,speed,direction\n0,1,2\n1,2,3\n",
+        ["line 1", "no column 'wind_from'; found time, speed, direction; expected"],
+    ),
+    "neither": (
+        "time,v_n,v_e\n0,1,2\n1,2,3\n",
+        ["no column 'north'; found time, v_n, v_e; expected time, north, east or time, speed, wind_from"],
+    ),
     "speed below 0": ("time,speed,wind_from\n0,1,2\n1,-2,3\n", ["column 'speed': -2 m/s; allowed: from 0"]),
     "clock": ("time,north,east\n10:00:01,1,2\n", ["line 2", "'10:00:01'", "give seconds since the start"]),
     "no header": ("0,1,2,3\n1,1,2,3\n", ["line 1", "no column 'time'"]),

@@ -229,8 +229,8 @@ class TestRefused:
             ({"height": np.zeros((3, 3))}, "'north' has shape (21,), 'east' (11,) and 'height' (3, 3); expected (R,)"),
             (
                 {"north": 10.0 * np.arange(-4, 17)},
-                "covers north -40 to 160 and east -100 to 100 m; world.area asks for "
-                "north -50 to 50 and east -40 to 40 m",
+                "covers north -40 to 160 and east -100 to 100 m; world.area needs "
+                "north -50 to 50 and east -40 to 40 m; give a smaller world.area or a larger file",
             ),
             ({"height": without(115)}, "has no height at the site's origin"),
             (
@@ -313,7 +313,7 @@ class TestRefused:
             make_scenario([[0.0, 0.0, -20.0]], ground={"type": "dem", "file": slope(tmp_path)})
         (problem,) = caught.value.problems
         assert problem.startswith("world.ground: ")
-        assert "covers north -100 to 100 and east -100 to 100 m; world.area asks for north -1000 to 1000" in problem
+        assert "covers north -100 to 100 and east -100 to 100 m; world.area needs north -1000 to 1000" in problem
 
     def test_an_unknown_ground_is_named(self):
         with pytest.raises(UsageError, match=r"world\.ground"):

@@ -140,7 +140,7 @@ class Check:
         self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float, picture: Path | None
     ) -> None:
         from qrsim.apps.check.consistency import consistency, print_consistency
-        from qrsim.apps.check.outcomes import margins
+        from qrsim.apps.check.outcomes import UNFINISHED, margins
 
         narrow, consistent = margins(flown), consistency(flown)
         simulated = float(scenario.duration * self.seeds)
@@ -170,6 +170,8 @@ class Check:
         print(
             f"\n{simulated:g} s flown in {wall_s:.1f} s, compiling included ({simulated / wall_s:.0f} times real time)"
         )
+        if any(outcome.name == UNFINISHED and outcome.runs == self.seeds for outcome in found):
+            print(f"no run finished its mission in {scenario.duration:g} s; a longer --duration may be enough")
         worst = found[-1].worst
         if worst is not None:
             again = ["qrsim", "run", self.scenario, "--seed", str(worst.seed)]

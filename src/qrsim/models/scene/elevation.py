@@ -166,7 +166,7 @@ def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, 
     else:
         covered = _extent(found.rows, found.columns, "latitude", "longitude", "deg", ".8g")
         asked = _extent(rows, columns, "latitude", "longitude", "deg", ".8g")
-    raise UsageError(f"{file}: covers {covered}; world.area asks for {asked}")
+    raise UsageError(f"{file}: covers {covered}; world.area needs {asked}; give a smaller world.area or a larger file")
 
 
 def _extent(rows: Float64, columns: Float64, first: str, second: str, unit: str, form: str) -> str:

@@ -171,7 +171,14 @@ def test_the_power_of_a_motor_may_be_voltage_and_current(tmp_path: Path) -> None
             "line 3: column 'thrust_N': 'x' is not a finite number",
         ),
         ("throttle,thrust_N,rpm,power_W\n0.5,5,4000\n", "line 2: 3 fields, the header has 4"),
-        ("throttle,thrust [kg],rpm,power_W\n0.5,5,4000,60\n1,9,6000,200\n", "has no column thrust_N or thrust_g"),
+        (
+            "throttle,thrust [kg],rpm,power_W\n0.5,5,4000,60\n1,9,6000,200\n",
+            "line 1: has no column thrust_N or thrust_g; found throttle, thrust [kg], rpm, power_W",
+        ),
+        (
+            "throttle,thrust_g,rpm,power_W\n0.5,0.5,4000,60\n1,0.9,6000,200\n",
+            "N (thrust_g is in grams, mass in kg)",
+        ),
         ("rpm,rpm\n1,2\n", "line 1: the column 'rpm' is there 2 times"),
         ("a,b\n1,2\n", "line 1: no column is called throttle"),
         (

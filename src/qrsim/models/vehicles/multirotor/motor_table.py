@@ -89,8 +89,7 @@ class MotorTable:
             if quantity == "power" and quantity not in found:
                 raise UsageError("has no column power_W, nor voltage_V and current_A, whose product it is")
             if quantity not in found:
-                names = " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
-                raise UsageError(f"has no column {names}")
+                raise UsageError(f"has no column {_names_of(quantity)}; found {', '.join(columns)}")
         return MotorTable(**found)._checked()
 
     def _checked(self) -> MotorTable:
@@ -126,6 +125,7 @@ class MotorTable:
         if each >= self.thrust[-1]:
             raise UsageError(
                 f"{rotors} motors lift {rotors * self.thrust[-1]:.4g} N at most, and the vehicle weighs {weight:.4g} N"
+                f"{' (thrust_g is in grams, mass in kg)' if weight > 100.0 * rotors * self.thrust[-1] else ''}"
             )
         square = self.speed**2
         coefficient = float(square @ self.thrust / (square @ square))
@@ -174,6 +174,11 @@ class MotorTable:
             )
 
 
+def _names_of(quantity: str) -> str:
+    """Return the names that a column of a quantity can have."""
+    return " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
+
+
 def _columns_of(path: Path) -> dict[str, list[float]]:
     """Read the columns of COLUMNS from a CSV file; other columns are ignored.
 
@@ -192,6 +197,9 @@ def _columns_of(path: Path) -> dict[str, list[float]]:
             file.fail(f"the column '{twice}' is there {names.count(twice)} times")
         if not set(names) & set(COLUMNS):
             file.fail(f"no column is called {', '.join(COLUMNS)}; found {', '.join(file.header)[:80]}")
+        for quantity in ("throttle", "thrust", "speed"):
+            if not any(COLUMNS[name][0] == quantity for name in names if name in COLUMNS):
+                file.fail(f"has no column {_names_of(quantity)}; found {', '.join(file.header)[:80]}")
         found: dict[str, list[float]] = {name: [] for name in names if name in COLUMNS}
         for fields in file:
             for name, field in zip(names, fields, strict=True):
