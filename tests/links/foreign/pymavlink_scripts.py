@@ -130,6 +130,9 @@ class Client:
                 down,
                 lambda north=north, east=east: self.local(0x9F8, north, east, down, 0.0, 0.0, 0.0),  # type: ignore[misc]
             )
+        # LAND stops where the speed lets it: it is to come down where it started.
+        stay = lambda: self.local(0x9F8, 0.0, 0.0, down, 0.0, 0.0, 0.0)  # noqa: E731
+        self.until("LOCAL_POSITION_NED", lambda now: math.hypot(now.x, now.y, now.vx, now.vy) < 1.0, stay)
         assert self.command(M.MAV_CMD_NAV_LAND) == 0
         self.disarmed()
 
