@@ -266,6 +266,7 @@ def _loop(
     view: Watcher | None = None,
     long: bool = False,
 ) -> Pace:
+    """Fly up to a number of ticks in chunks, hand each to ``keep``, and return the pace."""
     chunk = CHUNK_TICKS
     if realtime:
         chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))

@@ -116,12 +116,13 @@ def injectable_of(fleet: FleetSpec) -> InjectableSpec:
     spec = fleet.injectable or InjectableSpec.model_validate({})
     if spec.sensors != [ALL]:
         return spec
-    rotors = [rotor for rotor in spec.rotors if rotor < _rotors_of(fleet)]
+    rotors = [rotor for rotor in spec.rotors if rotor < rotors_of(fleet)]
     battery = spec.battery and bool(known.BATTERIES[fleet.battery.type].drains)
     return spec.model_copy(update={"sensors": list(fleet.sensors), "rotors": rotors, "battery": battery})
 
 
-def _rotors_of(fleet: FleetSpec) -> int:
+def rotors_of(fleet: FleetSpec) -> int:
+    """Return how many rotors a vehicle of a fleet has that could fail; 0 where its model has none of its own."""
     return len(fleet.vehicle.rotors) if issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor) else 0
 
 
@@ -190,7 +191,7 @@ def _injectable_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
     for name in spec.sensors:
         if name not in fleet.sensors:
             yield f"{path}.sensors: no sensor is called '{name}'{did_you_mean(name, fleet.sensors)}"
-    count = _rotors_of(fleet)
+    count = rotors_of(fleet)
     rotors = set(spec.rotors)
     broken = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
     if spec.rotors and not count:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
 from qrsim.files import Content
 from qrsim.files.yaml_text import parse_yaml
-from qrsim.scenarios.faults import vehicle_names
+from qrsim.scenarios.faults import rotors_of, vehicle_names
 from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.simulation.injections import ROTOR_KINDS
 
 LARGEST_BYTES, MOST_ENTRIES = 2**24, 10_000
 
@@ -34,18 +36,22 @@ def with_injections(scenario: Scenario, path: Path) -> Scenario:
             if name not in entry:
                 raise UsageError(f"{where}: {name} is missing")
         target, vehicles = str(entry["target"]), entry.get("vehicles")
+        if vehicles is not None and not (isinstance(vehicles, list) and all(isinstance(one, str) for one in vehicles)):
+            raise UsageError(f"{where}: vehicles: expected a list of names")
+        rotor = re.fullmatch(r"rotor[ _]([0-9]{1,3})", target)
+        if rotor:
+            _check_rotor(where, entry)
         placed = False
         for name, fleet in scenario.spec.fleets.items():
             known = vehicle_names(name, fleet)
             mine = None if vehicles is None else [each for each in vehicles if each in known]
-            if mine == [] or not (target.startswith("rotor") or target in fleet.sensors):
+            if mine == [] or not (int(rotor[1]) < rotors_of(fleet) if rotor else target in fleet.sensors):
                 continue
-            content["fleets"][name]["faults"].append(_fault(target, entry, mine))
+            content["fleets"][name]["faults"].append(_fault(entry, rotor and int(rotor[1]), mine))
             placed = True
         if not placed:
             whom = "" if vehicles is None else f" of {', '.join(map(str, vehicles))}"
-            sensors = sorted({sensor for fleet in scenario.spec.fleets.values() for sensor in fleet.sensors})
-            raise UsageError(f"{where}: there is no target '{target}'{whom}{did_you_mean(target, sensors)}")
+            raise UsageError(f"{where}: there is no target '{target}'{whom}{did_you_mean(target, _targets(scenario))}")
     try:
         return load_scenario(content, quiet=True)
     except ScenarioError as error:
@@ -69,13 +75,29 @@ def _entries(path: Path) -> list[object]:
     return content
 
 
-def _fault(target: str, entry: Content, vehicles: list[str] | None) -> Content:
+def _targets(scenario: Scenario) -> list[str]:
+    """Return what may fail in any fleet."""
+    fleets = scenario.spec.fleets.values()
+    sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
+    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets))))]
+
+
+def _check_rotor(where: str, entry: Content) -> None:
+    """Refuse what is no fault of a rotor: it is off, or weak with a health."""
+    kind = entry["kind"]
+    if kind not in ROTOR_KINDS:
+        raise UsageError(f"{where}: kind '{kind}' does not suit a rotor; allowed: {', '.join(ROTOR_KINDS)}")
+    if (kind == "weak") != ("health" in entry):
+        raise UsageError(
+            f"{where}: health: " + ("missing; kind 'weak' needs it" if kind == "weak" else "only for kind 'weak'")
+        )
+
+
+def _fault(entry: Content, rotor: int | None, vehicles: list[str] | None) -> Content:
     """Return an entry as a fault of a fleet."""
     rest = {name: value for name, value in entry.items() if name not in ("target", "at", "vehicles", "asked_by")}
     chosen = {} if vehicles is None else {"vehicles": vehicles}
-    if not target.startswith("rotor"):
-        return {"sensor": target, "start": entry["at"]} | rest | chosen
-    kind = rest.pop("kind")
-    number = target.replace("_", " ").split()[-1]
-    fault: Content = {"type": "rotor", "rotor": int(number) if number.isdigit() else number, "at": entry["at"]}
-    return fault | ({"health": 0.0} if kind == "off" else {}) | rest | chosen
+    if rotor is None:
+        return {"sensor": entry["target"], "start": entry["at"]} | rest | chosen
+    health = {"health": 0.0} if rest.pop("kind") == "off" else {}
+    return {"type": "rotor", "rotor": rotor, "at": entry["at"]} | health | rest | chosen

@@ -265,7 +265,7 @@ def _judged(self: Any, args: Any, result: Any) -> Iterator[str]:
 def _for_each_fleet(
     task: Any, world: World, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
 ) -> Iterator[str]:
-    """Yield what a check of ``what``, number of agents and value finds; of several fleets in the value of each."""
+    """Yield what ``check(what, agents, value)`` finds: of a task of several fleets for each of them."""
     sizes = {fleet.name: fleet.size for fleet in world.fleets}
     for fleet in task.fleets:
         if fleet not in sizes:

@@ -39,7 +39,10 @@ class _Plan(NamedTuple):
 
 
 def _plan(scenario: ScenarioSpec) -> _Plan | None:
-    """Return what a table is made of; None where none is needed."""
+    """Return walls, grid and lowest mask of the table; None where no receiver or obstacle needs one.
+
+    Of PITCHES it is the first whose table is SMALL, else the last.
+    """
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
     solids = [solid for solid in map(_solid, scenario.world.obstacles) if solid is not None] if masks else []
     if not solids:

@@ -259,7 +259,7 @@ class Page:
             here = self.server.get_clients()
             for viewer in [viewer for number, viewer in list(self.viewers.items()) if number in here]:
                 viewer.plot()
-                viewer.look_up()
+                viewer.send_sky()
         self.drawn += 1
         self._delivery.sent()
 

@@ -84,6 +84,7 @@ class Tape:
             self.frames[-1][1].append(self._item(message))
 
     def _item(self, message: Any) -> Item:
+        """Return the number of the node that a message makes, or the packed message."""
         if message.lifecycle_phase != "create":
             return self._packing.message(message)
         # It is kept, so that no other can have its identity; and written at once, for viser changes it later.

@@ -128,10 +128,10 @@ class Viewer:
             choice.visible = plot.visible = vehicle is not None
             plot.series = self._series()
         self.plot()
-        self.look_up()
+        self.send_sky()
 
-    def look_up(self) -> None:
-        """Tell the browser of the sky over the chosen vehicle, if that is news."""
+    def send_sky(self) -> None:
+        """Send the satellites over the chosen vehicle to the browser, if they have changed."""
         vehicle = self.choice.vehicle
         found = [] if vehicle is None else self._sky(vehicle)
         now = told(self._name, found)

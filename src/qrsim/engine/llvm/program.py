@@ -178,6 +178,7 @@ class Draft:
         self._place()
 
     def _place(self) -> None:
+        """Give each stored value its memory: of the prologue for good, of the body until it is read last."""
         # These live through all ticks, so none of their places is given back.
         for node in all_nodes(self.prologue):
             if node.number in self.stored and node.number not in self.in_place:

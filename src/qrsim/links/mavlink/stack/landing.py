@@ -80,7 +80,10 @@ class Descent:
         return order, False
 
     def _touches(self, craft: Craft, share: float) -> bool:
-        """Return whether a vehicle at landing speed may have a foot on the ground; ``share``: of its faster descent."""
+        """Return whether a foot may be on the ground: at landing speed for a while, and held above its path.
+
+        Below LOW the while is none. ``share``: 0 at landing speed, 1 at that of its faster descent.
+        """
         seen = craft.seen
         if share > 0.0 or not craft.flies:
             self._slow_since = None

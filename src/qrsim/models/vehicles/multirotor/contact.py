@@ -115,7 +115,10 @@ def touch(
 def _friction(
     contact: Contact, brush: Brush, slides: tuple[Array, Array], bears: Array, quickest: float
 ) -> tuple[Brush, Brush]:
-    """Return the friction of a point that slides north and east [m/s], as a fraction, and the slope of its bristles."""
+    """Return the friction of a point that slides north and east [m/s], and how fast its bristles bend [1/s].
+
+    The friction is a part of its largest, north and east, at most 1 together. ``bears``: the ground carries the point.
+    """
     north, east = slides
     speed = jnp.sqrt(jnp.maximum(north * north + east * east, 1e-30))
     per_way = 1.0 / jnp.maximum(contact.bristle, speed * quickest)

@@ -1,0 +1,87 @@
+"""Files of injections: what becomes of them, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from qrsim.errors import UsageError
+from qrsim.scenarios.injection_file import with_injections
+from qrsim.scenarios.scenario import Scenario, load_scenario
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    content: dict[str, Any] = {"name": "two", "duration": 60.0, "fleets": {}}
+    for name, vehicle in (("quad", {"type": "multirotor", "model": "x500"}), ("plain", {"type": "pelican"})):
+        place = [0.0, 0.0 if name == "quad" else 30.0, -20.0]
+        content["fleets"][name] = {
+            "vehicle": vehicle,
+            "sensors": {"gnss": {"type": "ideal_gnss"}, f"baro_{name}": {"type": "barometer"}},
+            "controller": {"type": "cascade", "feed": "truth"},
+            "vehicles": [{"position_ned": place}],
+        }
+    return load_scenario(content, quiet=True)
+
+
+def injected(scenario: Scenario, text: str, folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return the faults of each fleet, of what is given."""
+    (folder / "faults.yaml").write_text(text)
+    found = with_injections(scenario, folder / "faults.yaml")
+    return {
+        name: [fault.model_dump(exclude_unset=True, exclude_none=True) for fault in fleet.faults]
+        for name, fleet in found.spec.fleets.items()
+    }
+
+
+def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenario, tmp_path: Path) -> None:
+    text = """
+    - {target: gnss, kind: off, at: 20, end: 30}
+    - {target: baro_plain, kind: drift, field: height, rate: 0.5, at: 10, asked_by: python}
+    - {target: rotor 1, kind: weak, health: 0.6, at: 5}
+    - {target: rotor_3, kind: 'off', at: 8, vehicles: [quad_0]}
+    """
+    off = {"sensor": "gnss", "kind": "off", "start": 20.0, "end": 30.0}
+    assert injected(scenario, text, tmp_path) == {
+        "quad": [
+            off,
+            {"type": "rotor", "rotor": 1, "at": 5.0, "health": 0.6},
+            {"type": "rotor", "rotor": 3, "at": 8.0, "health": 0.0, "vehicles": ["quad_0"]},
+        ],
+        "plain": [off, {"sensor": "baro_plain", "kind": "drift", "field": "height", "rate": 0.5, "start": 10.0}],
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- {target: gnsss, kind: off, at: 2}", "entry 1: there is no target 'gnsss'; did you mean 'gnss'?"),
+        ("- {target: gnss, kind: off}", "entry 1: at is missing"),
+        ("- {target: rotor 4, kind: off, at: 2}", "entry 1: there is no target 'rotor 4'"),
+        ("- {target: rotor 1, kind: weak, at: 2}", "entry 1: health: missing; kind 'weak' needs it"),
+        ("- {target: rotor 1, kind: off, health: 0.6, at: 2}", "entry 1: health: only for kind 'weak'"),
+        ("- {target: rotor 1, kind: drift, at: 2}", "entry 1: kind 'drift' does not suit a rotor; allowed: off, weak"),
+        ("- {target: gnss, kind: off, at: 2, vehicles: [nobody]}", "there is no target 'gnss' of nobody"),
+        ("- {target: gnss, kind: off, at: 2, vehicles: nobody}", "entry 1: vehicles: expected a list of names"),
+        (
+            "- {target: gnss, kind: drift, at: 2, field: position_ned.x}",
+            "faults.0.rate: missing; kind 'drift' needs it",
+        ),
+        ("- {target: gnss, kind: off, at: 61}", "faults.0.start: 61 s is not within the run"),
+        ("- gnss", "entry 1: expected target, kind, at and the like, not str"),
+        ("target: gnss", "expected a list of injections, not dict"),
+        ("- {" * 300, "faults.yaml"),
+    ],
+)
+def test_what_is_refused(scenario: Scenario, tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        injected(scenario, text, tmp_path)
+    assert message in str(caught.value)
+
+
+def test_a_file_that_is_not_there_names_the_nearest(scenario: Scenario, tmp_path: Path) -> None:
+    (tmp_path / "faults.yaml").write_text("[]")
+    with pytest.raises(UsageError, match=r"No such file or directory; did you mean 'faults.yaml'\?"):
+        with_injections(scenario, tmp_path / "fault.yaml")
