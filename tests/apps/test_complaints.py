@@ -23,7 +23,7 @@ from qrsim.cli import main
             "qrsim run: --duration: '2x' is no time; expected seconds, or a number with a unit",
         ),
         ("check", "qrsim check: SCENARIO is missing: Name (see 'qrsim list') or YAML file"),
-        ("compare a", "qrsim compare: RUN_B is missing: Another one"),
+        ("compare a", "qrsim compare: RUN_B is missing: Run folder to compare with"),
         ("openloop a.csv b.csv", "qrsim openloop: --units {raw,si} is missing: Units of the commands"),
         ("autopilot", "qrsim autopilot: expected a command: betaflight, ardupilot"),
         ("autopilot betaflight --scenari x", "qrsim autopilot betaflight: no such option '--scenari'"),

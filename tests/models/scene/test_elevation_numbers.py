@@ -130,7 +130,7 @@ def test_a_box_must_be_covered_but_for_a_millionth_of_a_cell(tmp_path: Path) -> 
             (0.0, 20.0, 0.0, 20.0 + off),
         ):
             if refused:
-                with pytest.raises(UsageError, match=r"covers .* asks for"):
+                with pytest.raises(UsageError, match=r"covers .* needs"):
                     landscape(file, "local", Site(), (0.0, 0.0), 0.0, box)
             else:
                 landscape(file, "local", Site(), (0.0, 0.0), 0.0, box)

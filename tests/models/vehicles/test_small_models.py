@@ -146,12 +146,15 @@ def test_the_throttle_of_a_curve_is_the_root_of_its_polynomial() -> None:
 
 
 def test_a_rotor_without_a_fault_turns_as_fast_as_it_is_told() -> None:
-    """A fault of the second of two vehicles from tick 10 on, of which the autopilot knows at 15."""
-    fault = RotorFault(jnp.int32(10), jnp.int32(15), jnp.asarray([False, True]), jnp.asarray(0.3), 2)
+    """A fault of the second of two vehicles from tick 10 to 20, of which the autopilot knows 5 ticks later."""
+    ticks = (jnp.int32(10), jnp.int32(5), jnp.int32(20))
+    fault = RotorFault(*ticks, jnp.asarray([False, True]), jnp.asarray(0.3), 2)
     for tick, health, known in (
         (9, [1.0, 1.0], [False, False]),
         (10, [1.0, 0.3], [False, False]),
         (15, [1.0, 0.3], [False, True]),
+        (19, [1.0, 0.3], [False, True]),
+        (20, [1.0, 1.0], [False, False]),
     ):
         ((rotor, left, knows),) = failed_rotors((fault,), jnp.int32(tick))
         assert rotor == 2

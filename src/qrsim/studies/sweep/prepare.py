@@ -14,6 +14,7 @@ from qrsim.studies.sweep.axes import COUNT, Axis, apply, axes_of
 from qrsim.studies.sweep.groups import Group, faults, make_group, same_structure, scenario_at
 from qrsim.studies.sweep.plan import Plan, choices
 from qrsim.studies.sweep.study import BASELINE, Study
+from qrsim.studies.sweep.varying import Condition
 
 MOST_LISTED = 5
 SPEED, GUST = "world.wind.speed", "world.wind.gust"
@@ -51,9 +52,10 @@ def plan_of(study: Study) -> Plan:
 
 def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
     """Warn of a forecast whose speed varies while its gust, and so the sum of both, stays."""
-    varied = {
-        path for axis in axes for value in axis.values or (None,) for path in getattr(value, "settings", (axis.path,))
-    }
+    varied = {axis.path for axis in axes}
+    for axis in axes:
+        for value in axis.values or ():
+            varied |= set(value.settings) if isinstance(value, Condition) else set()
     wind = study.content.get("world", {}).get("wind")
     gust = wind.get("gust") if isinstance(wind, dict) else None
     if SPEED in varied and GUST not in varied and gust is not None:
