@@ -31,18 +31,20 @@ def blocks(language: str) -> list[tuple[str, str]]:
     return found
 
 
+# What these do is tested elsewhere in less time.
+DEAR = ("docs/gallery/learn_to_hover.md-1", "docs/gallery/winds.md-1")
 # Pages whose Python blocks belong together, in their order.
 TOGETHER = ("docs/start/field_day.md",)
 
 
 def examples(language: str) -> list[Any]:
-    """Return a case for every example; those beyond the README take long."""
+    """Return a case for every example; those beyond the README take long, some very long."""
     cases, each = [], blocks(language)
     for page in TOGETHER if language == "python" else ():
         whole = "\n".join(text for name, text in each if name.startswith(f"{page}-"))
         each = [(name, text) for name, text in each if not name.startswith(f"{page}-")] + [(page, whole)]
     for name, text in each:
-        marks = () if name.startswith("README") else (pytest.mark.long,)
+        marks = () if name.startswith("README") else (pytest.mark.nightly if name in DEAR else pytest.mark.long,)
         cases.append(pytest.param(name, text, id=name, marks=marks))
     return cases
 
