@@ -1,16 +1,17 @@
-"""The part of a simulation that lets things fail while it flies, and changes its wind."""
+"""The part of a simulation whose parameters change while it flies: wind, and what fails."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from qrsim.core.tree import field_info, replace
+from qrsim.engine.layout import Packer
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.atmosphere.wind_series import VeeringShear
@@ -24,6 +25,7 @@ from qrsim.simulation.injections import (
     last_tick,
     without_faults,
 )
+from qrsim.simulation.one_world import OneWorld
 from qrsim.world.state import World
 
 
@@ -36,6 +38,8 @@ class Injecting(Alone):
 
     world: World
     tick: int
+    precision_context: Callable[[], Any]
+    _ticks: OneWorld
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,9 +47,17 @@ class Injecting(Alone):
         self._count = 0
         self._asked: tuple[int, int] = (-1, 0)
 
+    @alone
     def change_world(self, world: World) -> None:
-        """Change parameters from the next tick on."""
-        raise NotImplementedError
+        """Change parameters from the next tick on; nothing is recompiled.
+
+        Raises:
+            UsageError: something else than numbers differs.
+        """
+        if Packer(world) != self._ticks.layout:
+            raise UsageError("world: it differs in more than numbers from the one that flies; make another Simulation")
+        with self.precision_context():
+            self.world, self._ticks = world, OneWorld(world)
 
     @alone
     def inject(

@@ -303,18 +303,6 @@ class Simulation(Radios, Injecting, Tabled):
             self.tick, self.seed, self.number = saved.tick, saved.seed, saved.number
         return self.reading
 
-    @alone
-    def change_world(self, world: World) -> None:
-        """Change parameters from the next tick on; nothing is recompiled.
-
-        Raises:
-            UsageError: something else than numbers differs.
-        """
-        if Packer(world) != self._ticks.layout:
-            raise UsageError("world: it differs in more than numbers from the one that flies; make another Simulation")
-        with self.precision_context():
-            self.world, self._ticks = world, OneWorld(world)
-
     def _fingerprint(self) -> str:
         ticks = OneWorld(without_faults(self.world)) if self._injections else self._ticks
         return fingerprint(ticks.layout, ticks.parameters)

@@ -169,6 +169,11 @@ class Craft:
         """Begin a path at where the vehicle is."""
         self.path.begin(self.seen.position_ned, self.seen.velocity_ned)
 
+    def stopping_place(self) -> Triple:
+        """Return where it stops at once, not lower than it is: the path of a landing leads below the ground."""
+        stop = self.path.stop(self.parameters.values["MPC_ACC_HOR"])
+        return stop[0], stop[1], min(stop[2], self.seen.position_ned[2])
+
     def go(self, goal: Triple, speeds: Triple | None = None, beyond: float = 0.0, along: Triple = STANDS) -> Order:
         """Move on to a place; straight up first where it has just left the ground.
 

@@ -145,13 +145,10 @@ class Flight:
 
     def _hold(self) -> tuple[Order | None, bool]:
         """Return the order to stay at a place, which lands hardly above the ground, and whether it has landed."""
-        craft, here = self.craft, self.craft.seen.position_ned
+        craft = self.craft
         if not craft.flies and craft.seen.on_ground:
             return craft.idle(), False
-        if self._goal is None:
-            stop = craft.path.stop(self.parameters["MPC_ACC_HOR"])
-            # The path of a landing leads below the ground.
-            self._goal = (stop[0], stop[1], min(stop[2], here[2]))
+        self._goal = self._goal or craft.stopping_place()
         if craft.flies and self._goal[2] > craft.stood_z - TAKES_OFF:
             return self._descent.fly(craft, self._goal)
         return craft.go(self._goal), False
@@ -174,8 +171,7 @@ class Flight:
         return self._loiters
 
     def _take_off(self) -> Order | None:
-        craft = self.craft
-        here = craft.seen.position_ned
+        craft, here = self.craft, self.craft.seen.position_ned
         if self._goal is None:
             self._goal = (here[0], here[1], craft.home_z - self.parameters["MIS_TAKEOFF_ALT"])
         if abs(self._goal[2] - here[2]) < TAKEN_OFF and craft.flies:
