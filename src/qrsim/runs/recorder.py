@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from qrsim.errors import RunError
+from qrsim.errors import RunError, warn_user
 from qrsim.interface.crowds import warn_of_overfull
 from qrsim.runs import RunInfo, RunWriter
 from qrsim.runs.layout import check_every
@@ -222,6 +222,13 @@ def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Itera
 def _pilot(simulation: Simulation, policy: object, estimator: object, policy_ticks: int) -> Pilot:
     # Imported here, because most runs have none.
     from qrsim.simulation.pilot import Pilot
+
+    own = [fleet.name for fleet in simulation.world.fleets if fleet.estimator is not None]
+    if estimator is not None and own:
+        warn_user(
+            f"estimator: yours feeds the controllers, but the log's estimate is that of fleets.{own[0]}.estimator, which "
+            f"runs along; --set fleets.{own[0]}.estimator=null logs yours"
+        )
 
     return Pilot(simulation, policy, estimator, policy_ticks)
 
