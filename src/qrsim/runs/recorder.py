@@ -226,8 +226,8 @@ def _pilot(simulation: Simulation, policy: object, estimator: object, policy_tic
     own = [fleet.name for fleet in simulation.world.fleets if fleet.estimator is not None]
     if estimator is not None and own:
         warn_user(
-            f"estimator: yours feeds the controllers, but the log's estimate is that of fleets.{own[0]}.estimator, which "
-            f"runs along; --set fleets.{own[0]}.estimator=null logs yours"
+            f"estimator: yours feeds the controllers, but the log's estimate is that of fleets.{own[0]}.estimator, "
+            f"which runs along; --set fleets.{own[0]}.estimator=null logs yours"
         )
 
     return Pilot(simulation, policy, estimator, policy_ticks)
