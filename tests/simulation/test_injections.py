@@ -65,7 +65,7 @@ def entries() -> list[dict[str, Any]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.nightly)])
 def test_live_is_scheduled_is_saved_and_flown_on(precision: str) -> None:
     """To the bit; and of two other vehicles nothing changes."""
     plain = qrsim.load(scenario(), seed=4, precision=precision)
