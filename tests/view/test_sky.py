@@ -63,12 +63,12 @@ def test_a_browser_is_told_what_is_new_of_whom_it_has_chosen(page: Page, monkeyp
         assert told == []
         viewer.choose(1)
         for _ in range(10):
-            viewer.look_up()
+            viewer.send_sky()
         assert told == [{"vehicle": "b", "satellites": [("G05", 90, 30, 45, 1)]}]
         viewer.choose(2)
         viewer.choose(0)
         assert [None if content is None else content["vehicle"] for content in told] == ["b", "c", None]
-        viewer.look_up()
+        viewer.send_sky()
         assert len(told) == 3
 
 
