@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,11 @@ def test_live_is_scheduled_is_saved_and_flown_on(precision: str) -> None:
     other.load(saved)
     assert [one.target for one in other.injected] == [one[0] for one in FAULTS[3:4]] or len(other.injected)
     np.testing.assert_array_equal(flown(other, 1)[0], said[25])
+    copied = pickle.loads(pickle.dumps(other.injected))
+    assert [one.target for one in copied] == [one.target for one in other.injected]
+    other.clear()
+    # Once they are cleared, a state is one of this scenario again.
+    qrsim.load(scenario(ALL), seed=4, precision=precision).load(other.save())
     other.reset()
     assert len(other.injected) == 0
     np.testing.assert_array_equal(flown(other, 20), nothing[:20])
@@ -168,9 +174,11 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("gnss", "drift", {"field": "position_ned.x", "rate": float("nan")}, "rate: nan; allowed: a finite number"),
         ("gnss", "drift", {"field": "height", "rate": 1.0}, "field: the sensor does not report 'height'"),
         ("gnss", "noisy", {"field": "position_ned", "std": "1"}, "std: '1'; allowed: a number"),
+        ("gnss", "wrong", {"field": "position_ned", "bias": 10**400}, "bias: 1000"),
         ("gnss", "off", {"bia": 2.0}, "bia: there is no such number; did you mean 'bias'?"),
         ("gnss", "off", {"bias": 2.0}, "bias: only for kind 'wrong', not 'off'"),
         ("gnss", "slow", {"every": 0}, "every: 0; allowed: 1 to 1e+06"),
+        ("gnss", "intermittent", {"share": 0.9, "on": 3.0}, "share: kind 'intermittent' needs it alone, or on and off"),
         ("gnss", "intermittent", {"share": -0.1}, "share: -0.1; allowed: 0 to 1"),
         ("gnss", "delayed", {"by": 3.0}, "by: 3 s; allowed: at most 0.4 s, injectable.delay_max of the scenario"),
     ],
@@ -202,6 +210,10 @@ def test_requests_at_a_bad_time_or_too_many() -> None:
     simulation.clear("baro")
     simulation.clear("baro")
     assert len(simulation.injected) == 0
+    with pytest.raises(UsageError, match="no vehicle is called 'uav_7'"):
+        simulation.clear("baro", vehicles="uav_7")
+    with pytest.raises(UsageError, match="kind 'ok' ends a fault at once"):
+        simulation.inject("baro", "ok", duration=1.0)
     with pytest.raises(UsageError, match="did you mean 'baro'"):
         simulation.clear("baroo")
 

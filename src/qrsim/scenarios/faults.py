@@ -35,6 +35,8 @@ from qrsim.world.state import period_ticks
 
 # An autopilot that looks at its motors' currents or speeds knows of a failed rotor after so long [s].
 NOTICED_S = 0.1
+# Readings that a delay keeps at most; each is part of what is compiled.
+MOST_READINGS = 50
 
 
 def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
@@ -135,7 +137,11 @@ def slots(
     for name in spec.sensors:
         fields = tuple(reading_fields(fleet.sensors[name].type))
         ticks = period_ticks(fleet.sensors[name].period, dt)
-        sensors.append(empty_slot(count, name, fields, ticks, dt, math.ceil(spec.delay_max / dt / ticks - 1e-6)))
+        sensors.append(
+            empty_slot(
+                count, name, fields, ticks, dt, min(MOST_READINGS, math.ceil(spec.delay_max / dt / ticks - 1e-6))
+            )
+        )
     broken = tuple(RotorFault.empty(count, rotor, _tick(NOTICED_S, dt)) for rotor in spec.rotors)
     return tuple(sensors), broken, BatteryFault.empty(count) if spec.battery else None
 
@@ -244,3 +250,6 @@ def _problems(path: str, fault: FaultSpec, fleet: FleetSpec) -> Iterator[str]:
         return
     for name, problem in number_problems(fault.kind, fault.field, _given(fault), fields):
         yield f"{path}.{name}: {problem}"
+    period = fleet.sensors[fault.sensor].period
+    if (fault.by or 0.0) > MOST_READINGS * period:
+        yield f"{path}.by: {fault.by:g} s; allowed: at most {MOST_READINGS * period:g} s, {MOST_READINGS} readings"

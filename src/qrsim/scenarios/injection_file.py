@@ -41,14 +41,19 @@ def with_injections(scenario: Scenario, path: Path) -> Scenario:
         rotor = re.fullmatch(r"rotor[ _]([0-9]{1,3})", target)
         if rotor:
             _check_rotor(where, entry)
-        placed = False
+        placed, placed_all = False, set[str]()
         for name, fleet in scenario.spec.fleets.items():
             known = vehicle_names(name, fleet)
             mine = None if vehicles is None else [each for each in vehicles if each in known]
+            placed_all = placed_all.union(mine or ())
             if mine == [] or not (int(rotor[1]) < rotors_of(fleet) if rotor else target in fleet.sensors):
                 continue
             content["fleets"][name]["faults"].append(_fault(entry, rotor and int(rotor[1]), mine))
             placed = True
+        unknown = [one for one in vehicles or () if one not in placed_all]
+        if unknown:
+            everybody = [one for name, fleet in scenario.spec.fleets.items() for one in vehicle_names(name, fleet)]
+            raise UsageError(f"{where}: no vehicle is called '{unknown[0]}'{did_you_mean(unknown[0], everybody)}")
         if not placed:
             whom = "" if vehicles is None else f" of {', '.join(map(str, vehicles))}"
             raise UsageError(f"{where}: there is no target '{target}'{whom}{did_you_mean(target, _targets(scenario))}")
@@ -98,6 +103,6 @@ def _fault(entry: Content, rotor: int | None, vehicles: list[str] | None) -> Con
     rest = {name: value for name, value in entry.items() if name not in ("target", "at", "vehicles", "asked_by")}
     chosen = {} if vehicles is None else {"vehicles": vehicles}
     if rotor is None:
-        return {"sensor": entry["target"], "start": entry["at"]} | rest | chosen
+        return rest | chosen | {"sensor": entry["target"], "start": entry["at"]}
     health = {"health": 0.0} if rest.pop("kind") == "off" else {}
-    return {"type": "rotor", "rotor": rotor, "at": entry["at"]} | health | rest | chosen
+    return health | rest | chosen | {"type": "rotor", "rotor": rotor, "at": entry["at"]}

@@ -12,9 +12,10 @@ import numpy as np
 
 from qrsim.core.tree import field_info, replace
 from qrsim.engine.layout import Packer
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.atmosphere.wind_series import VeeringShear
+from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.injections import (
     MOST_AT_ONCE,
@@ -22,7 +23,9 @@ from qrsim.simulation.injections import (
     Injection,
     first_tick,
     injected,
+    is_number,
     last_tick,
+    plain_target,
     without_faults,
 )
 from qrsim.simulation.one_world import OneWorld
@@ -90,6 +93,9 @@ class Injecting(Alone):
         Raises:
             UsageError: it cannot be injected; nothing has changed.
         """
+        target = plain_target(target)
+        if kind == "ok" and (at is not None or duration is not None):
+            raise UsageError("at, duration: kind 'ok' ends a fault at once; use 'duration' of the fault itself")
         if self._asked == (self.tick, MOST_AT_ONCE):
             raise UsageError(f"inject: at most {MOST_AT_ONCE} faults in one tick")
         dt = self.world.time_step
@@ -116,6 +122,11 @@ class Injecting(Alone):
             UsageError: there is no such target or vehicle.
         """
         names = [vehicles] if isinstance(vehicles, str) else vehicles
+        known = [name for fleet in self.world.fleets for name in fleet.vehicle_names]
+        for name in names or ():
+            if name not in known:
+                raise UsageError(f"vehicles: no vehicle is called '{name}'{did_you_mean(name, known)}")
+        what = plain_target(what) if isinstance(what, str) else what
         chosen = [one for one in self._injections if what is None or what in (one.id, one.target)]
         if isinstance(what, str) and not chosen:
             injected(self.world, what, "ok", names, (0, 0), {})
@@ -146,7 +157,7 @@ class Injecting(Alone):
         """
         most = wind_limit(self.world)
         for name, value, allowed in (("speed", speed, f"0 to {most:g} m/s"), ("from_deg", from_deg, "a finite number")):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            if not is_number(value) or not math.isfinite(value):
                 raise UsageError(f"{name}: {value!r}; allowed: {allowed}")
         if not 0.0 <= speed <= most:
             raise UsageError(f"speed: {speed:g} m/s; allowed: 0 to {most:g} m/s")
@@ -186,10 +197,12 @@ class Injecting(Alone):
         try:
             for entry in json.loads(text):
                 one = Injection(**entry | {"vehicles": tuple(entry["vehicles"])})
-                ticks = (int(one.start_tick), int(one.end_tick))
+                if not all(type(number) is int and 0 <= number <= LAST_TICK for number in one.counts):
+                    raise ValueError
+                ticks = (one.start_tick, one.end_tick)
                 world, _ = injected(world, one.target, one.kind, one.vehicles, ticks, one.numbers)
                 kept.append(one)
-        except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             raise UsageError("saved state: its injected faults are damaged") from None
         if kept or self._injections:
             self._take(world)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultSlot
 from qrsim.models.vehicles.faults import BatteryFault, RotorFault
 from qrsim.world.state import Fleet, World
 
-# What may be injected in one tick.
+# Longer times are none [s]. What may be injected in one tick.
+LONGEST_S = 1e9
 MOST_AT_ONCE = 64
 ROTOR_KINDS, BATTERY_KINDS = ("off", "weak"), ("drop",)
 
@@ -52,6 +54,11 @@ class Injection:
     numbers: Mapping[str, Any] = field(default_factory=dict)
     asked_by: str = "python"
 
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Its number and ticks."""
+        return self.id, self.start_tick, self.end_tick
+
 
 class Injected(Tabled, tuple[Injection, ...]):
     """The injections that are there, or to come, as a table."""
@@ -63,6 +70,9 @@ class Injected(Tabled, tuple[Injection, ...]):
         return made
 
     time_step: float
+
+    def __getnewargs__(self) -> tuple[object, ...]:
+        return tuple(self), self.time_step
 
     def _table(self) -> Table:
         def seconds(tick: int) -> str:
@@ -145,10 +155,10 @@ def targets_of(fleet: Fleet) -> list[str]:
 
 
 def _slot(fleet: Fleet, target: str) -> bool:
-    return _plain(target) in targets_of(fleet)
+    return plain_target(target) in targets_of(fleet)
 
 
-def _plain(target: str) -> str:
+def plain_target(target: str) -> str:
     """Return a target as it is called here: ``rotor_2`` is ``rotor 2``."""
     return target.replace("_", " ") if target.startswith("rotor_") else target
 
@@ -175,7 +185,7 @@ def _with_fault(
     numbers: Mapping[str, Any],
     dt: float,
 ) -> Fleet:
-    target = _plain(target)
+    target = plain_target(target)
     for place, slot in enumerate(fleet.fault_slots):
         if slot.sensor == target:
             changed = _sensor_fault(slot, kind, chosen, ticks, numbers, dt)
@@ -197,14 +207,15 @@ def _sensor_fault(
     slot: FaultSlot, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any], dt: float
 ) -> FaultSlot:
     if kind == "ok":
-        return replace(slot, affected=slot.affected & ~chosen)
+        empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
+        return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, empty)
     if kind not in KINDS and kind not in OLD_NAMES:
         raise UsageError(f"kind: '{kind}' is not known{did_you_mean(kind, KINDS)}")
     for name in numbers:
         if name not in (*NAMES, "field"):
             raise UsageError(f"{name}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")
     for name, value in numbers.items():
-        if name != "field" and (isinstance(value, bool) or not isinstance(value, int | float)):
+        if name != "field" and (not is_number(value)):
             raise UsageError(f"{name}: {value!r}; allowed: a number")
     given = {name: value for name, value in numbers.items() if name != "field"}
     part = numbers.get("field")
@@ -231,7 +242,8 @@ def _rotor_fault(
     slot: RotorFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
 ) -> RotorFault:
     if kind == "ok":
-        return replace(slot, affected=slot.affected & ~chosen)
+        empty = replace(RotorFault.empty(len(chosen), slot.rotor, slot.noticed_ticks), noticed_ticks=slot.noticed_ticks)
+        return map_tree(lambda old, new: _put(old, chosen, new[chosen]) if np.ndim(old) else old, slot, empty)
     if kind not in ROTOR_KINDS:
         raise UsageError(f"kind: '{kind}' does not suit a rotor; allowed: {', '.join(ROTOR_KINDS)}, ok")
     health = _share(numbers, "health", kind, 0.0 if kind == "off" else None)
@@ -248,7 +260,7 @@ def _battery_fault(
     slot: BatteryFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
 ) -> BatteryFault:
     if kind == "ok":
-        return replace(slot, affected=slot.affected & ~chosen)
+        return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, BatteryFault.empty(len(chosen)))
     if kind not in BATTERY_KINDS:
         raise UsageError(f"kind: '{kind}' does not suit a battery; allowed: {', '.join(BATTERY_KINDS)}, ok")
     charge = _share(numbers, "charge", kind, None)
@@ -270,9 +282,17 @@ def _share(numbers: Mapping[str, Any], name: str, kind: str, default: float | No
     value = numbers.get(name, default)
     if value is None:
         raise UsageError(f"{name}: missing; kind '{kind}' needs it, 0 to 1")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+    if not is_number(value) or not 0.0 <= value <= 1.0:
         raise UsageError(f"{name}: {value!r}; allowed: 0 to 1")
     return float(value)
+
+
+def is_number(value: Any) -> bool:
+    """Return whether something is a number, of NumPy's too, that a float holds."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return False
+    size: Any = abs(value)
+    return not size >= 1e300
 
 
 def _put(array: Any, chosen: Any, value: Any) -> Any:
@@ -286,7 +306,7 @@ def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
     """Return the tick at which something asked for at a time [s] happens, rounded up; None: as soon as it can."""
     if seconds is None:
         return now + soonest
-    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not math.isfinite(seconds):
+    if not is_number(seconds) or not abs(seconds) < LONGEST_S:
         raise UsageError(f"at: {seconds!r}; allowed: a time [s], or None for now")
     tick = math.ceil(seconds / dt - 1e-6)
     if tick < now + soonest:
@@ -298,22 +318,6 @@ def last_tick(duration: float | None, start: int, dt: float) -> int:
     """Return the first tick after something that lasts for so long [s]; None: for good."""
     if duration is None:
         return LAST_TICK
-    if isinstance(duration, bool) or not isinstance(duration, int | float) or not 0.0 < duration < math.inf:
+    if not is_number(duration) or not 0.0 < duration < LONGEST_S:
         raise UsageError(f"duration: {duration!r}; allowed: a time above 0 s, or None for good")
     return min(start + max(1, math.ceil(duration / dt - 1e-6)), LAST_TICK)
-
-
-def entries(injections: Sequence[Injection], dt: float) -> Iterator[dict[str, Any]]:
-    """Yield injections as a scenario or a file writes them."""
-    for one in injections:
-        times = {"at": round(one.start_tick * dt, 9)}
-        if one.end_tick < LAST_TICK:
-            times["end"] = round(one.end_tick * dt, 9)
-        yield {
-            "target": one.target,
-            "kind": one.kind,
-            "vehicles": list(one.vehicles),
-            **times,
-            **one.numbers,
-            "asked_by": one.asked_by,
-        }

@@ -27,7 +27,7 @@ from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.models.vehicles.rover.planar import Drives
-from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
+from qrsim.scenarios.catalogue import BATTERIES, CONTROLLERS, VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
 
@@ -60,10 +60,15 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
             fleet["injectable"] = {"sensors": "all", "rotors": "all", "battery": True, "delay_max": DELAY_MAX}
             continue
         spec = fleet["injectable"] or {}
-        sensors = [name for name in fleet["sensors"] if name in {*names, *spec.get("sensors", [])}]
-        fleet["injectable"] = spec | {"sensors": sensors}
-        fleet["injectable"] |= {"rotors": "all"} if "rotors" in names else {}
-        fleet["injectable"] |= {"battery": True} if "battery" in names else {}
+        before = spec.get("sensors", [])
+        sensors = [name for name in fleet["sensors"] if before == ["all"] or name in {*names, *before}]
+        more: dict[str, Any] = {"sensors": sensors}
+        # Of what a fleet does not have nothing can fail.
+        if "rotors" in names and issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor):
+            more["rotors"] = "all"
+        if "battery" in names and BATTERIES[fleet["battery"]["type"]].drains:
+            more["battery"] = True
+        fleet["injectable"] = spec | more
 
 
 def prepared(scenario: Scenario, injectable: Sequence[str] = ()) -> Scenario:

@@ -44,6 +44,8 @@ class Restarts:
             if not why:
                 self._due.pop(row, None)
                 system.restart()
+                # What was injected ends with the boot, as in PX4.
+                self._simulation.clear(vehicles=system.name)
             elif asked:
                 system.text(Text(Severity.WARNING, why))
             else:

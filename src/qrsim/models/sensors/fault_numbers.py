@@ -77,8 +77,10 @@ def number_problems(
             yield name, f"missing; kind '{word}' needs it"
     if word in ("wrong", "biased") and not {"bias", "scale"} & set(said):
         yield "bias", f"missing; kind '{word}' needs it" + (", or scale" if word == "wrong" else "")
-    if word == "intermittent" and not ("share" in said or {"on", "off"} <= set(said)):
-        yield "share", "missing; kind 'intermittent' needs it, or on and off"
+    if word == "intermittent" and set(said) not in ({"share"}, {"on", "off"}):
+        yield "share", "kind 'intermittent' needs it alone, or on and off"
+    if word == "intermittent" and said.get("on", 1.0) + said.get("off", 1.0) <= 0.0:
+        yield "on", "on and off are both 0 s"
     if not takes.field:
         if field is not None:
             yield "field", f"only for kinds of one field, not '{word}'"
@@ -112,8 +114,9 @@ def fault_numbers(
     scale = 0.0 if kind == "garbage" else number("scale", 1.0)
     amounts = tuple(amount.get(kind, 0.0) if name in chosen else 0.0 for name in fields)
     scales = tuple(scale if name in chosen else 1.0 for name in fields)
+    # A delay is a whole number of readings, and at least as long as asked for; so are the parts of a turn.
     counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
-    every, late, on, off = (np.array(round(count), np.int32) for count in counts)
+    every, late, on, off = (np.array(math.ceil(count - 1e-6), np.int32) for count in counts)
     parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]
     return record_of(FaultNumbers, *parts)
 

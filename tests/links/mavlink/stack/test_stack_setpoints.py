@@ -413,3 +413,47 @@ def test_the_fence_ends_guided_while_set_points_come():
     # LOITER, inside.
     assert puppet.stack.heartbeat().custom_mode == 5
     assert 20.0 < puppet.seen.position_ned[0] < 30.0
+
+
+def test_who_holds_below_the_height_where_it_stood_stays_there():
+    """Over a valley, 50 m below the hill that it took off from."""
+    puppet = Puppet()
+    puppet.fly_up(10.0)
+    puppet.stack.craft.stood_z = -60.0
+    assert puppet.stack.set_mode(1, 0x03040000) == 0
+    puppet.run(10.0)
+    assert puppet.stack.armed
+    assert puppet.seen.position_ned[2] == pytest.approx(-10.0, abs=0.5)
+
+
+def test_a_landing_before_counts_for_nothing_at_the_next_one():
+    puppet = Puppet()
+    puppet.fly_up(10.0)
+    assert puppet.do(21) == 0
+    assert puppet.run(60.0, lambda now: not now.stack.armed)
+    puppet.run(5.0)
+    puppet.fly_up(10.0)
+    assert puppet.do(192, -1, 1, 0, NAN, 47.397742, 8.545594, 0.1, frame=6) == 0
+    orders = set()
+    puppet.run(1.0, each=lambda now: orders.add(now.order.kind))
+    assert orders == {"path"}
+    assert puppet.run(60.0, lambda now: not now.stack.armed)
+
+
+def test_a_place_with_a_velocity_on_the_ground_lands_there():
+    """A hundred metres from where it began: the descent begins where the vehicle is."""
+    puppet = Puppet()
+    puppet.fly_up(10.0)
+    begin = puppet.seen.time
+
+    def target(now):
+        t = now.seen.time - begin
+        down = min(max(-10.0 + 0.7 * (t - 25.0), -10.0), 0.0)
+        speed = (4.0, 0.0, 0.0) if t < 25.0 else (0.0, 0.0, 0.7 if down < 0.0 else 0.0)
+        now.stack.setpoint(LocalTarget(1, BOTH, (min(4.0 * t, 100.0), 0.0, down), speed, yaw=0.0))
+
+    target(puppet)
+    assert puppet.stack.set_mode(1, OFFBOARD) == 0
+    assert puppet.run(70.0, lambda now: not now.stack.armed, target)
+    assert puppet.seen.position_ned[0] == pytest.approx(100.0, abs=1.0)
+    assert puppet.fastest < 12.5

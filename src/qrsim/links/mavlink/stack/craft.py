@@ -16,6 +16,9 @@ from qrsim.links.mavlink.stack.path import STANDS, Path
 
 # A vehicle that has risen so far from where it stood flies [m]; until then it goes straight up.
 RISEN, UPRIGHT_UNTIL = 0.1, 0.5
+# A set-point that asks for so much height above where a vehicle stands takes off [m]; nearer to that height than the
+# second, the ground is expected at once [m].
+TAKES_OFF, LOW = 0.2, 1.0
 # Where the ground seems to be, a place may be so far below the floor of the area [m].
 FLOOR = 0.5
 # MPC_YAW_MODE, of which 0 is the place that it goes to.
@@ -168,6 +171,15 @@ class Craft:
     def begin_path(self) -> None:
         """Begin a path at where the vehicle is."""
         self.path.begin(self.seen.position_ned, self.seen.velocity_ned)
+
+    @property
+    def is_low(self) -> bool:
+        """Whether it is near the height at which it stood last."""
+        return abs(self.stood_z - self.seen.position_ned[2]) < LOW
+
+    def is_ground(self, z: float) -> bool:
+        """Return whether a position down [m] is that of the ground where it stood, as well as an estimate knows it."""
+        return -TAKES_OFF <= z - self.stood_z < LOW
 
     def stopping_place(self) -> Triple:
         """Return where it stops at once, not lower than it is: the path of a landing leads below the ground."""

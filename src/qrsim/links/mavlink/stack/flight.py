@@ -15,10 +15,10 @@ from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.failsafes import Failsafes
 from qrsim.links.mavlink.stack.following import Follow
 from qrsim.links.mavlink.stack.geodesy import Geodesy
-from qrsim.links.mavlink.stack.landing import Descent
+from qrsim.links.mavlink.stack.landing import LANDED_AFTER, Descent
 from qrsim.links.mavlink.stack.mission import Mission
 from qrsim.links.mavlink.stack.modes import BY_SETPOINTS, BY_STICKS, FLAVOURS, FLIES_AGAIN, Flavour, Mode
-from qrsim.links.mavlink.stack.offboard import TAKES_OFF, Offboard
+from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.parameters import Parameters
 from qrsim.links.mavlink.stack.returning import Return
 from qrsim.links.mavlink.stack.sticks import Sticks
@@ -147,9 +147,10 @@ class Flight:
         """Return the order to stay at a place, which lands hardly above the ground, and whether it has landed."""
         craft = self.craft
         if not craft.flies and craft.seen.on_ground:
-            return craft.idle(), False
+            rests = self._descent.touchdown.seconds(craft, craft.seen.position_ned[2])
+            return craft.idle(), self._took_off and rests >= LANDED_AFTER
         self._goal = self._goal or craft.stopping_place()
-        if craft.flies and self._goal[2] > craft.stood_z - TAKES_OFF:
+        if craft.flies and craft.is_ground(self._goal[2]) and craft.is_low:
             return self._descent.fly(craft, self._goal)
         return craft.go(self._goal), False
 
@@ -367,8 +368,9 @@ class Flight:
             self.by_sticks.begin(craft)
         else:
             craft.begin_path()
-        if mode is Mode.LAND:
+        if mode in (Mode.LAND, Mode.HOLD):
             self._descent.begin()
+        if mode is Mode.LAND:
             self._goal = craft.path.stop(self.parameters["MPC_ACC_HOR"])
         craft.tell("mode")
 

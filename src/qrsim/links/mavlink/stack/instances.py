@@ -13,7 +13,7 @@ def instances_of(number: float, mask: float) -> list[int] | None:
         mask: param4, whose first bit is instance 1.
     """
     if math.isnan(number):
-        if math.isnan(mask) or not 0.0 <= mask < 65536.0 or mask != int(mask):
+        if math.isnan(mask) or not 1.0 <= mask < 65536.0 or mask != int(mask):
             return None
         return [bit + 1 for bit in range(16) if int(mask) >> bit & 1]
     if number != int(number) or not 0.0 <= number <= 16.0:

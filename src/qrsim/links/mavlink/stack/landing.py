@@ -15,8 +15,6 @@ HELD, HELD_SPEED, FALLS = 0.6, 0.25, 1.0
 # into a wind turns over that foot, so it is kept level, with a part of the throttle of a hover, as by PX4: its position
 # control asks for no horizontal acceleration after ``ground_contact``.
 STEADY, TOUCHED, RESTS = 3.0, 0.2, 0.8
-# Below this height over where it stood, the ground is expected at once [m].
-LOW = 1.0
 # On the ground for so long with a descent asked for, the motors idle; for so long, it has landed [s].
 IDLE_AFTER, LANDED_AFTER = 0.5, 1.0
 
@@ -82,7 +80,7 @@ class Descent:
     def _touches(self, craft: Craft, share: float) -> bool:
         """Return whether a foot may be on the ground: at landing speed for a while, and held above its path.
 
-        Below LOW the while is none. ``share``: 0 at landing speed, 1 at that of its faster descent.
+        Where it is low the while is none. ``share``: 0 at landing speed, 1 at that of its faster descent.
         """
         seen = craft.seen
         if share > 0.0 or not craft.flies:
@@ -91,5 +89,5 @@ class Descent:
         if self._slow_since is None:
             self._slow_since = seen.time
         above, speed = craft.path.position[2] - seen.position_ned[2], abs(seen.velocity_ned[2])
-        steady = 0.0 if craft.stood_z - seen.position_ned[2] < LOW else STEADY
+        steady = 0.0 if craft.is_low else STEADY
         return seen.time - self._slow_since > steady and above > TOUCHED and speed < HELD_SPEED

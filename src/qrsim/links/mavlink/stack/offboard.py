@@ -7,9 +7,9 @@ import math
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, LocalTarget, Target, Triple
-from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.craft import TAKES_OFF, Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
-from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, LOW, Descent
+from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Descent
 from qrsim.links.mavlink.stack.lifting import Lift
 
 # MAV_FRAME: local, from here along north and east, and twice from here along the heading.
@@ -22,8 +22,8 @@ NO_RATES, NO_THRUST, NO_ATTITUDE = 0x7, 0x40, 0x80
 THRUST_AS_THRUST = 8
 # Larger numbers than this are no places, velocities or angles.
 LARGEST = 1e6
-# A set-point that asks for so much height above where a vehicle stands [m], or for such a climb [m/s], takes off.
-TAKES_OFF, CLIMBS = 0.2, 0.1
+# A set-point that asks for such a climb takes off [m/s].
+CLIMBS = 0.1
 
 
 class Offboard:
@@ -50,6 +50,7 @@ class Offboard:
         self._thrust = 0.0
         self._z, self._went = 0.0, False
         self._descent, self._lift = Descent(), Lift()
+        self._descends = False
         self._complained = -math.inf
 
     # ---- what comes in ----
@@ -160,6 +161,7 @@ class Offboard:
     def begin(self, craft: Craft) -> None:
         """Begin to fly by set-points."""
         self._descent.begin()
+        self._descends = False
         self._lift.begin(craft)
         craft.begin_path()
         self._went = False
@@ -180,11 +182,19 @@ class Offboard:
             return craft.idle(), self._descent.touchdown.seconds(craft, here[2]) >= LANDED_AFTER
         if not self.lands:
             self._descent.begin()
+            self._descends = False
             self._z = here[2]
             return self._motion(craft, dt), False
-        if all(map(math.isfinite, self._position)) and craft.stood_z - here[2] < LOW:
+        lands_here = all(map(math.isfinite, self._position)) and craft.is_ground(self._position[2]) and craft.is_low
+        if lands_here:
+            if not self._descends:
+                craft.begin_path()
+            self._descends = True
             return self._descent.fly(craft, self._position)
-        self._z = max(self._z, here[2]) + self._sinks() * dt
+        self._descends = False
+        # A place is as low as it is; a velocity leads down for as long as it is asked for.
+        deep = self._position[2] if math.isfinite(self._position[2]) else max(self._z, here[2]) + self._sinks() * dt
+        self._z = deep
         on = self._descent.touchdown.seconds(craft, self._z)
         if on >= IDLE_AFTER:
             return craft.idle(), on >= LANDED_AFTER
