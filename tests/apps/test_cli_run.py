@@ -699,6 +699,7 @@ def test_a_stopped_run_can_be_drawn(stopped, name, capsys):
     assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
+@pytest.mark.long
 def test_a_plain_run_compiles_nothing_by_xla(tmp_path):
     """In a new process, because this one has compiled programs already."""
     command = [sys.executable, "-m", "qrsim.cli", "run", "mixed_team", "--duration", "0.1", "--no-figure"]

@@ -169,6 +169,7 @@ def test_legs_from_one_on_are_flown_for_ever(tmp_path: Path) -> None:
     assert ([leg.item for leg in planned.legs], planned.repeat_from) == ([1, 2, 3, 2, 3], 3)
 
 
+@pytest.mark.long
 def test_a_run_tells_of_its_missions(tmp_path: Path) -> None:
     """Leg 2 of the first is 40 m away, and the run ends on the way; the third never comes as near as it is to come."""
     guidance = {"type": "mission", "leg_timeout": 2.0}
