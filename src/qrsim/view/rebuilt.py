@@ -25,7 +25,7 @@ from qrsim.view.air import has_a_plane
 from qrsim.view.cameras import camera_places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Beside
-from qrsim.view.steering import WIND_CHANGED, with_wind
+from qrsim.view.steering import WIND_CHANGED, with_asked
 from qrsim.view.truth import ANGLES, AXES
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import draw_field, episode_draws
@@ -76,7 +76,7 @@ class Rebuilt:
     def _blowing(self, time: float) -> World:
         """Return the world with the wind that was asked for last."""
         asked = {event.field: event.value for event in self._winds if event.time <= time}
-        return with_wind(self._world, asked) if asked else self._world
+        return with_asked(self._world, asked) if asked else self._world
 
     def _blown(self, tick: int) -> object:
         """Return the puffs at a tick: from those before it, or from the start again."""
