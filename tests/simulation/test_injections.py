@@ -84,10 +84,15 @@ def test_live_is_scheduled_is_saved_and_flown_on(precision: str) -> None:
     for tick in range(5, 90):
         for (sensor, kind, numbers), entry in zip(FAULTS, asked, strict=True):
             if round(entry["at"] / 0.02) == tick + 1:
-                live.inject(sensor, kind, "uav_2", duration=0.5, **numbers)
+                # Numbers of NumPy and any iterable of names will do, and can be saved.
+                taken = {
+                    name: value if isinstance(value, str) else np.array(value)[()] for name, value in numbers.items()
+                }
+                live.inject(sensor, kind, iter(["uav_2"]), duration=0.5, **taken)
         if tick == 30:
             saved = live.save()
         said.append(flown(live, 1)[0])
+    assert live.save()
     np.testing.assert_array_equal(said, expected[5:])
     np.testing.assert_array_equal(np.array(said)[:, :2], nothing[5:, :2])
     assert not np.array_equal(np.array(said)[:, 2], nothing[5:, 2], equal_nan=True)
@@ -207,6 +212,8 @@ def test_requests_at_a_bad_time_or_too_many() -> None:
         simulation.inject("baro", "off")
     # The last one stands in place of the others; 0.9 s is tick 45, 0.05 s three ticks.
     assert [(one.start_tick, one.end_tick) for one in simulation.injected] == [(45, 48)]
+    with pytest.raises(UsageError, match="vehicles: none is named"):
+        simulation.clear("baro", vehicles=[])
     simulation.clear("baro")
     simulation.clear("baro")
     assert len(simulation.injected) == 0

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from qrsim.core.tree import field_info, replace
 from qrsim.engine.layout import Packer
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.atmosphere.wind_series import VeeringShear
 from qrsim.models.sensors.faults import LAST_TICK
@@ -25,6 +25,7 @@ from qrsim.simulation.injections import (
     injected,
     is_number,
     last_tick,
+    named_vehicles,
     plain_target,
     without_faults,
 )
@@ -68,7 +69,7 @@ class Injecting(Alone):
         /,
         target: str,
         kind: str,
-        vehicles: Sequence[str] | str | None = None,
+        vehicles: Iterable[str] | str | None = None,
         at: float | None = None,
         duration: float | None = None,
         asked_by: str = "python",
@@ -102,8 +103,9 @@ class Injecting(Alone):
         # What a sensor says at the next tick is the first that a fault of it can change.
         start = first_tick(at, self.tick, dt, 1 if _of_sensor(self.world, target) else 0)
         ticks = (start, last_tick(duration, start, dt))
-        names = [vehicles] if isinstance(vehicles, str) else vehicles
-        world, concerned = injected(self.world, target, kind, names, ticks, numbers)
+        # As Python's own, which saved states can have.
+        numbers = {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
+        world, concerned = injected(self.world, target, kind, named_vehicles(self.world, vehicles), ticks, numbers)
         self._take(world)
         self._asked = (self.tick, self._asked[1] + 1 if self._asked[0] == self.tick else 1)
         self._count += 1
@@ -111,7 +113,7 @@ class Injecting(Alone):
         return self._count
 
     @alone
-    def clear(self, what: int | str | None = None, vehicles: Sequence[str] | str | None = None) -> None:
+    def clear(self, what: int | str | None = None, vehicles: Iterable[str] | str | None = None) -> None:
         """End injected faults: one by its number, those of a target, or all; what is not there does nothing.
 
         Args:
@@ -121,11 +123,7 @@ class Injecting(Alone):
         Raises:
             UsageError: there is no such target or vehicle.
         """
-        names = [vehicles] if isinstance(vehicles, str) else vehicles
-        known = [name for fleet in self.world.fleets for name in fleet.vehicle_names]
-        for name in names or ():
-            if name not in known:
-                raise UsageError(f"vehicles: no vehicle is called '{name}'{did_you_mean(name, known)}")
+        names = named_vehicles(self.world, vehicles)
         what = plain_target(what) if isinstance(what, str) else what
         chosen = [one for one in self._injections if what is None or what in (one.id, one.target)]
         if isinstance(what, str) and not chosen:
@@ -200,7 +198,9 @@ class Injecting(Alone):
                 if not all(type(number) is int and 0 <= number <= LAST_TICK for number in one.counts):
                     raise ValueError
                 ticks = (one.start_tick, one.end_tick)
-                world, _ = injected(world, one.target, one.kind, one.vehicles, ticks, one.numbers)
+                world, _ = injected(
+                    world, one.target, one.kind, named_vehicles(world, one.vehicles), ticks, one.numbers
+                )
                 kept.append(one)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             raise UsageError("saved state: its injected faults are damaged") from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any
@@ -109,17 +109,13 @@ def injected(
         world: its parameters, on the host.
         target: sensor, ``rotor N`` or ``battery``.
         kind: what happens to it; ``ok``: no fault any more.
-        vehicles: names; None: all that have the target in a slot.
+        vehicles: names, of ``named_vehicles``; None: all that have the target in a slot.
         ticks: first tick of the fault, and first tick after it.
         numbers: how large it is, and ``field``.
 
     Raises:
         UsageError: it cannot be injected; nothing has changed.
     """
-    everybody = [name for fleet in world.fleets for name in fleet.vehicle_names]
-    for name in vehicles or ():
-        if name not in everybody:
-            raise UsageError(f"vehicles: no vehicle is called '{name}'{did_you_mean(name, everybody)}")
     fleets, concerned = list(world.fleets), []
     for place, fleet in enumerate(world.fleets):
         chosen = np.array([vehicles is None or name in vehicles for name in fleet.vehicle_names])
@@ -130,6 +126,24 @@ def injected(
     if not concerned:
         raise _not_injectable(world.fleets, target)
     return replace(world, fleets=tuple(fleets)), tuple(concerned)
+
+
+def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[str] | None:
+    """Return the names of vehicles, of a single name too; None for all of them.
+
+    Raises:
+        UsageError: there is no vehicle of that name, or no name.
+    """
+    if vehicles is None:
+        return None
+    names = [vehicles] if isinstance(vehicles, str) else list(vehicles)
+    everybody = [name for fleet in world.fleets for name in fleet.vehicle_names]
+    if not names:
+        raise UsageError("vehicles: none is named; None is all")
+    for name in names:
+        if name not in everybody:
+            raise UsageError(f"vehicles: no vehicle is called '{name}'{did_you_mean(name, everybody)}")
+    return names
 
 
 def without_faults(world: World) -> World:
