@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from qrsim.errors import UsageError
+from qrsim.links.mavlink.failures import UNITS, _numbers
 from qrsim.links.mavlink.fleet import prepared
 from qrsim.links.mavlink.stack.contracts import NAN, Command
 from qrsim.links.mavlink.stack.instances import instances_of
@@ -128,3 +129,19 @@ def test_only_sensors_that_are_there_are_injectable() -> None:
     spec = prepared(load_scenario("mavlink_field"), ["gnss", "rotors"]).spec.fleets["field"].injectable
     assert spec is not None
     assert (spec.sensors, spec.rotors, spec.battery) == (["gnss"], [0, 1, 2, 3], False)
+
+
+@pytest.mark.parametrize(
+    ("word", "numbers"),
+    [
+        ("wrong", {"field": "position_ned", "bias": 20.0}),
+        ("drift", {"field": "position_ned", "rate": 2.0}),
+        ("garbage", {"field": "position_ned", "range": 200.0}),
+        ("slow", {"every": 10}),
+        ("delayed", {"by": 0.5}),
+        ("intermittent", {"share": 0.5}),
+        ("off", {}),
+    ],
+)
+def test_numbers_that_mavlink_leaves_to_the_simulator(word: str, numbers: dict[str, object]) -> None:
+    assert _numbers(word, UNITS[GPS]) == (word, numbers)

@@ -335,7 +335,7 @@ def test_offboard_takes_off_lands_and_disarms():
     assert puppet.texts[-2:] == ["Landing detected", "Disarmed by landing"]
 
 
-@pytest.mark.parametrize(("down", "lands"), [(3.0, True), (0.0, True), (-0.15, True), (-0.25, False)])
+@pytest.mark.parametrize(("down", "lands"), [(3.0, True), (0.0, True), (-0.19, True), (-0.21, False)])
 def test_a_place_below_the_ground_or_hardly_above_lands(down, lands):
     # At the end of a square at (0, 0, 0) again, the estimate of height has drifted: a hover there drags the feet.
     target = position(0.0, 0.0, down)
