@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -28,6 +27,9 @@ from qrsim.world.state import State, World
 
 # Ticks between two looks at the progress, where nothing else stops the loop.
 TICKS_PER_CALL = 500
+# What readings take of a state, and of that of a fleet.
+_TOLD = ("sky", "sky_keys")
+_TOLD_OF_FLEETS = ("readings", "violation", "passed_on", "fitted", "estimate", "belief")
 
 
 @dataclass(frozen=True)
@@ -162,12 +164,47 @@ class LateRadio:
         return jax.tree.map(lambda leaf: leaf[world], self._host)
 
 
-class _Told:
-    """What a reading takes of a world's state."""
+class _Each(Sequence[object]):
+    """A tuple of one world, of leaves (W, ...) for all; only what somebody looks at is sliced."""
 
-    def __init__(self, sky: object, sky_keys: object, fleets: Sequence[object], radios: LateRadio, world: int):
-        self.sky, self.sky_keys, self.fleets = sky, sky_keys, fleets
-        self._radios, self._world = radios, world
+    def __init__(self, parts: Sequence[object], world: int):
+        self._parts, self._world = parts, world
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __getitem__(self, number: Any) -> Any:
+        return jax.tree.map(lambda leaf: leaf[self._world], self._parts[number])
+
+
+class _Told:
+    """Parts of one world, by name, of leaves (W, ...) for all; only what somebody looks at is sliced."""
+
+    def __init__(self, parts: Mapping[str, object], world: int):
+        self._parts, self._world = parts, world
+
+    def __getattr__(self, name: str) -> object:
+        if name.startswith("_") or name not in self._parts:
+            raise AttributeError(name)
+        part = self._parts[name]
+        found: object
+        if isinstance(part, tuple) and not hasattr(part, "_fields"):
+            found = _Each(part, self._world)
+        else:
+            found = jax.tree.map(lambda leaf: leaf[self._world], part)
+        setattr(self, name, found)
+        return found
+
+
+class _ToldState(_Told):
+    """What a reading takes of the state of one world."""
+
+    def __init__(
+        self, parts: Mapping[str, object], fleets: Sequence[Mapping[str, object]], radios: LateRadio, world: int
+    ):
+        super().__init__(parts, world)
+        self.fleets = [_Told(fleet, world) for fleet in fleets]
+        self._radios = radios
 
     @property
     def radio(self) -> Any:
@@ -200,21 +237,15 @@ class LockStep:
         """Return the reading of each world, and which of its vehicles (n,) fly."""
 
         def heard(carry: Carry) -> Any:
-            state = carry.state
-            return (state.sky, state.sky_keys), [
-                (fleet.readings, fleet.violation, fleet.passed_on, fleet.fitted, fleet.estimate, fleet.belief)
-                for fleet in state.fleets
-            ]
+            fleets = [{name: getattr(fleet, name) for name in _TOLD_OF_FLEETS} for fleet in carry.state.fleets]
+            return {name: getattr(carry.state, name) for name in _TOLD}, fleets
 
         found = []
-        host = jax.tree.map(np.asarray, flight.get(heard))
+        parts, fleets = jax.tree.map(np.asarray, flight.get(heard))
+        flying = np.concatenate([fleet["violation"].code for fleet in fleets], axis=1) == 0
         for world in range(len(self.rows)):
-            (sky, sky_keys), own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
-            names = ("readings", "violation", "passed_on", "fitted", "estimate", "belief")
-            fleets = [SimpleNamespace(**dict(zip(names, fleet, strict=True))) for fleet in own]
-            state: Any = _Told(sky, sky_keys, fleets, radios, world)
-            flying = np.concatenate([fleet.violation.code for fleet in fleets]) == 0
-            found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying))
+            state: Any = _ToldState(parts, fleets, radios, world)
+            found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying[world]))
         return found
 
     def ask(self, flight: Flight, tick: int, count: int) -> tuple[object, object]:
