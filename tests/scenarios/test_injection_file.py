@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from qrsim.errors import UsageError
-from qrsim.scenarios.injection_file import with_injections
+from qrsim.scenarios.injection_file import read_injections
 from qrsim.scenarios.scenario import Scenario, load_scenario
 
 
@@ -29,7 +29,7 @@ def scenario() -> Scenario:
 def injected(scenario: Scenario, text: str, folder: Path) -> dict[str, list[dict[str, Any]]]:
     """Return the faults of each fleet, of what is given."""
     (folder / "faults.yaml").write_text(text)
-    found = with_injections(scenario, folder / "faults.yaml")
+    found, _ = read_injections(scenario, folder / "faults.yaml")
     return {
         name: [fault.model_dump(exclude_unset=True, exclude_none=True) for fault in fleet.faults]
         for name, fleet in found.spec.fleets.items()
@@ -60,9 +60,12 @@ def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenar
         ("- {target: gnsss, kind: off, at: 2}", "entry 1: there is no target 'gnsss'; did you mean 'gnss'?"),
         ("- {target: gnss, kind: off}", "entry 1: at is missing"),
         ("- {target: rotor 4, kind: off, at: 2}", "entry 1: there is no target 'rotor 4'"),
-        ("- {target: rotor 1, kind: weak, at: 2}", "entry 1: health: missing; kind 'weak' needs it"),
-        ("- {target: rotor 1, kind: off, health: 0.6, at: 2}", "entry 1: health: only for kind 'weak'"),
-        ("- {target: rotor 1, kind: drift, at: 2}", "entry 1: kind 'drift' does not suit a rotor; allowed: off, weak"),
+        ("- {target: rotor 1, kind: weak, at: 2}", "entry 1: health: missing; kind 'weak' needs it, 0 to 1"),
+        ("- {target: rotor 1, kind: off, health: 0.6, at: 2}", "entry 1: health: kind 'off' does not take it"),
+        (
+            "- {target: rotor 1, kind: drift, at: 2}",
+            "entry 1: kind: 'drift' does not suit a rotor; allowed: off, weak,",
+        ),
         ("- {target: gnss, kind: off, at: 2, vehicles: [nobody]}", "entry 1: no vehicle is called 'nobody'"),
         ("- {target: gnss, kind: off, at: 2, vehicles: nobody}", "entry 1: vehicles: expected a list of names"),
         (
@@ -85,4 +88,4 @@ def test_what_is_refused(scenario: Scenario, tmp_path: Path, text: str, message:
 def test_a_file_that_is_not_there_names_the_nearest(scenario: Scenario, tmp_path: Path) -> None:
     (tmp_path / "faults.yaml").write_text("[]")
     with pytest.raises(UsageError, match=r"No such file or directory; did you mean 'faults.yaml'\?"):
-        with_injections(scenario, tmp_path / "fault.yaml")
+        read_injections(scenario, tmp_path / "fault.yaml")

@@ -171,7 +171,7 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("battery", "drop", {"charge": 0.1}, "write 'injectable: {battery: true}' under fleets.uav"),
         ("rotor 3", "off", {}, "target: 'rotor 3' is not injectable; write 'injectable: {rotors: all}'"),
         ("gnss", "of", {}, "kind: 'of' is not known; did you mean 'off'?"),
-        ("rotor_1", "drift", {}, "kind: 'drift' does not suit a rotor; allowed: off, weak, ok"),
+        ("rotor_1", "drift", {}, "kind: 'drift' does not suit a rotor; allowed: off, weak, stuck, ok"),
         ("rotor 1", "weak", {"health": 1.2}, "health: 1.2; allowed: 0 to 1"),
         ("rotor 1", "weak", {}, "health: missing; kind 'weak' needs it, 0 to 1"),
         ("rotor 1", "off", {"health": 0.5}, "health: kind 'off' does not take it"),

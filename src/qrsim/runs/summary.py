@@ -32,6 +32,8 @@ NOT_A_STOP = (
     "no_fix",
     "fix_lost",
     "fix_found",
+    "injected",
+    "cleared",
     "wind_changed",
     "person_found",
     "leg_timeout",

@@ -10,6 +10,7 @@ from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.vehicles.contracts import Around, Pose
+from qrsim.models.vehicles.faults import RotorFault, failed_rotors, stuck_rotors
 from qrsim.world.state import World
 
 Time = tuple[Array, Array]
@@ -68,7 +69,8 @@ def around_of(
     pose: Pose,
     rates_ned: Vec3 | None,
     wake_rates: Vec3 | None = None,
-    failed: tuple[tuple[int, Array, Array], ...] = (),
+    faults: tuple[RotorFault, ...] = (),
+    tick: Array | None = None,
 ) -> Around:
     """Return the part of the world that vehicles (n,) may read.
 
@@ -77,7 +79,8 @@ def around_of(
         pose: of the vehicles.
         rates_ned: rotation of the air (n,) [rad/s]; None: none.
         wake_rates: rotation (n,) [rad/s] in body axes that wakes add (wakes.py); None: there are no wakes.
-        failed: see ``Around``.
+        faults: of rotors.
+        tick: () int32, where there are faults.
     """
     still = Vec3.zeros(pose.attitude.roll.shape, pose.attitude.roll.dtype)
 
@@ -86,4 +89,5 @@ def around_of(
 
     rates = still if rates_ned is None else rotation(pose.attitude).to_body(rates_ned)
     rates = rates if wake_rates is None else rates + wake_rates
-    return Around(ground, rates, failed, world.air.density(pose.position_ned))
+    failed, stuck = ((), ()) if tick is None else (failed_rotors(faults, tick), stuck_rotors(faults, tick))
+    return Around(ground, rates, failed, world.air.density(pose.position_ned), stuck)

@@ -30,7 +30,7 @@ from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault, FaultMemory, FaultSlot
 from qrsim.models.sensors.fitting import Fitted, Fitting
-from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
+from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, VehicleState
 from qrsim.models.vehicles.faults import BatteryFault, RotorFault
 
 S = TypeVar("S")
@@ -116,6 +116,7 @@ class Fleet:
     )
 
     rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
+    battery_faults: tuple[BatteryFault, ...] = quantity(default=(), doc="faults of the battery")
     fault_slots: tuple[FaultSlot, ...] = quantity(default=(), doc="room for sensor faults that are injected in flight")
     rotor_slots: tuple[RotorFault, ...] = quantity(default=(), doc="the same of rotors")
     battery_slot: BatteryFault | None = quantity(default=None, doc="the same of the battery")
@@ -147,6 +148,18 @@ class Fleet:
     def all_faults(self) -> tuple[Fault | FaultSlot, ...]:
         """Faults of sensors and the slots of more, in the order in which they are applied."""
         return (*self.faults, *self.fault_slots)
+
+    @property
+    def all_battery_faults(self) -> tuple[BatteryFault, ...]:
+        """Faults of the battery and the slot of one more."""
+        return (*self.battery_faults, *(() if self.battery_slot is None else (self.battery_slot,)))
+
+    def voltage(self, battery: object, load: Load, tick: Array) -> Array | None:
+        """Return the battery voltage under load (n,) [V] at a tick; None where it has none."""
+        voltage = self.battery.voltage(battery, load)
+        for fault in self.all_battery_faults:
+            voltage = fault.sagged(voltage, tick)
+        return voltage
 
     @property
     def first_normals(self) -> int:
