@@ -35,6 +35,8 @@ NOT_A_STOP = (
     "injected",
     "cleared",
     "wind_changed",
+    "gusts_changed",
+    "jammer_changed",
     "person_found",
     "leg_timeout",
     "mission_finished",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
 from qrsim.scenarios.components import component
 from qrsim.scenarios.estimating import with_sensed
+from qrsim.scenarios.events import with_events
 from qrsim.scenarios.faults import battery_faults, faults, rotor_faults, slots, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
@@ -87,7 +88,16 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         air=air_of(scenario),
         updrafts=tuple(updraft_of(scenario, i) for i in range(len(world.updrafts))),
     )
-    return cast(built, dtype)
+    return with_events(cast(built, dtype), scenario)
+
+
+def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the changes of the weather of a scenario without other problems."""
+    if scenario.world.events:
+        try:
+            build_world(scenario, "float64")
+        except UsageError as error:
+            yield str(error)
 
 
 def build_task(scenario: ScenarioSpec, precision: str) -> Any:

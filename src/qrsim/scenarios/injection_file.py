@@ -19,6 +19,7 @@ from qrsim.scenarios.faults import rotors_of, vehicle_names
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.schema import FleetSpec
 from qrsim.scenarios.timing import is_multiple
+from qrsim.simulation.changing import JAM, TAKES, WIND
 from qrsim.simulation.injections import OK, WORLD, Injection, plain_target
 from qrsim.simulation.requests import after_request
 
@@ -198,7 +199,7 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
             raise UsageError(f"{where}: {name}: {entry[name]:g} s is not a multiple of the time step {dt:g} s")
     at, end = round(entry["at"] / dt), entry.get("end")
     # What a sensor says at the tick after a request is the first that it can change.
-    soonest = int(target != WORLD and target != BATTERY and _rotor(target) is None)
+    soonest = int(entry["kind"] == JAM if target == WORLD else target != BATTERY and _rotor(target) is None)
     tick = entry.get("tick", max(0, at - soonest))
     start, last = max(at, tick + soonest), LAST_TICK if end is None else min(round(end / dt), LAST_TICK)
     if last <= start:
@@ -215,6 +216,9 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
 def _make_room(content: Content, entry: Mapping[str, Any], fleets: list[tuple[str, list[str] | None]]) -> None:
     """Make room in a scenario's content, in place, for what a request injects."""
     target, rotor = entry["target"], _rotor(entry["target"])
+    if target == WORLD and entry["kind"] in TAKES and (entry["kind"] != WIND or entry.get("over")):
+        world = content["world"]
+        world["injectable"] = [kind for kind in TAKES if kind in {*world["injectable"], entry["kind"]}]
     for name, _ in fleets:
         fleet = content["fleets"][name]
         spec = fleet["injectable"] or {"sensors": [], "rotors": [], "battery": False, "delay_max": 0.0}

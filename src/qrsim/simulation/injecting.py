@@ -13,7 +13,7 @@ from qrsim.engine.layout import Packer
 from qrsim.errors import UsageError
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.alone import Alone, alone
-from qrsim.simulation.changing import WIND, Weather, weather_of, with_weather
+from qrsim.simulation.changing import GUSTS, JAM, WIND, Weather, weather_of, with_weather
 from qrsim.simulation.injections import (
     MOST_AT_ONCE,
     OK,
@@ -107,8 +107,7 @@ class Injecting(Alone):
         dt = self.world.time_step
         start = first_tick(at, self.tick, dt, 1 if of_sensor(self.world, target) else 0)
         ticks = (start, last_tick(duration, start, dt))
-        # As Python's own, which saved states can have.
-        numbers = {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
+        numbers = {name: plain(value) for name, value in numbers.items()}
         chosen = tuple(named_vehicles(self.world, vehicles) or ())
         self._make([Injection(self._count + 1, target, kind, chosen, *ticks, numbers, asked_by, self.tick)])
         self._asked = (self.tick, self._asked[1] + 1 if self._asked[0] == self.tick else 1)
@@ -172,22 +171,54 @@ class Injecting(Alone):
         self._make(found)
 
     @alone
-    def set_wind(self, speed: float, from_deg: float, asked_by: str = "python") -> None:
+    def set_wind(self, speed: float, from_deg: float, over: float = 0.0, asked_by: str = "python") -> None:
         """Change the mean wind from the next tick on.
 
         Args:
             speed: 20 ft above the ground [m/s].
             from_deg: bearing it comes from [degrees].
+            over: how long the change takes [s]; above 0 where ``world.injectable`` of the scenario has wind.
             asked_by: who asks, for records.
 
         Raises:
             UsageError: the wind has no one speed and direction, an episode draws it, or a number out of range.
         """
-        numbers = {"speed_20ft": speed, "wind_from_deg": from_deg}
-        numbers = {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
-        self._make([Injection(0, WORLD, WIND, (), self.tick, LAST_TICK, numbers, asked_by, self.tick)])
+        self._change(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
+
+    @alone
+    def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
+        """Change the strength of random gusts from the next tick on; ``world.injectable`` of the scenario has gusts.
+
+        Args:
+            times: what the gusts of the scenario are multiplied by.
+            over: how long the change takes [s].
+            asked_by: who asks, for records.
+
+        Raises:
+            UsageError: it cannot be changed, or a number is out of range.
+        """
+        self._change(GUSTS, {"times": times, "over": over}, asked_by)
+
+    @alone
+    def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
+        """Change the power of a jammer from the next tick on; ``world.injectable`` of the scenario has jam.
+
+        Args:
+            jammer: which one of the jammers in ``world.interference``, from 0.
+            power_w: power that it radiates [W].
+            over: how long the change takes [s].
+            asked_by: who asks, for records.
+
+        Raises:
+            UsageError: it cannot be changed, or a number is out of range.
+        """
+        self._change(JAM, {"jammer": jammer, "power_w": power_w, "over": over}, asked_by)
 
     # ---- for resets and saved states ----
+
+    def _change(self, kind: str, numbers: dict[str, Any], asked_by: str) -> None:
+        given = {name: plain(value) for name, value in numbers.items() if not (name == "over" and value == 0.0)}
+        self._make([Injection(0, WORLD, kind, (), self.tick, LAST_TICK, given, asked_by, self.tick)])
 
     def _make(self, requests: Sequence[Injection]) -> None:
         """Change the world by some requests at once, and keep them."""
@@ -226,16 +257,19 @@ class Injecting(Alone):
 
     def _clear_all(self) -> None:
         """Have no injected fault any more, and the weather of the scenario."""
-        world, weather = self.world, self._weather
-        if self._injections:
-            world = without_faults(world)
-        if weather is not None:
-            world = with_weather(world, weather)
+        world = self._first_world
         self._requests, self._injections, self._weather = [], [], None
         self._take(world)
 
     def _injections_text(self) -> str:
-        return json.dumps([dataclasses.asdict(one) for one in self._injections])
+        weather = [one for one in self._requests if one.target == WORLD]
+        return json.dumps([dataclasses.asdict(one) for one in (*weather, *self._injections)])
+
+    @property
+    def _first_world(self) -> World:
+        """The parameters without what was injected."""
+        world = without_faults(self.world) if self._injections else self.world
+        return world if self._weather is None else with_weather(world, self._weather)
 
     def _inject_again(self, text: str) -> None:
         """Have the injected faults of a saved state, and no others.
@@ -243,17 +277,25 @@ class Injecting(Alone):
         Raises:
             UsageError: they are none of this world.
         """
-        world, kept = without_faults(self.world), []
+        first = self._first_world
+        world, kept = without_faults(first), []
         try:
             for entry in json.loads(text):
                 one = Injection(**entry | {"vehicles": tuple(entry["vehicles"])})
-                whole = all(type(number) is int and 0 <= number <= LAST_TICK for number in one.counts)
-                if not whole or one.target == WORLD:
+                if not all(type(number) is int and 0 <= number <= LAST_TICK for number in one.counts):
                     raise ValueError
                 world, _ = after_request(world, one)
                 kept.append(one)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             raise UsageError("saved state: its injected faults are damaged") from None
-        if kept or self._injections:
+        if kept or self._requests or self._injections:
             self._take(world)
-        self._injections, self._count = kept, max([self._count, *(one.id for one in kept)])
+        self._injections = [one for one in kept if one.target != WORLD]
+        self._requests = kept
+        self._weather = weather_of(first) if len(kept) > len(self._injections) else None
+        self._count = max([self._count, *(one.id for one in kept)])
+
+
+def plain(value: Any) -> Any:
+    """Return a number of NumPy as one of Python's own, which saved states and files can have."""
+    return value.item() if isinstance(value, np.generic) else value

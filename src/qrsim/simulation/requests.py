@@ -8,13 +8,19 @@ from typing import Any
 
 from qrsim.files import Content
 from qrsim.models.sensors.faults import LAST_TICK
-from qrsim.simulation.changing import WIND, changed
+from qrsim.simulation.changing import GUSTS, JAM, WIND, changed
 from qrsim.simulation.injections import OK, WORLD, Injection, injected, named_vehicles
 from qrsim.world.state import World
 
 # Kinds of the events that tell of requests. Changes of the weather have an event for each number.
-INJECTED, CLEARED, WIND_CHANGED = "injected", "cleared", "wind_changed"
-_UNITS = {"speed_20ft": "m/s at 20 ft", "wind_from_deg": "degrees, where it comes from"}
+INJECTED, CLEARED = "injected", "cleared"
+WEATHER_CHANGED = {WIND: "wind_changed", GUSTS: "gusts_changed", JAM: "jammer_changed"}
+_WORDS = {
+    "speed_20ft": "{:g} m/s at 20 ft",
+    "wind_from_deg": "from {:g} degrees",
+    "times": "{:g} times as strong as in the scenario",
+    "power_w": "{:g} W",
+}
 
 
 def after_request(world: World, request: Injection) -> tuple[World, Injection]:
@@ -24,7 +30,7 @@ def after_request(world: World, request: Injection) -> tuple[World, Injection]:
         UsageError: it is not possible in this world.
     """
     if request.target == WORLD:
-        return changed(world, request.kind, request.numbers), request
+        return changed(world, request.kind, request.numbers, request.tick), request
     chosen = named_vehicles(world, request.vehicles or None)
     ticks = (request.start_tick, request.end_tick)
     world, concerned = injected(world, request.target, request.kind, chosen, ticks, request.numbers)
@@ -84,16 +90,22 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
 
 def _span(request: Injection, time_step: float) -> str:
     """Return when a fault acts, as far as that is not at once and for good."""
-    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick + 1 else ""
+    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick else ""
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
 def _of_world(request: Injection, where: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    over = request.numbers.get("over")
-    slowly = f", over {over:g} s" if over else ""
-    for name, value in request.numbers.items():
-        if name == "over":
-            continue
-        text = f"wind changed at {where['time']:.2f} s{slowly}: {value:g} {_UNITS.get(name, name)}"
-        field = f"world.{WIND}.{name}"
-        yield {**where, "vehicle": None, "kind": WIND_CHANGED, "field": field, "value": float(value), "message": text}
+    over, numbers = request.numbers.get("over"), dict(request.numbers)
+    slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)
+    what = request.kind if jammer is None else f"jammer {jammer}"
+    part = request.kind if jammer is None else f"{request.kind}.{jammer}"
+    for name, value in numbers.items():
+        if name != "over":
+            yield {
+                **where,
+                "vehicle": None,
+                "kind": WEATHER_CHANGED[request.kind],
+                "field": f"world.{part}.{name}",
+                "value": float(value),
+                "message": f"{what} changed at {where['time']:.2f} s{slowly}: {_WORDS[name].format(value)}",
+            }

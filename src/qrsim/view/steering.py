@@ -52,4 +52,4 @@ def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, object]]:
 
 def with_asked(world: World, asked: Mapping[Any, Any]) -> World:
     """Return a world with the wind set by the fields of recorded events."""
-    return with_wind(world, asked[SPEED], asked[BEARING])
+    return with_wind(world, asked.get(SPEED), asked.get(BEARING))

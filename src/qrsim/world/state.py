@@ -32,6 +32,7 @@ from qrsim.models.sensors.faults import Fault, FaultMemory, FaultSlot
 from qrsim.models.sensors.fitting import Fitted, Fitting
 from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, VehicleState
 from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.world.changes import Changes
 
 S = TypeVar("S")
 # What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing;
@@ -217,6 +218,8 @@ class World(Tabled):
     updrafts: tuple[Updraft, ...] = quantity(
         default=(), doc="rising air, and what terrain and buildings do to the wind"
     )
+    changes: Changes | None = quantity(default=None, doc="weather that changes in flight; None: none can")
+    gust_scale: Array | None = quantity(default=None, doc="what random gusts are multiplied by; None: by nothing")
 
     __repr__ = Tabled.__repr__
 
@@ -268,18 +271,18 @@ class World(Tabled):
         world = self
         for item, value in zip(self.ranges, drawn, strict=True):
             for path in item.paths:
-                world = _replaced(world, path, value)
+                world = replaced(world, path, value)
         return world
 
 
-def _replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
+def replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
     """Return a tree with the leaf at a path replaced, in its own shape."""
     if not path:
         return jnp.broadcast_to(value, jnp.shape(item)).astype(jnp.asarray(item).dtype)
     step, rest = path[0], path[1:]
     if isinstance(step, int):
-        return (*item[:step], _replaced(item[step], rest, value), *item[step + 1 :])
-    return replace(item, **{step: _replaced(getattr(item, step), rest, value)})
+        return (*item[:step], replaced(item[step], rest, value), *item[step + 1 :])
+    return replace(item, **{step: replaced(getattr(item, step), rest, value)})
 
 
 @record

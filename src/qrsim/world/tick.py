@@ -21,7 +21,7 @@ from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.models.vehicles.moving import move
-from qrsim.world.air import around_of, gust_at, gust_rates_at
+from qrsim.world.air import around_of, gust_at, gust_rates_at, weather_at
 from qrsim.world.checking import check
 from qrsim.world.commanding import by_kind, command_fleet
 from qrsim.world.draws import draw_fleet, draw_sky, keys_of
@@ -116,6 +116,7 @@ def step(
     due = after = tick + 1
     if before is not None:
         tick, after = tick + before, after + before
+    world = weather_at(world, tick)
     actions, said = parted(actions)
     state = replace(state, radio=exchange(world, state, said, tick, due - 1))
     sky = _step_sky(world, state, due, after)
