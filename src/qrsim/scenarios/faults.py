@@ -55,7 +55,7 @@ def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
 def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Fault, ...]:
     """Build the faults of a fleet."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
-    found = []
+    found, earlier = [], list[FaultSpec]()
     for spec in fleet.faults:
         if isinstance(spec, FaultSpec):
             fields = tuple(reading_fields(fleet.sensors[spec.sensor].type))
@@ -76,9 +76,21 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
                     time_step=dt,
                     remembered=int(numbers.readings),
                     only=chosen,
+                    order=sum(_draw_alike(spec, other) for other in earlier),
                 )
             )
+            earlier.append(spec)
     return tuple(found)
+
+
+def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
+    """Return whether two faults are of one sensor of one vehicle, and begin at one time."""
+    shared = one.vehicles is None or other.vehicles is None or set(one.vehicles) & set(other.vehicles)
+    return bool(shared) and (one.sensor, one.start, kind_of(one.kind)) == (
+        other.sensor,
+        other.start,
+        kind_of(other.kind),
+    )
 
 
 def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[str, Any]:

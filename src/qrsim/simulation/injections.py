@@ -229,7 +229,7 @@ def _sensor_fault(
     ticks: tuple[int, int],
     numbers: Mapping[str, Any],
     dt: float,
-    white: Mapping[str, Any],
+    white: Mapping[str, Any] | None = None,
 ) -> FaultSlot:
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
