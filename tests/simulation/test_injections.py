@@ -140,6 +140,60 @@ def test_rotors_and_batteries_fail_and_are_well_again() -> None:
     assert simulation.valid.all()
     np.testing.assert_allclose(speeds(simulation), before, rtol=0.05)
     np.testing.assert_allclose(simulation.state.fleets[0].battery.charge, [1.0, 0.4, 1.0], atol=0.01)
+    # A rotor that is stuck turns at 0.9 of its largest speed whatever is asked of it; the controller meets it.
+    simulation.inject("rotor 2", "stuck", "uav_0", duration=0.4, speed=0.9)
+    simulation.step(ticks=15)
+    largest = float(simulation.world.fleets[0].vehicle.speed_max)  # type: ignore[attr-defined]
+    assert speeds(simulation)[2] == pytest.approx(0.9 * largest, rel=0.03)
+    assert speeds(simulation)[2] > 1.1 * before[2]
+    simulation.step(ticks=150)
+    np.testing.assert_allclose(speeds(simulation), before, rtol=0.1)
+
+
+def charges(simulation: Any, ticks: int) -> np.ndarray:
+    """Return the charge that each vehicle uses in so many ticks."""
+    begun = simulation.state.fleets[0].battery.charge
+    simulation.step(ticks=ticks)
+    return np.asarray(begun - simulation.state.fleets[0].battery.charge)
+
+
+@pytest.mark.long
+def test_a_weak_battery_has_less_capacity_and_voltage() -> None:
+    from qrsim.runs.streams import columns, values
+
+    simulation = qrsim.load(scenario(ALL), seed=4, precision="float64")
+    simulation.reset()
+    simulation.step(ticks=100)
+    simulation.inject("battery", "weak", "uav_1", health=0.8, duration=1.0)
+    history = simulation.record(50)
+    logged = values(simulation.world, history, columns(simulation.world, history))["truth"]["battery.voltage"]
+    np.testing.assert_allclose(logged[10] / logged[10, 0], [1.0, 0.8, 1.0], rtol=0.01)
+    used = charges(simulation, 50)
+    # It is over.
+    assert used[1] / used[0] == pytest.approx(1.0, rel=0.02)
+    simulation.inject("battery", "weak", "uav_1", health=0.8, duration=1.0)
+    used = charges(simulation, 50)
+    assert used[1] / used[0] == pytest.approx(1.25, rel=0.05)
+    scheduled = qrsim.load(
+        scenario(None, {"type": "battery", "at": 0.5, "health": 0.8, "end": 1.5, "vehicles": ["uav_1"]},
+                 {"type": "battery", "at": 1.0, "charge": 0.3, "vehicles": ["uav_2"]},
+                 {"type": "rotor", "rotor": 2, "at": 0.5, "speed": 0.8, "end": 0.9, "vehicles": ["uav_0"]}),
+        seed=4, precision="float64",
+    )  # fmt: skip
+    live = qrsim.load(scenario(ALL), seed=4, precision="float64")
+    found = []
+    for flying in (scheduled, live):
+        flying.reset()
+        flying.step(ticks=25)
+        if flying is live:
+            live.inject("battery", "weak", "uav_1", health=0.8, duration=1.0)
+            live.inject("battery", "drop", "uav_2", charge=0.3, at=1.0)
+            live.inject("rotor 2", "stuck", "uav_0", speed=0.8, duration=0.4)
+        flying.step(ticks=70)
+        fleet = flying.state.fleets[0]
+        found.append(np.concatenate([flying.truth.state.ravel(), fleet.battery.charge, *fleet.vehicle.rotor_speed]))
+    np.testing.assert_array_equal(*found)
+    assert found[0][-3 * 4 - 1] < 0.3
 
 
 @pytest.mark.long
@@ -174,7 +228,7 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("rotor_1", "drift", {}, "kind: 'drift' does not suit a rotor; allowed: off, weak, stuck, ok"),
         ("rotor 1", "weak", {"health": 1.2}, "health: 1.2; allowed: 0 to 1"),
         ("rotor 1", "weak", {}, "health: missing; kind 'weak' needs it, 0 to 1"),
-        ("rotor 1", "off", {"health": 0.5}, "health: kind 'off' does not take it"),
+        ("rotor 1", "off", {"health": 0.8}, "health: kind 'off' does not take it"),
         ("gnss", "drift", {"field": "position_ned.x"}, "rate: missing; kind 'drift' needs it"),
         ("gnss", "drift", {"field": "position_ned.x", "rate": float("nan")}, "rate: nan; allowed: a finite number"),
         ("gnss", "drift", {"field": "height", "rate": 1.0}, "field: the sensor does not report 'height'"),

@@ -108,6 +108,8 @@ def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int])
 def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
     _in_range(numbers["power_w"], "power_w", 0.0, MOST_WATTS, "W")
     powers, jammer = () if world.changes is None else world.changes.powers, numbers["jammer"]
+    if _powers_are_drawn(world):
+        raise UsageError("jammer: every episode draws it (ranges), so it cannot be changed in flight")
     if not powers:
         raise UsageError(
             f"jammer: the power of no jammer can be changed; declare one in world.interference, and {_line(JAM)}"
@@ -134,7 +136,7 @@ def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None
 
 
 def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
-    """Return a world in which some kinds of weather can change: as often as there are events, and at any time once.
+    """Return a world in which kinds of weather that it has can change: as often as there are events, and once more.
 
     Args:
         world: its parameters, on the host, in their precision.
@@ -144,15 +146,29 @@ def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
     wind: Any = world.wind
     jammers = getattr(getattr(world.sky, "interference", None), "jammers", ())
     changes = Changes()
-    if WIND in kinds:
+    if WIND in kinds and _may_change(world):
         speed, bearing = (_steady(value, events + 2) for value in (wind.speed_20ft, wind.wind_from_rad))
         changes = replace(changes, speed_20ft=speed, wind_from_rad=bearing)
-    if GUSTS in kinds:
+    if GUSTS in kinds and not isinstance(world.turbulence, Still):
         changes = replace(changes, gusts=_steady(1.0, events + 2))
-    if JAM in kinds:
+    if JAM in kinds and not _powers_are_drawn(world):
         changes = replace(changes, powers=tuple(_steady(jammer.power_w, events + 2) for jammer in jammers))
     dtype = np.asarray(world.fleets[0].start.position_ned.x).dtype
     return replace(world, changes=cast(changes, dtype))
+
+
+def _powers_are_drawn(world: World) -> bool:
+    """Return whether every episode draws the power of a jammer, which would win over any change."""
+    return any(path[1:3] == ("interference", "jammers") for item in world.ranges for path in item.paths)
+
+
+def _may_change(world: World) -> bool:
+    """Return whether the mean wind of a world can be changed."""
+    try:
+        wind_limit(world)
+    except UsageError:
+        return False
+    return True
 
 
 def _steady(value: Any, legs: int) -> Course:
