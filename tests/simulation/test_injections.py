@@ -228,7 +228,9 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("rotor_1", "drift", {}, "kind: 'drift' does not suit a rotor; allowed: off, weak, stuck, ok"),
         ("rotor 1", "weak", {"health": 1.2}, "health: 1.2; allowed: 0 to 1"),
         ("rotor 1", "weak", {}, "health: missing; kind 'weak' needs it, 0 to 1"),
-        ("rotor 1", "off", {"health": 0.8}, "health: kind 'off' does not take it"),
+        ("rotor 1", "off", {"health": 0.5}, "health: kind 'off' does not take it"),
+        ("rotor 1", "stuck", {"speed": 1.2}, "speed: 1.2; allowed: 0 to 1"),
+        ("rotor 1", "stuck", {"health": 0.2}, "health: kind 'stuck' does not take it; it takes speed"),
         ("gnss", "drift", {"field": "position_ned.x"}, "rate: missing; kind 'drift' needs it"),
         ("gnss", "drift", {"field": "position_ned.x", "rate": float("nan")}, "rate: nan; allowed: a finite number"),
         ("gnss", "drift", {"field": "height", "rate": 1.0}, "field: the sensor does not report 'height'"),
@@ -277,6 +279,38 @@ def test_requests_at_a_bad_time_or_too_many() -> None:
         simulation.inject("baro", "ok", duration=1.0)
     with pytest.raises(UsageError, match="did you mean 'baro'"):
         simulation.clear("baroo")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"type": "battery", "at": 30.0}, "faults.0.charge: missing; a fault of a battery needs it, or health"),
+        ({"type": "battery", "at": 30.0, "charge": 1.2}, "faults.0.charge: 1.2 is out of range; allowed: 0 to 1"),
+        ({"type": "battery", "at": 30.0, "health": 0.01}, "faults.0.health: 0.01 is out of range; allowed: 0.05 to 1"),
+        ({"type": "battery", "at": 30.01, "charge": 0.2}, "faults.0.at: 30.01 s is not a multiple of the time step"),
+        ({"type": "battery", "at": 60.0, "charge": 0.2}, "faults.0.at: 60 s is not within the run"),
+        ({"type": "battery", "at": 3.0, "charge": 0.2, "end": 4.0}, "faults.0.end: only with health"),
+        ({"type": "battery", "at": 3.0, "health": 0.2, "end": 2.0}, "faults.0.end: 2 s is not after the start, 3 s"),
+        ({"type": "battery", "at": 3.0, "charge": 0.2, "vehicles": ["uav_3"]}, "no vehicle of the fleet is called"),
+        (
+            {"type": "rotor", "rotor": 0, "at": 3.0, "speed": 1.1},
+            "faults.0.speed: 1.1 is out of range; allowed: 0 to 1",
+        ),
+        (
+            {"type": "rotor", "rotor": 0, "at": 3.0, "speed": 0.5, "health": 0.5},
+            "faults.0.health: a rotor that is stuck",
+        ),
+        ({"type": "battry", "at": 3.0}, "battery"),
+    ],
+)
+def test_what_a_scenario_may_not_say_of_rotors_and_batteries(fault: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(scenario(None, fault))
+    assert message in str(caught.value)
+    given = scenario(None, {"type": "battery", "at": 3.0, "charge": 0.2})
+    given["fleets"]["uav"]["battery"] = {"type": "given"}
+    with pytest.raises(ScenarioError, match="a battery of type 'given' has no charge that it could lose"):
+        load_scenario(given)
 
 
 @pytest.mark.parametrize(
