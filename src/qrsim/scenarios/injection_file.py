@@ -201,7 +201,10 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
     # What a sensor says at the tick after a request is the first that it can change.
     soonest = int(entry["kind"] == JAM if target == WORLD else target != BATTERY and _rotor(target) is None)
     tick = entry.get("tick", max(0, at - soonest))
-    start, last = max(at, tick + soonest), LAST_TICK if end is None else min(round(end / dt), LAST_TICK)
+    start, last = (
+        max(at, tick + (0 if entry["kind"] == OK else soonest)),
+        LAST_TICK if end is None else min(round(end / dt), LAST_TICK),
+    )
     if last <= start:
         raise UsageError(f"{where}: end: {end:g} s is not after the start, {start * dt:g} s")
     if tick >= scenario.ticks:
