@@ -140,6 +140,60 @@ def test_rotors_and_batteries_fail_and_are_well_again() -> None:
     assert simulation.valid.all()
     np.testing.assert_allclose(speeds(simulation), before, rtol=0.05)
     np.testing.assert_allclose(simulation.state.fleets[0].battery.charge, [1.0, 0.4, 1.0], atol=0.01)
+    # A rotor that is stuck turns at 0.9 of its largest speed whatever is asked of it; the controller meets it.
+    simulation.inject("rotor 2", "stuck", "uav_0", duration=0.4, speed=0.9)
+    simulation.step(ticks=15)
+    largest = float(simulation.world.fleets[0].vehicle.speed_max)  # type: ignore[attr-defined]
+    assert speeds(simulation)[2] == pytest.approx(0.9 * largest, rel=0.03)
+    assert speeds(simulation)[2] > 1.1 * before[2]
+    simulation.step(ticks=150)
+    np.testing.assert_allclose(speeds(simulation), before, rtol=0.1)
+
+
+def charges(simulation: Any, ticks: int) -> np.ndarray:
+    """Return the charge that each vehicle uses in so many ticks."""
+    begun = simulation.state.fleets[0].battery.charge
+    simulation.step(ticks=ticks)
+    return np.asarray(begun - simulation.state.fleets[0].battery.charge)
+
+
+@pytest.mark.long
+def test_a_weak_battery_has_less_capacity_and_voltage() -> None:
+    from qrsim.runs.streams import columns, values
+
+    simulation = qrsim.load(scenario(ALL), seed=4, precision="float64")
+    simulation.reset()
+    simulation.step(ticks=100)
+    simulation.inject("battery", "weak", "uav_1", health=0.8, duration=1.0)
+    history = simulation.record(50)
+    logged = values(simulation.world, history, columns(simulation.world, history))["truth"]["battery.voltage"]
+    np.testing.assert_allclose(logged[10] / logged[10, 0], [1.0, 0.8, 1.0], rtol=0.01)
+    used = charges(simulation, 50)
+    # It is over.
+    assert used[1] / used[0] == pytest.approx(1.0, rel=0.02)
+    simulation.inject("battery", "weak", "uav_1", health=0.8, duration=1.0)
+    used = charges(simulation, 50)
+    assert used[1] / used[0] == pytest.approx(1.25, rel=0.05)
+    scheduled = qrsim.load(
+        scenario(None, {"type": "battery", "at": 0.5, "health": 0.8, "end": 1.5, "vehicles": ["uav_1"]},
+                 {"type": "battery", "at": 1.0, "charge": 0.3, "vehicles": ["uav_2"]},
+                 {"type": "rotor", "rotor": 2, "at": 0.5, "speed": 0.8, "end": 0.9, "vehicles": ["uav_0"]}),
+        seed=4, precision="float64",
+    )  # fmt: skip
+    live = qrsim.load(scenario(ALL), seed=4, precision="float64")
+    found = []
+    for flying in (scheduled, live):
+        flying.reset()
+        flying.step(ticks=25)
+        if flying is live:
+            live.inject("battery", "weak", "uav_1", health=0.8, duration=1.0)
+            live.inject("battery", "drop", "uav_2", charge=0.3, at=1.0)
+            live.inject("rotor 2", "stuck", "uav_0", speed=0.8, duration=0.4)
+        flying.step(ticks=70)
+        fleet = flying.state.fleets[0]
+        found.append(np.concatenate([flying.truth.state.ravel(), fleet.battery.charge, *fleet.vehicle.rotor_speed]))
+    np.testing.assert_array_equal(*found)
+    assert found[0][-3 * 4 - 1] < 0.3
 
 
 @pytest.mark.long
@@ -171,10 +225,12 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("battery", "drop", {"charge": 0.1}, "write 'injectable: {battery: true}' under fleets.uav"),
         ("rotor 3", "off", {}, "target: 'rotor 3' is not injectable; write 'injectable: {rotors: all}'"),
         ("gnss", "of", {}, "kind: 'of' is not known; did you mean 'off'?"),
-        ("rotor_1", "drift", {}, "kind: 'drift' does not suit a rotor; allowed: off, weak, ok"),
+        ("rotor_1", "drift", {}, "kind: 'drift' does not suit a rotor; allowed: off, weak, stuck, ok"),
         ("rotor 1", "weak", {"health": 1.2}, "health: 1.2; allowed: 0 to 1"),
         ("rotor 1", "weak", {}, "health: missing; kind 'weak' needs it, 0 to 1"),
         ("rotor 1", "off", {"health": 0.5}, "health: kind 'off' does not take it"),
+        ("rotor 1", "stuck", {"speed": 1.2}, "speed: 1.2; allowed: 0 to 1"),
+        ("rotor 1", "stuck", {"health": 0.2}, "health: kind 'stuck' does not take it; it takes speed"),
         ("gnss", "drift", {"field": "position_ned.x"}, "rate: missing; kind 'drift' needs it"),
         ("gnss", "drift", {"field": "position_ned.x", "rate": float("nan")}, "rate: nan; allowed: a finite number"),
         ("gnss", "drift", {"field": "height", "rate": 1.0}, "field: the sensor does not report 'height'"),
@@ -223,6 +279,38 @@ def test_requests_at_a_bad_time_or_too_many() -> None:
         simulation.inject("baro", "ok", duration=1.0)
     with pytest.raises(UsageError, match="did you mean 'baro'"):
         simulation.clear("baroo")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"type": "battery", "at": 30.0}, "faults.0.charge: missing; a fault of a battery needs it, or health"),
+        ({"type": "battery", "at": 30.0, "charge": 1.2}, "faults.0.charge: 1.2 is out of range; allowed: 0 to 1"),
+        ({"type": "battery", "at": 30.0, "health": 0.01}, "faults.0.health: 0.01 is out of range; allowed: 0.05 to 1"),
+        ({"type": "battery", "at": 30.01, "charge": 0.2}, "faults.0.at: 30.01 s is not a multiple of the time step"),
+        ({"type": "battery", "at": 60.0, "charge": 0.2}, "faults.0.at: 60 s is not within the run"),
+        ({"type": "battery", "at": 3.0, "charge": 0.2, "end": 4.0}, "faults.0.end: only with health"),
+        ({"type": "battery", "at": 3.0, "health": 0.2, "end": 2.0}, "faults.0.end: 2 s is not after the start, 3 s"),
+        ({"type": "battery", "at": 3.0, "charge": 0.2, "vehicles": ["uav_3"]}, "no vehicle of the fleet is called"),
+        (
+            {"type": "rotor", "rotor": 0, "at": 3.0, "speed": 1.1},
+            "faults.0.speed: 1.1 is out of range; allowed: 0 to 1",
+        ),
+        (
+            {"type": "rotor", "rotor": 0, "at": 3.0, "speed": 0.5, "health": 0.5},
+            "faults.0.health: a rotor that is stuck",
+        ),
+        ({"type": "battry", "at": 3.0}, "battery"),
+    ],
+)
+def test_what_a_scenario_may_not_say_of_rotors_and_batteries(fault: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(scenario(None, fault))
+    assert message in str(caught.value)
+    given = scenario(None, {"type": "battery", "at": 3.0, "charge": 0.2})
+    given["fleets"]["uav"]["battery"] = {"type": "given"}
+    with pytest.raises(ScenarioError, match="a battery of type 'given' has no charge that it could lose"):
+        load_scenario(given)
 
 
 @pytest.mark.parametrize(

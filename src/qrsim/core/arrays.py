@@ -1,7 +1,8 @@
-"""Names for types of NumPy arrays. Shapes and units are in the docstrings."""
+"""Names for types of NumPy arrays, whose shapes and units are in the docstrings, and a check of numbers."""
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -9,3 +10,11 @@ import numpy as np
 NumpyArray = np.ndarray[Any, Any]
 # Arrays of floating-point numbers, of either width.
 Floats = np.ndarray[Any, Any]
+
+
+def is_number(value: Any) -> bool:
+    """Return whether something is a number, of NumPy's too, that a float holds."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return False
+    size: Any = abs(value)
+    return not size >= 1e300

@@ -264,3 +264,9 @@ for _first in "-+.0123456789":
 def dump_yaml(content: object) -> str:
     """Write a value as YAML text that ``parse_yaml`` reads back unchanged."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
+
+
+def dump_line(content: object) -> str:
+    """Write a value as one line of YAML, in braces and brackets, without the line break."""
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=True, width=float("inf"))
+    return text.rstrip("\n")

@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.runs.layout import EVENTS, INDEX, Event
 from qrsim.runs.reader import Run
 from qrsim.runs.settings import Setting, setting_differences
@@ -95,6 +96,14 @@ class EventComparison:
 
 
 @dataclass(frozen=True)
+class InjectionComparison:
+    """Number of injections in both runs, and the entries in only one of them; who asked does not count."""
+
+    equal: int
+    only: tuple[tuple[Content, ...], tuple[Content, ...]]
+
+
+@dataclass(frozen=True)
 class Comparison:
     """All differences of two runs.
 
@@ -104,6 +113,7 @@ class Comparison:
         vehicles_only, streams_only: those that only the first, only the second has.
         streams: the streams that both have.
         events: None where they were not asked for.
+        injections: what was injected in flight; as settings, they do not count.
         tolerance: up to which floating-point values are the same, in their own units.
     """
 
@@ -113,6 +123,7 @@ class Comparison:
     streams_only: tuple[Names, Names]
     streams: tuple[StreamComparison, ...]
     events: EventComparison | None
+    injections: InjectionComparison
     tolerance: float
 
     @property
@@ -159,6 +170,7 @@ def compare_runs(first: Run, second: Run, tolerance: float = 0.0, streams: Seque
         streams_only=_only([name for name in wanted if name in first], [name for name in wanted if name in second]),
         streams=tuple(_compare_stream(first, second, name, vehicles, tolerance) for name in both if name != EVENTS),
         events=_compare_events(first.events, second.events, tolerance) if EVENTS in both else None,
+        injections=_compare_injections(first.injections, second.injections),
         tolerance=tolerance,
     )
 
@@ -329,6 +341,21 @@ def _same_bits(first: NumpyArray, second: NumpyArray) -> bool:
     whole = f"i{first.dtype.itemsize}"
     same = np.ascontiguousarray(first).view(whole) == np.ascontiguousarray(second).view(whole)
     return bool((same | (np.isnan(first) & np.isnan(second))).all())
+
+
+def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> InjectionComparison:
+    left, only = list(second), []
+    for entry in first:
+        same = next((other for other in left if _asked(other) == _asked(entry)), None)
+        if same is None:
+            only.append(entry)
+        else:
+            left.remove(same)
+    return InjectionComparison(len(first) - len(only), (tuple(only), tuple(left)))
+
+
+def _asked(entry: Content) -> Content:
+    return {name: value for name, value in entry.items() if name != "asked_by"}
 
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:

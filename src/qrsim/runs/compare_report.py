@@ -12,11 +12,12 @@ from rich.table import Table
 from rich.text import Text
 
 from qrsim.files import Content
+from qrsim.files.yaml_text import dump_line
 from qrsim.runs import Event, Run
-from qrsim.runs.compare import Comparison, Difference, EventComparison, Moment, StreamComparison
+from qrsim.runs.compare import Comparison, Difference, EventComparison, InjectionComparison, Moment, StreamComparison
 from qrsim.runs.headlines import headlines
 
-MOST_SETTINGS, LONGEST_VALUE = 30, 60
+MOST_SETTINGS, LONGEST_VALUE, MOST_INJECTIONS = 30, 60, 10
 RUNS = "AB"
 
 
@@ -34,6 +35,7 @@ def print_report(first: Run, second: Run, found: Comparison) -> None:
         _print_stream(stream)
     if found.events:
         _print_events(found.events)
+    _print_injections(found.injections)
     if found.differences:
         _print_differences(found.differences)
     print(f"\n{_verdict(found)}")
@@ -94,6 +96,15 @@ def _print_events(events: EventComparison) -> None:
     for letter, own in zip(RUNS, events.only, strict=True):
         if own:
             print(f"  first only in {letter}: {_event(own[0])}")
+
+
+def _print_injections(found: InjectionComparison) -> None:
+    if found.equal or any(found.only):
+        only = [f"{len(own)} only in {letter}" for letter, own in zip(RUNS, found.only, strict=True) if own]
+        print(f"injections: {', '.join([f'{found.equal} equal', *only])}")
+    for letter, own in zip(RUNS, found.only, strict=True):
+        for entry in own[:MOST_INJECTIONS]:
+            print(f"  only in {letter}: {dump_line(entry)}")
 
 
 def _event(event: Event) -> str:
@@ -172,6 +183,7 @@ def to_json(first: Run, second: Run, found: Comparison) -> Content:
         "streams_only": _plain(found.streams_only),
         "streams": [_stream_json(stream) for stream in found.streams],
         "differences": [_difference_json(item) for item in found.differences],
+        "injections": {"equal": found.injections.equal, "only": _plain(found.injections.only)},
         "events": events and {"equal": events.equal, "only": _plain([[asdict(e) for e in o] for o in events.only])},
     }
 

@@ -22,6 +22,8 @@ FORMAT = 1
 # Ticks are counted in 32 bits.
 LARGEST_EVERY = 2**31 - 1
 RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
+# What was injected in flight, as ``qrsim run --inject`` takes it; there is none where nothing was.
+INJECTIONS_FILE = "injections.yaml"
 # Kind of the event that says that a person was found; its value is the number of the person.
 PERSON_FOUND = "person_found"
 # Kind of the events that say that others may have been missed; the last one of a run has how many looks that were.

@@ -15,10 +15,22 @@ from pydantic import TypeAdapter, ValidationError
 
 from qrsim.core.tables import Table, Tabled
 from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, os_error_as, shortened
+from qrsim.files import Content
 from qrsim.files.user_files import LARGEST_DATA, read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.runs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
-from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo, stream_schema
+from qrsim.runs.layout import (
+    EVENTS,
+    FORMAT,
+    INDEX,
+    INJECTIONS_FILE,
+    RUN_FILE,
+    SCENARIO_FILE,
+    Column,
+    Event,
+    RunInfo,
+    stream_schema,
+)
 from qrsim.runs.parts import StreamParts
 from qrsim.runs.stream_arrays import Stream
 
@@ -117,6 +129,26 @@ class Run(Tabled):
         if not isinstance(self.scenario, dict):
             raise ScenarioError(str(self.folder / SCENARIO_FILE), ["expected keys and values such as name: hover"])
         return load_scenario(self.scenario, quiet=True, named_code=self._code)
+
+    @property
+    def injections(self) -> list[Content]:
+        """What was injected in flight, the entries of ``injections.yaml``; none where nothing was.
+
+        Raises:
+            RunError: the file is no list of entries.
+        """
+        path = self.folder / INJECTIONS_FILE
+        if not path.exists():
+            return []
+        with os_error_as(RunError, f"cannot read {path}"):
+            text = read_text(path, LARGEST_DATA)
+        try:
+            found = parse_yaml(text, str(path), own=True)
+        except ScenarioError as error:
+            raise RunError(f"{path} is damaged: {error.problems[0]}") from error
+        if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
+            raise RunError(f"{path} is damaged: it is no list of injections")
+        return found
 
     @property
     def episodes(self) -> tuple[Run, ...]:

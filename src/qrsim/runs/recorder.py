@@ -18,6 +18,9 @@ from qrsim.runs.layout import check_every
 from qrsim.runs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.history import History
+from qrsim.simulation.injections import Injection
+from qrsim.simulation.requests import entry_of, events_of
+from qrsim.simulation.schedule import Schedule
 from qrsim.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -100,6 +103,7 @@ def fly(
     view: Watcher | None = None,
     flown_by: Callable[[Simulation], Flyer] | None = None,
     begun: float | None = None,
+    injections: Sequence[Injection] = (),
 ) -> Pace:
     """Fly a scenario from start to end and record it.
 
@@ -118,6 +122,7 @@ def fly(
         view: page that shows the flight, and says how fast it goes.
         flown_by: makes of the simulation, at its start, who flies it in place of a policy and an estimator.
         begun: since when the user waits, as ``time.perf_counter`` counts; None: since this call.
+        injections: requests of another flight that are made again at their ticks, see ``read_injections``.
 
     Raises:
         UsageError: the folder exists, or ``every`` names no stream or is no integer from 1.
@@ -148,6 +153,8 @@ def fly(
         pilot = flown_by(simulation)
     elif not (policy is None and estimator is None):
         pilot = _pilot(simulation, policy, estimator, policy_ticks)
+    schedule, kept = Schedule(simulation, injections), 0
+    schedule.make()
     # The first tick alone, so that compiling does not count as flying.
     if view is not None:
         view.note("The vehicles stand still until their programs are compiled.")
@@ -163,9 +170,20 @@ def fly(
         gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
 
+        def keep_requests() -> None:
+            nonlocal kept
+            found, time_step = simulation.requests[kept:], simulation.world.time_step
+            kept += len(found)
+            for request in found:
+                writer.note_injection(entry_of(request, time_step))
+            for event in events_of(found, time_step):
+                writer.append_event(**event)
+
         def keep(history: History) -> None:
             arrays = values(simulation.world, history, wanted)
             with writer.together():
+                # What was asked for before these ticks.
+                keep_requests()
                 for stream in STREAMS:
                     writer.append(stream, history.ticks, history.time, arrays[stream])
                 for event in finder.find(history):
@@ -182,9 +200,11 @@ def fly(
         # A page has a clock of its own.
         paced = realtime and view is None
         # What is done once a chunk takes longer than its ticks, but a page, a pilot and a referee want short ones.
-        long = compiler == "llvm" and pilot is None and view is None and referee is None
+        long = compiler == "llvm" and pilot is None and view is None and referee is None and not schedule
         with _scored(referee, writer, policy):
-            pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view, long)
+            begun_at = (start_up, first_tick)
+            pace = _loop(simulation, scenario.ticks, begun_at, paced, pilot, keep, progress, schedule, view, long)
+        keep_requests()
         for event in finder.ending(simulation.history):
             writer.append_event(**event)
         warn_of_overfull(simulation.world, simulation.state)
@@ -270,6 +290,7 @@ def _loop(
     pilot: Flyer | None,
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
+    schedule: Schedule,
     view: Watcher | None = None,
     long: bool = False,
 ) -> Pace:
@@ -283,7 +304,8 @@ def _loop(
     first = simulation.time
     overruns = 0
     while simulation.tick < ticks:
-        count = min(chunk, ticks - simulation.tick)
+        schedule.make()
+        count = schedule.ticks(min(chunk, ticks - simulation.tick))
         # Kept together, because what is done once a chunk takes longer than most policies.
         histories: list[History] = []
         try:

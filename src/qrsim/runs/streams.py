@@ -15,6 +15,7 @@ from qrsim.files import Content
 from qrsim.interface.crowds import crowds_of
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
+from qrsim.models.vehicles.faults import RotorFault
 from qrsim.runs import Column
 from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
@@ -28,6 +29,7 @@ Values = dict[str, NumpyArray]
 STREAMS = ("truth", "measurements", "commands", "wind")
 # Where that of the radio is.
 OF_RADIO = "measurements"
+VOLTAGE = "battery.voltage"
 
 
 # JAX traces the poses again for every number of ticks, which takes as long as computing them. Shorter parts of a flight
@@ -132,7 +134,7 @@ def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any
         ("power", load.power, "W", "electrical power of motors and avionics"),
     ]
     if fleet.battery.drains:
-        items.append(("battery.voltage", _voltage(fleet.battery, state.battery, load), "V", "under load"))
+        items.append((VOLTAGE, _voltage(fleet.battery, state.battery, load), "V", "under load"))
     shape = state.violation.code.shape
     return [
         (name, np.broadcast_to(np.asarray(leaf), shape), unit, doc)
@@ -160,6 +162,8 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
         parts = []
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
             own = {name: leaf for name, leaf, _, _ in _tree(stream, fleet, state)}
+            for fault in fleet.all_battery_faults if VOLTAGE in own else ():
+                own[VOLTAGE] = np.asarray(fault.sagged(own[VOLTAGE], history.ticks[:, None]))  # type: ignore[arg-type]
             shape = (len(history.ticks), fleet.size)
             parts.append({c.name: own[c.name] if c.name in own else _absent(shape, c) for c in wanted[stream]})
         result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
@@ -261,27 +265,24 @@ class EventFinder:
             # When a fault begins may be drawn.
             world = world.with_drawn(tuple(np.asarray(drawn)[0] for drawn in history.state.drawn))
         for fleet in world.fleets:
+            edges: list[tuple[Any, Any, str, str, str]] = []
+            broken: Any
             for fault in fleet.faults:
-                for edge, word in ((fault.start_tick, "begins"), (fault.end_tick, "ends")):
-                    for row in np.flatnonzero(history.ticks == int(edge)):
-                        for i in np.flatnonzero(fault.affected):
-                            event = self._at(history, int(row), first + int(i))
-                            message = (
-                                f"{event['vehicle']}: {fault.sensor} {fault.kind}, {word} at {event['time']:.2f} s"
-                            )
-                            event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
-                            found.append((int(row), first + int(i), event))
-            for broken in fleet.rotor_faults:
-                for edge, kind, word in (
-                    (broken.start_tick, "fault_begins", "fails"),
-                    (broken.end_tick, "fault_ends", "is well again"),
-                ):
-                    for row in np.flatnonzero(history.ticks == int(edge)):
-                        for i in np.flatnonzero(broken.affected):
-                            event = self._at(history, int(row), first + int(i))
-                            message = f"{event['vehicle']}: rotor {broken.rotor} {word} at {event['time']:.2f} s"
-                            event |= {"kind": kind, "field": f"rotor_{broken.rotor}", "message": message}
-                            found.append((int(row), first + int(i), event))
+                told = f"{fault.sensor} {fault.kind}"
+                edges.append((fault.start_tick, fault.affected, "fault_begins", fault.sensor, f"{told}, begins"))
+                edges.append((fault.end_tick, fault.affected, "fault_ends", fault.sensor, f"{told}, ends"))
+            for broken in (*fleet.rotor_faults, *fleet.battery_faults):
+                part = f"rotor_{broken.rotor}" if isinstance(broken, RotorFault) else "battery"
+                told = part.replace("_", " ")
+                edges.append((broken.start_tick, broken.affected, "fault_begins", part, f"{told} fails"))
+                edges.append((broken.end_tick, broken.affected, "fault_ends", part, f"{told} is well again"))
+            for edge, affected, kind, part, words in edges:
+                for row in np.flatnonzero(history.ticks == int(edge)):
+                    for i in np.flatnonzero(affected):
+                        event = self._at(history, int(row), first + int(i))
+                        message = f"{event['vehicle']}: {words} at {event['time']:.2f} s"
+                        event |= {"kind": kind, "field": part, "message": message}
+                        found.append((int(row), first + int(i), event))
             first += fleet.size
         return found
 

@@ -18,9 +18,11 @@ import numpy.typing as npt
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
 from qrsim.files.interruptions import word
+from qrsim.files.yaml_text import dump_line
 from qrsim.runs.buffers import Buffer, VehicleRows, make_buffers
 from qrsim.runs.layout import (
     EVENTS,
+    INJECTIONS_FILE,
     RUN_FILE,
     SCENARIO_FILE,
     Column,
@@ -50,6 +52,8 @@ class RunWriter:
         self._rows = 0
         self._last_tick = 0
         self._time_on_disk: float | None = None
+        self._injections: list[str] = []
+        self._injections_on_disk = 0
         self._held = False
         self._flushed_at = time.monotonic()
         self._closed = False
@@ -161,6 +165,11 @@ class RunWriter:
         self._check_open()
         self._info = replace(self._info, score=dict(score))
 
+    def note_injection(self, entry: Mapping[str, object]) -> None:
+        """Note what was asked for in flight, an entry of ``injections.yaml``; written with the next flush."""
+        self._check_open()
+        self._injections.append(f"- {dump_line(entry)}\n")
+
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
         """Delay due writes until the block ends, so that all streams reach the same tick on disk.
@@ -189,6 +198,10 @@ class RunWriter:
                     buffer.write()
             times = [buffer.last_time for buffer in self._buffers.values() if buffer.last_time is not None]
             self._time_on_disk = max(times, default=None)
+            if len(self._injections) > self._injections_on_disk:
+                doing = f"writing {INJECTIONS_FILE}"
+                write_atomically(self.folder / INJECTIONS_FILE, "".join(self._injections).encode())
+                self._injections_on_disk = len(self._injections)
             doing = "updating run.json"
             self._write_info(ticks=self._last_tick)
         except OSError as error:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
 from qrsim.control import Route
 from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.guidance import RouteFollower
 from qrsim.core.arrays import NumpyArray
-from qrsim.core.tree import cast, field_info, record_of, replace
+from qrsim.core.tree import cast, record_of, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.gnss.contracts import Sky
@@ -28,8 +27,10 @@ from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
+from qrsim.scenarios.components import component
 from qrsim.scenarios.estimating import with_sensed
-from qrsim.scenarios.faults import faults, rotor_faults, slots, vehicle_names
+from qrsim.scenarios.events import with_events
+from qrsim.scenarios.faults import battery_faults, faults, rotor_faults, slots, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
@@ -45,38 +46,9 @@ from qrsim.scenarios.updraft_slot import footprint
 from qrsim.world.state import Fleet, Start, World
 
 
-def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: ScenarioSpec) -> Any:
-    """Build the component of a part of a scenario, with its inherited parameters."""
-    cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
-    values: dict[str, object] = {}
-    for field in dataclasses.fields(cls):
-        if field_info(field).derived:
-            continue
-        value = getattr(spec, field.name)
-        inherits = field_info(field).inherits
-        if isinstance(value, BaseModel):
-            value = component(value, type(field.default), scenario)
-        elif isinstance(value, list):
-            value = np.array(value, np.float64)
-        elif value is None and inherits:
-            value = inherited(scenario, inherits)
-        elif value is None and field_info(field).of_sensors:
-            continue
-        values[field.name] = value
-    return cls(**values)
-
-
 def vehicle_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
     """Build the vehicles of a fleet, in the air of the site."""
     return component(fleet.vehicle, known.VEHICLES, scenario).in_air(air_of(scenario))
-
-
-def inherited(scenario: ScenarioSpec, path: str) -> object:
-    """Return the value at a dotted path of the scenario, None if there is none."""
-    value: Any = scenario
-    for part in path.split("."):
-        value = getattr(value, part, None)
-    return value
 
 
 def build_world(scenario: ScenarioSpec, precision: str) -> World:
@@ -116,7 +88,16 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         air=air_of(scenario),
         updrafts=tuple(updraft_of(scenario, i) for i in range(len(world.updrafts))),
     )
-    return cast(built, dtype)
+    return with_events(cast(built, dtype), scenario)
+
+
+def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the changes of the weather of a scenario without other problems."""
+    if scenario.world.events:
+        try:
+            build_world(scenario, "float64")
+        except UsageError as error:
+            yield str(error)
 
 
 def build_task(scenario: ScenarioSpec, precision: str) -> Any:
@@ -245,6 +226,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
         ground="stop" if has_contact(vehicle) else spec.ground,
         radius=spec.radius,  # type: ignore[arg-type]
         rotor_faults=rotor_faults(name, spec, scenario),
+        battery_faults=battery_faults(name, spec, scenario),
         fault_slots=sensor_slots,
         rotor_slots=rotor_slots,
         battery_slot=battery_slot,

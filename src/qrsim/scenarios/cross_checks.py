@@ -16,10 +16,12 @@ from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_problems
 from qrsim.scenarios.beacons import beacon_problems
-from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, network_of, wind_of
+from qrsim.scenarios.build import ground_if_any, ground_of, network_of, wind_of
 from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
+from qrsim.scenarios.components import component, inherited
 from qrsim.scenarios.contents import contents_problems
+from qrsim.scenarios.events import event_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
@@ -77,6 +79,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_ground_problems(scenario),
         *_standing_problems(scenario),
         *fault_problems(scenario),
+        *event_problems(scenario),
         *contents_problems(scenario),
         *updraft_problems(scenario),
         *range_problems(scenario),

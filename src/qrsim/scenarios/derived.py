@@ -17,7 +17,8 @@ from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component, vehicle_of
+from qrsim.scenarios.build import vehicle_of
+from qrsim.scenarios.components import component
 from qrsim.scenarios.scenario import Scenario
 from qrsim.scenarios.sites import MAGNETOMETERS
 from qrsim.scenarios.wind_limits import limits_of

@@ -1,4 +1,4 @@
-"""What a scenario says of faults: of sensors, and of rotors."""
+"""What a scenario says of faults: of sensors, rotors and batteries."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
+from qrsim.models.vehicles.fault_numbers import WEAKEST_BATTERY
 from qrsim.scenarios.component_schema import Finite, Strict
 
 # Rotors of a fleet that may fail; its mixer is prepared for every set of them.
@@ -62,6 +63,9 @@ class FaultSpec(Strict):
     rate: Finite | None = Field(None, description="what is added in a second (drift)")
     limit: Finite | None = Field(None, description="the most that is added (drift); default: any number", ge=0)
     std: Finite | None = Field(None, description="standard deviation of what is added to each reading (noisy)", ge=0)
+    times: Finite | None = Field(
+        None, description="in place of std: white noise of the sensor so many times as large (noisy)", ge=1, le=1e6
+    )
     range: Finite | None = Field(None, description="readings are drawn uniformly from - to + this (garbage)", ge=0)
     every: int | None = Field(None, description="one reading of so many is delivered (slow)", ge=1, le=1_000_000)
     by: Finite | None = Field(None, description="how late readings come [s] (delayed)", ge=0, le=600)
@@ -71,7 +75,7 @@ class FaultSpec(Strict):
 
 
 class RotorFaultSpec(Strict):
-    """A rotor that turns slower than it is told from some time on, or stands still."""
+    """A rotor that turns slower than it is told from some time on, stands still, or is stuck at a speed."""
 
     type: Literal["rotor"] = Field(description="what fails")
     rotor: int = Field(description="number of the rotor, from 0", ge=0, strict=True)
@@ -79,7 +83,21 @@ class RotorFaultSpec(Strict):
     health: Finite = Field(
         0.0, description="the part of its speed that it still reaches; 0: it stands still", ge=0, le=1
     )
+    speed: Finite | None = Field(
+        None, description="the part of its largest speed that it is stuck at, in place of health", ge=0, le=1
+    )
     end: Finite | None = Field(None, description="when it is well again [s]; default: never", gt=0)
+    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
+
+
+class BatteryFaultSpec(Strict):
+    """A battery that loses charge at once, or capacity and voltage for a time."""
+
+    type: Literal["battery"] = Field(description="what fails")
+    at: Finite = Field(description="when [s]", ge=0)
+    charge: Finite | None = Field(None, description="what is left of a full charge", ge=0, le=1)
+    health: Finite | None = Field(None, description="what is left of capacity and voltage", ge=WEAKEST_BATTERY, le=1)
+    end: Finite | None = Field(None, description="when capacity and voltage are back [s]; default: never", gt=0)
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
 
 
@@ -101,14 +119,20 @@ class InjectableSpec(Strict):
 InjectableModel = Annotated[InjectableSpec, BeforeValidator(_all_of)]
 
 
+_TYPES: dict[str, type[Strict]] = {"sensor": FaultSpec, "rotor": RotorFaultSpec, "battery": BatteryFaultSpec}
+
+
 def _what_fails(fault: object) -> str:
     """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
     if isinstance(fault, dict):
         fault_type = fault.get("type", "sensor")
         return fault_type if isinstance(fault_type, str) else "sensor"
-    return "rotor" if isinstance(fault, RotorFaultSpec) else "sensor"
+    return next(name for name, spec in _TYPES.items() if isinstance(fault, spec))
 
 
 AnyFault = Annotated[
-    Annotated[FaultSpec, Tag("sensor")] | Annotated[RotorFaultSpec, Tag("rotor")], Discriminator(_what_fails)
+    Annotated[FaultSpec, Tag("sensor")]
+    | Annotated[RotorFaultSpec, Tag("rotor")]
+    | Annotated[BatteryFaultSpec, Tag("battery")],
+    Discriminator(_what_fails),
 ]

@@ -27,7 +27,15 @@ from qrsim.models.sensors.faults import LAST_TICK, Fault, FaultSlot
 from qrsim.models.vehicles.faults import BatteryFault, RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.fault_schema import ALL, MOST_FAILED_ROTORS, FaultSpec, InjectableSpec, RotorFaultSpec
+from qrsim.scenarios.components import component
+from qrsim.scenarios.fault_schema import (
+    ALL,
+    MOST_FAILED_ROTORS,
+    BatteryFaultSpec,
+    FaultSpec,
+    InjectableSpec,
+    RotorFaultSpec,
+)
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.spans import moment_problems, span_problems
 from qrsim.scenarios.timing import is_multiple
@@ -47,13 +55,14 @@ def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
 def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Fault, ...]:
     """Build the faults of a fleet."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
-    found = []
+    found, earlier = [], list[FaultSpec]()
     for spec in fleet.faults:
         if isinstance(spec, FaultSpec):
             fields = tuple(reading_fields(fleet.sensors[spec.sensor].type))
             chosen = chosen_fields(spec.field, fields)
             ticks = period_ticks(fleet.sensors[spec.sensor].period, dt)
-            numbers = fault_numbers(spec.kind, _given(spec), chosen, fields, dt, ticks)
+            white = _white_noise(fleet, spec.sensor, scenario) if spec.times is not None else None
+            numbers = fault_numbers(spec.kind, _given(spec), chosen, fields, dt, ticks, white)
             found.append(
                 Fault(
                     start_tick=_tick(spec.start, dt),
@@ -67,9 +76,27 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
                     time_step=dt,
                     remembered=int(numbers.readings),
                     only=chosen,
+                    order=sum(_draw_alike(spec, other) for other in earlier),
                 )
             )
+            earlier.append(spec)
     return tuple(found)
+
+
+def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
+    """Return whether two faults are of one sensor of one vehicle, and begin at one time."""
+    shared = one.vehicles is None or other.vehicles is None or set(one.vehicles) & set(other.vehicles)
+    return bool(shared) and (one.sensor, one.start, kind_of(one.kind)) == (
+        other.sensor,
+        other.start,
+        kind_of(other.kind),
+    )
+
+
+def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[str, Any]:
+    """Return the white noise that a sensor states, by field."""
+    found: dict[str, Any] = component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
+    return found
 
 
 def _given(spec: FaultSpec) -> dict[str, float | None]:
@@ -87,7 +114,22 @@ def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> t
     for spec in fleet.faults:
         if isinstance(spec, RotorFaultSpec):
             times = (_tick(spec.at, dt), _tick(NOTICED_S, dt), _tick(spec.end, dt))
-            found.append(record_of(RotorFault, *times, _mask(names, spec.vehicles), spec.health, spec.rotor))
+            # One that is stuck turns as fast as it does, whatever it is told.
+            health = spec.health if spec.speed is None else 1.0
+            fault = record_of(RotorFault, *times, _mask(names, spec.vehicles), health, spec.rotor, speed=spec.speed)
+            found.append(fault)
+    return tuple(found)
+
+
+def battery_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[BatteryFault, ...]:
+    """Build the faults of a fleet's batteries."""
+    names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
+    found = []
+    for spec in fleet.faults:
+        if isinstance(spec, BatteryFaultSpec):
+            left = (1.0 if spec.charge is None else spec.charge, 1.0 if spec.health is None else spec.health)
+            times = (_tick(spec.at, dt), _tick(spec.end, dt))
+            found.append(record_of(BatteryFault, *times, _mask(names, spec.vehicles), *left))
     return tuple(found)
 
 
@@ -96,7 +138,10 @@ _SENSOR_PATHS: dict[str, tuple[str, ...]] = {
     "start": ("start_tick",), "end": ("end_tick",), "limit": ("numbers", "limit"), "share": ("numbers", "share"),
 }  # fmt: skip
 _OF_FIELDS = {"bias": "amounts", "rate": "amounts", "std": "amounts", "range": "amounts", "scale": "scales"}
-_ROTOR_PATHS = {"at": "start_tick", "end": "end_tick", "health": "health"}
+_OTHER_PATHS = {
+    name: {"at": "start_tick", "end": "end_tick"} | {number: number for number in numbers}
+    for name, numbers in (("rotor_faults", ("health", "speed")), ("battery_faults", ("charge", "health")))
+}
 TIMES = ("start", "end", "at")
 
 
@@ -104,8 +149,9 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
     """Return where a Fleet has a number of one of its faults that an episode may draw; nowhere if it may not."""
     chosen = fleet.faults[number]
     place = sum(isinstance(fault, type(chosen)) for fault in fleet.faults[:number])
-    if isinstance(chosen, RotorFaultSpec):
-        return [("rotor_faults", place, _ROTOR_PATHS[name])] if name in _ROTOR_PATHS else []
+    if not isinstance(chosen, FaultSpec):
+        where = "rotor_faults" if isinstance(chosen, RotorFaultSpec) else "battery_faults"
+        return [(where, place, _OTHER_PATHS[where][name])] if name in _OTHER_PATHS[where] else []
     if name in _SENSOR_PATHS:
         return [("faults", place, *_SENSOR_PATHS[name])]
     fields = reading_fields(fleet.sensors[chosen.sensor].type)
@@ -181,10 +227,14 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
             path, names = f"fleets.{fleet_name}.faults.{i}", vehicle_names(fleet_name, fleet)
             yield from _name_problems(path, fault.vehicles, names)
             if isinstance(fault, RotorFaultSpec):
-                yield from _rotor_problems(path, fault, fleet, scenario)
+                yield from _moment_problems(path, fault, scenario)
+                yield from _rotor_problems(path, fault, fleet)
+            elif isinstance(fault, BatteryFaultSpec):
+                yield from _moment_problems(path, fault, scenario)
+                yield from _battery_problems(path, fault, fleet)
             else:
                 yield from _time_problems(path, fault, scenario)
-                yield from _problems(path, fault, fleet)
+                yield from _problems(path, fault, fleet, scenario)
         rotors = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
         if len(rotors) > MOST_FAILED_ROTORS:
             yield f"fleets.{fleet_name}.faults: {len(rotors)} rotors fail; allowed: at most {MOST_FAILED_ROTORS}"
@@ -216,14 +266,30 @@ def _name_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) 
             yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
 
 
-def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the fault of a rotor."""
+def _moment_problems(path: str, fault: RotorFaultSpec | BatteryFaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the times of a fault of a rotor or a battery."""
     for name, seconds in (("at", fault.at), ("end", fault.end)):
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"
     yield from moment_problems(f"{path}.at", fault.at, scenario.duration)
     if fault.end is not None and fault.end <= fault.at:
         yield f"{path}.end: {fault.end:g} s is not after the start, {fault.at:g} s"
+
+
+def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> Iterator[str]:
+    """Yield what is wrong with the fault of a battery."""
+    if not known.BATTERIES[fleet.battery.type].drains:
+        yield f"{path}.type: a battery of type '{fleet.battery.type}' has no charge that it could lose"
+    if fault.charge is None and fault.health is None:
+        yield f"{path}.charge: missing; a fault of a battery needs it, or health"
+    if fault.end is not None and fault.health is None:
+        yield f"{path}.end: only with health; a charge that is lost does not come back"
+
+
+def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Iterator[str]:
+    """Yield what is wrong with the fault of a rotor."""
+    if fault.speed is not None and fault.health > 0.0:
+        yield f"{path}.health: a rotor that is stuck at a speed has none"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
     elif fault.rotor >= len(fleet.vehicle.rotors):
@@ -239,7 +305,7 @@ def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Itera
     yield from span_problems(path, fault.start, fault.end, scenario.duration)
 
 
-def _problems(path: str, fault: FaultSpec, fleet: FleetSpec) -> Iterator[str]:
+def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
     if fault.sensor not in fleet.sensors:
         yield f"{path}.sensor: no sensor is called '{fault.sensor}'{did_you_mean(fault.sensor, fleet.sensors)}"
         return
@@ -248,7 +314,8 @@ def _problems(path: str, fault: FaultSpec, fleet: FleetSpec) -> Iterator[str]:
         sensor = known.SENSORS[fleet.sensors[fault.sensor].type].__name__
         yield f"{path}.sensor: {sensor}.step does not say what it reports; expected '-> tuple[State, Reading]'"
         return
-    for name, problem in number_problems(fault.kind, fault.field, _given(fault), fields):
+    white = _white_noise(fleet, fault.sensor, scenario) if fault.times is not None else None
+    for name, problem in number_problems(fault.kind, fault.field, _given(fault), fields, white):
         yield f"{path}.{name}: {problem}"
     period = fleet.sensors[fault.sensor].period
     if (fault.by or 0.0) > MOST_READINGS * period:

@@ -1,66 +1,85 @@
-"""Files of injections, as ``qrsim run --inject`` takes them: faults of sensors and rotors at given times."""
+"""Files of injections, as ``qrsim run --inject`` takes them and as runs record them."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from qrsim.core.arrays import is_number
 from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
 from qrsim.files import Content
 from qrsim.files.yaml_text import parse_yaml
+from qrsim.models.sensors.faults import LAST_TICK
+from qrsim.models.vehicles.fault_numbers import number_of
+from qrsim.scenarios import catalogue
 from qrsim.scenarios.faults import rotors_of, vehicle_names
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.simulation.injections import ROTOR_KINDS
+from qrsim.scenarios.schema import FleetSpec
+from qrsim.scenarios.timing import is_multiple
+from qrsim.simulation.changing import JAM, TAKES, WIND
+from qrsim.simulation.injections import OK, WORLD, Injection, plain_target
+from qrsim.simulation.requests import after_request
 
 LARGEST_BYTES, MOST_ENTRIES = 2**24, 10_000
+# Keys of an entry that are no numbers of its kind.
+KEYS = ("target", "kind", "tick", "at", "end", "vehicles", "asked_by")
+BATTERY = "battery"
 
 
-def with_injections(scenario: Scenario, path: Path) -> Scenario:
-    """Return a scenario with the faults of a file.
+def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Injection, ...]]:
+    """Return a scenario in which the injections of a file are possible, and the requests that are made in flight.
+
+    A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery`` or ``world``), ``kind``, ``at`` [s],
+    perhaps ``end`` [s] and ``vehicles``, and the numbers of the kind. Entries of a recorded flight have a ``tick`` too,
+    at which they were asked for. Where a file has such entries, or ends faults (kind ``ok``), all of its faults are
+    requests, for which the scenario gets room: a fault takes the place of the one before it. Otherwise its faults are
+    added to those of the scenario. Changes of the world are always requests.
 
     Args:
         scenario: what is flown.
-        path: a list of entries with ``target`` (a sensor or ``rotor N``), ``kind``, ``at`` [s], perhaps ``end`` [s] and
-            ``vehicles``, and the numbers of the kind; without vehicles an entry is of each fleet that has the target.
+        path: of the file.
 
     Raises:
-        UsageError: the file cannot be read, is too large, or an entry is no injection.
-        ScenarioError: a fault is not possible in the scenario.
+        UsageError: the file cannot be read, is too large, or an entry is not possible in the scenario.
     """
+    entries = [(f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
+               for number, entry in enumerate(_entries(path), 1)]  # fmt: skip
+    in_flight = any("tick" in entry or entry["kind"] == OK for _, entry in entries)
     content = scenario.spec.model_dump(mode="json")
-    for number, entry in enumerate(_entries(path)):
-        where = f"{path}: entry {number + 1}"
-        if not isinstance(entry, dict):
-            raise UsageError(f"{where}: expected target, kind, at and the like, not {type(entry).__name__}")
-        for name in ("target", "kind", "at"):
-            if name not in entry:
-                raise UsageError(f"{where}: {name} is missing")
-        target, vehicles = str(entry["target"]), entry.get("vehicles")
-        if vehicles is not None and not (isinstance(vehicles, list) and all(isinstance(one, str) for one in vehicles)):
-            raise UsageError(f"{where}: vehicles: expected a list of names")
-        rotor = re.fullmatch(r"rotor[ _]([0-9]{1,3})", target)
-        if rotor:
-            _check_rotor(where, entry)
-        placed, placed_all = False, set[str]()
-        for name, fleet in scenario.spec.fleets.items():
-            known = vehicle_names(name, fleet)
-            mine = None if vehicles is None else [each for each in vehicles if each in known]
-            placed_all = placed_all.union(mine or ())
-            if mine == [] or not (int(rotor[1]) < rotors_of(fleet) if rotor else target in fleet.sensors):
-                continue
-            content["fleets"][name]["faults"].append(_fault(entry, rotor and int(rotor[1]), mine))
-            placed = True
-        unknown = [one for one in vehicles or () if one not in placed_all]
-        if unknown:
-            everybody = [one for name, fleet in scenario.spec.fleets.items() for one in vehicle_names(name, fleet)]
-            raise UsageError(f"{where}: no vehicle is called '{unknown[0]}'{did_you_mean(unknown[0], everybody)}")
-        if not placed:
-            whom = "" if vehicles is None else f" of {', '.join(map(str, vehicles))}"
-            raise UsageError(f"{where}: there is no target '{target}'{whom}{did_you_mean(target, _targets(scenario))}")
+    requests, wheres = [], []
+    for where, entry in entries:
+        fleets = [] if entry["target"] == WORLD else _fleets(scenario, where, entry)
+        if in_flight or entry["target"] == WORLD:
+            requests.append(_request(scenario, where, entry))
+            wheres.append(where)
+            _make_room(content, entry, fleets)
+        else:
+            for name, mine in fleets:
+                content["fleets"][name]["faults"].append(_fault(where, entry, mine))
     try:
-        return load_scenario(content, quiet=True)
+        scenario = load_scenario(content, quiet=True)
     except ScenarioError as error:
         raise UsageError(f"{path}: {error}") from None
+    return scenario, tuple(_possible(scenario, requests, wheres))
+
+
+def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequence[str]) -> Iterator[Injection]:
+    """Yield requests with the vehicles that they are of, in the order of their ticks.
+
+    Raises:
+        UsageError: one is not possible.
+    """
+    world = scenario.world() if requests else None
+    for request, where in sorted(zip(requests, wheres, strict=True), key=lambda pair: pair[0].tick):
+        assert world is not None
+        try:
+            world, request = after_request(world, request)
+        except UsageError as error:
+            raise UsageError(f"{where}: {error}") from None
+        yield request
 
 
 def _entries(path: Path) -> list[object]:
@@ -80,29 +99,139 @@ def _entries(path: Path) -> list[object]:
     return content
 
 
+def _checked(entry: object, where: str) -> Content:
+    """Return an entry whose parts are of the types that they have to be."""
+    if not isinstance(entry, dict):
+        raise UsageError(f"{where}: expected target, kind, at and the like, not {type(entry).__name__}")
+    for name in ("target", "kind", "at"):
+        if name not in entry:
+            raise UsageError(f"{where}: {name} is missing")
+    for name in ("target", "kind", "asked_by"):
+        if not isinstance(entry.get(name, ""), str):
+            raise UsageError(f"{where}: {name}: {entry[name]!r:.60}; allowed: a text")
+    for name in ("at", "end"):
+        if entry.get(name) is not None and not (is_number(entry[name]) and 0.0 <= entry[name] <= 1e9):
+            raise UsageError(f"{where}: {name}: {entry[name]!r:.60}; allowed: a time [s]")
+    tick, vehicles = entry.get("tick", 0), entry.get("vehicles")
+    if type(tick) is not int or not 0 <= tick < LAST_TICK:
+        raise UsageError(f"{where}: tick: {tick!r:.60}; allowed: a whole number from 0")
+    if vehicles is not None and not (isinstance(vehicles, list) and all(isinstance(one, str) for one in vehicles)):
+        raise UsageError(f"{where}: vehicles: expected a list of names")
+    # What ends faults may be called as the function that does.
+    kind = OK if entry["kind"] == "clear" else entry["kind"]
+    return entry | {"target": plain_target(entry["target"]), "kind": kind}
+
+
+def _rotor(target: str) -> int | None:
+    """Return the number of a rotor; None for another target."""
+    found = re.fullmatch(r"rotor ([0-9]{1,3})", target)
+    return int(found[1]) if found else None
+
+
+def _has(fleet: FleetSpec, target: str) -> bool:
+    rotor = _rotor(target)
+    if rotor is not None:
+        return rotor < rotors_of(fleet)
+    if target == BATTERY:
+        return bool(catalogue.BATTERIES[fleet.battery.type].drains)
+    return target in fleet.sensors
+
+
+def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, list[str] | None]]:
+    """Return the fleets that an entry is of, and which of their vehicles; None: all."""
+    target, vehicles = entry["target"], entry.get("vehicles")
+    found, placed = [], set[str]()
+    for name, fleet in scenario.spec.fleets.items():
+        known = vehicle_names(name, fleet)
+        mine = None if vehicles is None else [each for each in vehicles if each in known]
+        placed = placed.union(mine or ())
+        if mine != [] and _has(fleet, target):
+            found.append((name, mine))
+    unknown = [one for one in vehicles or () if one not in placed]
+    if unknown:
+        everybody = [one for name, fleet in scenario.spec.fleets.items() for one in vehicle_names(name, fleet)]
+        raise UsageError(f"{where}: no vehicle is called '{unknown[0]}'{did_you_mean(unknown[0], everybody)}")
+    if not found:
+        whom = "" if vehicles is None else f" of {', '.join(map(str, vehicles))}"
+        raise UsageError(f"{where}: there is no target '{target}'{whom}{did_you_mean(target, _targets(scenario))}")
+    return found
+
+
 def _targets(scenario: Scenario) -> list[str]:
     """Return what may fail in any fleet."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
-    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets))))]
+    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets)))), BATTERY, WORLD]
 
 
-def _check_rotor(where: str, entry: Content) -> None:
-    """Refuse what is no fault of a rotor: it is off, or weak with a health."""
-    kind = entry["kind"]
-    if kind not in ROTOR_KINDS:
-        raise UsageError(f"{where}: kind '{kind}' does not suit a rotor; allowed: {', '.join(ROTOR_KINDS)}")
-    if (kind == "weak") != ("health" in entry):
-        raise UsageError(
-            f"{where}: health: " + ("missing; kind 'weak' needs it" if kind == "weak" else "only for kind 'weak'")
-        )
+# ---- as faults of the scenario ----
 
 
-def _fault(entry: Content, rotor: int | None, vehicles: list[str] | None) -> Content:
+def _numbers(entry: Content) -> Content:
+    return {name: value for name, value in entry.items() if name not in KEYS}
+
+
+def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
     """Return an entry as a fault of a fleet."""
-    rest = {name: value for name, value in entry.items() if name not in ("target", "at", "vehicles", "asked_by")}
-    chosen = {} if vehicles is None else {"vehicles": vehicles}
-    if rotor is None:
-        return rest | chosen | {"sensor": entry["target"], "start": entry["at"]}
-    health = {"health": 0.0} if rest.pop("kind") == "off" else {}
-    return health | rest | chosen | {"type": "rotor", "rotor": rotor, "at": entry["at"]}
+    target, kind, numbers = entry["target"], entry["kind"], _numbers(entry)
+    rest = {"end": entry["end"]} if "end" in entry else {}
+    rest |= {} if vehicles is None else {"vehicles": vehicles}
+    rotor = _rotor(target)
+    if rotor is None and target != BATTERY:
+        return numbers | rest | {"sensor": target, "kind": kind, "start": entry["at"]}
+    what = BATTERY if rotor is None else "rotor"
+    try:
+        number_of(what, kind, numbers)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from None
+    rest |= {"type": what, "at": entry["at"]} | ({} if rotor is None else {"rotor": rotor})
+    return ({"health": 0.0} if kind == "off" else {}) | numbers | rest
+
+
+# ---- as requests in flight ----
+
+
+def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
+    """Return an entry as a request; without a ``tick`` it is made as late as it can."""
+    dt, target = scenario.spec.time_step, entry["target"]
+    for name in ("at", "end"):
+        if entry.get(name) and not is_multiple(entry[name], dt, math.inf):
+            raise UsageError(f"{where}: {name}: {entry[name]:g} s is not a multiple of the time step {dt:g} s")
+    at, end = round(entry["at"] / dt), entry.get("end")
+    # What a sensor says at the tick after a request is the first that it can change.
+    soonest = int(entry["kind"] == JAM if target == WORLD else target != BATTERY and _rotor(target) is None)
+    tick = entry.get("tick", max(0, at - soonest))
+    start, last = (
+        max(at, tick + (0 if entry["kind"] == OK else soonest)),
+        LAST_TICK if end is None else min(round(end / dt), LAST_TICK),
+    )
+    if last <= start:
+        raise UsageError(f"{where}: end: {end:g} s is not after the start, {start * dt:g} s")
+    if tick >= scenario.ticks:
+        raise UsageError(
+            f"{where}: at: {tick * dt:g} s is not within the run; allowed: from 0 s to before its end at "
+            f"{scenario.duration:g} s (duration)"
+        )
+    vehicles, by = tuple(entry.get("vehicles") or ()), entry.get("asked_by", "file")
+    return Injection(0, target, entry["kind"], vehicles, start, last, _numbers(entry), by, tick)
+
+
+def _make_room(content: Content, entry: Mapping[str, Any], fleets: list[tuple[str, list[str] | None]]) -> None:
+    """Make room in a scenario's content, in place, for what a request injects."""
+    target, rotor = entry["target"], _rotor(entry["target"])
+    if target == WORLD and entry["kind"] in TAKES and (entry["kind"] != WIND or entry.get("over")):
+        world = content["world"]
+        world["injectable"] = [kind for kind in TAKES if kind in {*world["injectable"], entry["kind"]}]
+    for name, _ in fleets:
+        fleet = content["fleets"][name]
+        spec = fleet["injectable"] or {"sensors": [], "rotors": [], "battery": False, "delay_max": 0.0}
+        if rotor is not None:
+            spec["rotors"] = sorted({*spec["rotors"], rotor})
+        elif target == BATTERY:
+            spec["battery"] = True
+        elif spec["sensors"] != ["all"]:
+            spec["sensors"] = [sensor for sensor in fleet["sensors"] if sensor in {*spec["sensors"], target}]
+        by = entry.get("by")
+        if is_number(by) and by is not None:
+            spec["delay_max"] = max(spec["delay_max"], by)
+        fleet["injectable"] = spec

@@ -15,6 +15,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
 from qrsim.scenarios.component_schema import Strict, component_model
+from qrsim.scenarios.event_schema import may_be_jammed
 from qrsim.scenarios.legs import Position
 from qrsim.scenarios.slots import slot
 from qrsim.scenarios.spans import span_problems
@@ -74,11 +75,11 @@ def interference(scenario: object, ephemeris: object) -> Interference | None:
 
 def _kept(scenario: Any) -> list[tuple[int, Any]]:
     """Return the parts that are built, by their numbers: all but jammers without power that get none by a range."""
-    drawn = {item.path for item in scenario.ranges}
+    drawn, jammed = {item.path for item in scenario.ranges}, may_be_jammed(scenario)
     return [
         (i, spec)
         for i, spec in enumerate(scenario.world.interference)
-        if spec.kind != "jammer" or spec.power_w > 0.0 or f"world.interference.{i}.power_w" in drawn
+        if spec.kind != "jammer" or spec.power_w > 0.0 or jammed or f"world.interference.{i}.power_w" in drawn
     ]
 
 

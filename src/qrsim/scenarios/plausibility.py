@@ -21,7 +21,7 @@ from qrsim.models.vehicles.quadrotor import (
 )
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_warnings
-from qrsim.scenarios.build import component
+from qrsim.scenarios.components import component
 from qrsim.scenarios.estimating import sensed
 from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.registry import is_outside

@@ -194,7 +194,7 @@ def load_scenario(
         spec, found = with_buildings(spec, quiet)
     spec = spec if found else build.on_ground(spec)
     found = found or [_as_written(problem, written) for problem in problems(spec)]
-    found = found or list(trial_problems(spec))
+    found = found or list(build.weather_problems(spec)) or list(trial_problems(spec))
     if found:
         raise ScenarioError(name, found)
     for words in () if quiet else (*odd, *plausibility_warnings(spec)):

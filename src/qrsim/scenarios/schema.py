@@ -23,6 +23,7 @@ from qrsim.scenarios.area_schema import AreaSlot
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.definitions import with_short_names
+from qrsim.scenarios.event_schema import MOST_EVENTS, Changeable, EventSpec
 from qrsim.scenarios.fault_schema import AnyFault, InjectableModel, or_all
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import RowsSpec, one_by_one
@@ -182,6 +183,14 @@ class WorldSpec(Strict):
     buildings: BuildingsSpec | None = Field(None, description="buildings from a file, which become obstacles")
     interference: list[InterferenceSlot] = Field(
         [], description="jammers, spoofers, outages and storms that affect receivers of type gnss", max_length=MOST
+    )
+    events: list[EventSpec] = Field(
+        [], description="changes of wind, gusts and jammers at set times", max_length=MOST_EVENTS
+    )
+    injectable: Changeable = Field(
+        [],
+        description="what may change in flight: wind (over some time), gusts and jam, or all",
+        json_schema_extra=or_all,
     )
     radio: RadioModel | None = Field(None, description="messages between vehicles; default: no radios")
     beacons: list[BeaconSpec] = Field(

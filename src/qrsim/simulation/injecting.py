@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from qrsim.core.tree import field_info, replace
 from qrsim.engine.layout import Packer
 from qrsim.errors import UsageError
-from qrsim.models.atmosphere.wind import LogShear
-from qrsim.models.atmosphere.wind_series import VeeringShear
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.alone import Alone, alone
+from qrsim.simulation.changing import GUSTS, JAM, WIND, Weather, weather_of, with_weather
 from qrsim.simulation.injections import (
     MOST_AT_ONCE,
+    OK,
+    WORLD,
     Injected,
     Injection,
     first_tick,
     injected,
-    is_number,
     last_tick,
     named_vehicles,
     plain_target,
     without_faults,
 )
 from qrsim.simulation.one_world import OneWorld
+from qrsim.simulation.requests import after_request, of_sensor
 from qrsim.world.state import World
 
 
@@ -48,20 +47,26 @@ class Injecting(Alone):
     def __init__(self) -> None:
         super().__init__()
         self._injections: list[Injection] = []
+        self._requests: list[Injection] = []
+        # The weather of the scenario, once another was asked for.
+        self._weather: Weather | None = None
         self._count = 0
         self._asked: tuple[int, int] = (-1, 0)
 
     @alone
     def change_world(self, world: World) -> None:
-        """Change parameters from the next tick on; nothing is recompiled.
+        """Change parameters from the next tick on; nothing is recompiled. Injected faults stay.
 
         Raises:
             UsageError: something else than numbers differs.
         """
-        if Packer(world) != self._ticks.layout:
-            raise UsageError("world: it differs in more than numbers from the one that flies; make another Simulation")
-        with self.precision_context():
-            self.world, self._ticks = world, OneWorld(world)
+        self._weather = None
+        if any(fleet.fault_slots or fleet.rotor_slots or fleet.battery_slot for fleet in world.fleets):
+            # What is in the slots of the world that is given may be older than what was injected since.
+            world = without_faults(world)
+            for one in self._injections:
+                world, _ = after_request(world, one)
+        self._take(world)
 
     @alone
     def inject(
@@ -95,30 +100,32 @@ class Injecting(Alone):
             UsageError: it cannot be injected; nothing has changed.
         """
         target = plain_target(target)
-        if kind == "ok" and (at is not None or duration is not None):
+        if kind == OK and (at is not None or duration is not None):
             raise UsageError("at, duration: kind 'ok' ends a fault at once; use 'duration' of the fault itself")
         if self._asked == (self.tick, MOST_AT_ONCE):
             raise UsageError(f"inject: at most {MOST_AT_ONCE} faults in one tick")
         dt = self.world.time_step
-        # What a sensor says at the next tick is the first that a fault of it can change.
-        start = first_tick(at, self.tick, dt, 1 if _of_sensor(self.world, target) else 0)
+        start = first_tick(at, self.tick, dt, 1 if of_sensor(self.world, target) else 0)
         ticks = (start, last_tick(duration, start, dt))
-        # As Python's own, which saved states can have.
-        numbers = {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
-        world, concerned = injected(self.world, target, kind, named_vehicles(self.world, vehicles), ticks, numbers)
-        self._take(world)
+        numbers = {name: plain(value) for name, value in numbers.items()}
+        chosen = tuple(named_vehicles(self.world, vehicles) or ())
+        self._make([Injection(self._count + 1, target, kind, chosen, *ticks, numbers, asked_by, self.tick)])
         self._asked = (self.tick, self._asked[1] + 1 if self._asked[0] == self.tick else 1)
-        self._count += 1
-        self._note(Injection(self._count, target, kind, concerned, *ticks, numbers, asked_by))
         return self._count
 
     @alone
-    def clear(self, what: int | str | None = None, vehicles: Iterable[str] | str | None = None) -> None:
+    def clear(
+        self,
+        what: int | str | None = None,
+        vehicles: Iterable[str] | str | None = None,
+        asked_by: str = "python",
+    ) -> None:
         """End injected faults: one by its number, those of a target, or all; what is not there does nothing.
 
         Args:
             what: number of a fault, or a target; None: all.
             vehicles: name or names; None: all.
+            asked_by: who asks, for records.
 
         Raises:
             UsageError: there is no such target or vehicle.
@@ -127,14 +134,13 @@ class Injecting(Alone):
         what = plain_target(what) if isinstance(what, str) else what
         chosen = [one for one in self._injections if what is None or what in (one.id, one.target)]
         if isinstance(what, str) and not chosen:
-            injected(self.world, what, "ok", names, (0, 0), {})
-        world = self.world
+            injected(self.world, what, OK, names, (0, 0), {})
+        ends = []
         for one in chosen:
-            mine = [name for name in one.vehicles if names is None or name in names]
+            mine = tuple(name for name in one.vehicles if names is None or name in names)
             if mine:
-                world, _ = injected(world, one.target, "ok", mine, (0, 0), {})
-                self._note(Injection(0, one.target, "ok", tuple(mine), 0, 0))
-        self._take(world)
+                ends.append(Injection(0, one.target, OK, mine, self.tick, self.tick, {}, asked_by, self.tick))
+        self._make(ends)
 
     @property
     def injected(self) -> Injected:
@@ -142,48 +148,128 @@ class Injecting(Alone):
         with self._lock:
             return Injected([one for one in self._injections if one.end_tick > self.tick], self.world.time_step)
 
+    @property
+    def requests(self) -> list[Injection]:
+        """All requests since the reset, in their order: faults, ends of faults, and changes of the wind."""
+        return list(self._requests)
+
     @alone
-    def set_wind(self, speed: float, from_deg: float) -> None:
+    def repeat(self, requests: Sequence[Injection]) -> None:
+        """Make requests of another flight again, now, as one change.
+
+        Args:
+            requests: with the ticks at which their faults begin and end.
+
+        Raises:
+            UsageError: one is not possible in this world; nothing has changed.
+        """
+        count, found = self._count, []
+        for one in requests:
+            fault = one.kind != OK and one.target != WORLD
+            count += fault
+            found.append(dataclasses.replace(one, tick=self.tick, id=count if fault else 0))
+        self._make(found)
+
+    @alone
+    def set_wind(self, speed: float, from_deg: float, over: float = 0.0, asked_by: str = "python") -> None:
         """Change the mean wind from the next tick on.
 
         Args:
             speed: 20 ft above the ground [m/s].
             from_deg: bearing it comes from [degrees].
+            over: how long the change takes [s]; above 0 where ``world.injectable`` of the scenario has wind.
+            asked_by: who asks, for records.
 
         Raises:
             UsageError: the wind has no one speed and direction, an episode draws it, or a number out of range.
         """
-        most = wind_limit(self.world)
-        for name, value, allowed in (("speed", speed, f"0 to {most:g} m/s"), ("from_deg", from_deg, "a finite number")):
-            if not is_number(value) or not math.isfinite(value):
-                raise UsageError(f"{name}: {value!r}; allowed: {allowed}")
-        if not 0.0 <= speed <= most:
-            raise UsageError(f"speed: {speed:g} m/s; allowed: 0 to {most:g} m/s")
-        self._take(with_wind(self.world, speed, from_deg))
+        self._change(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
+
+    @alone
+    def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
+        """Change the strength of random gusts from the next tick on; ``world.injectable`` of the scenario has gusts.
+
+        Args:
+            times: what the gusts of the scenario are multiplied by.
+            over: how long the change takes [s].
+            asked_by: who asks, for records.
+
+        Raises:
+            UsageError: it cannot be changed, or a number is out of range.
+        """
+        self._change(GUSTS, {"times": times, "over": over}, asked_by)
+
+    @alone
+    def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
+        """Change the power of a jammer from the next tick on; ``world.injectable`` of the scenario has jam.
+
+        Args:
+            jammer: which one of the jammers in ``world.interference``, from 0.
+            power_w: power that it radiates [W].
+            over: how long the change takes [s].
+            asked_by: who asks, for records.
+
+        Raises:
+            UsageError: it cannot be changed, or a number is out of range.
+        """
+        self._change(JAM, {"jammer": jammer, "power_w": power_w, "over": over}, asked_by)
 
     # ---- for resets and saved states ----
 
-    def _take(self, world: World) -> None:
-        if world is not self.world:
-            self.change_world(world)
+    def _change(self, kind: str, numbers: dict[str, Any], asked_by: str) -> None:
+        given = {name: plain(value) for name, value in numbers.items() if not (name == "over" and value == 0.0)}
+        self._make([Injection(0, WORLD, kind, (), self.tick, LAST_TICK, given, asked_by, self.tick)])
 
-    def _note(self, injection: Injection) -> None:
-        """Keep an injection in place of those of its target and vehicles; ``ok`` is none."""
-        kept = []
+    def _make(self, requests: Sequence[Injection]) -> None:
+        """Change the world by some requests at once, and keep them."""
+        world, made = self.world, []
+        for request in requests:
+            world, request = after_request(world, request)
+            made.append(request)
+        before = weather_of(self.world)
+        self._take(world)
+        for request in made:
+            if request.target == WORLD:
+                self._weather = self._weather or before
+            if request.target == WORLD or self._note(request):
+                self._requests.append(request)
+
+    def _take(self, world: World) -> None:
+        if world is self.world:
+            return
+        if Packer(world) != self._ticks.layout:
+            raise UsageError("world: it differs in more than numbers from the one that flies; make another Simulation")
+        with self.precision_context():
+            self.world, self._ticks = world, OneWorld(world)
+
+    def _note(self, injection: Injection) -> bool:
+        """Keep an injection in place of those of its target and vehicles; return False for an end of nothing."""
+        kept, ended = [], False
         for one in self._injections:
-            left = tuple(name for name in one.vehicles if name not in injection.vehicles)
-            left = left if one.target == injection.target else one.vehicles
+            left = one.vehicles
+            if one.target == injection.target:
+                left = tuple(name for name in one.vehicles if name not in injection.vehicles)
+                ended |= left != one.vehicles and one.end_tick > self.tick
             kept += [dataclasses.replace(one, vehicles=left)] if left else []
-        self._injections = kept + ([injection] if injection.kind != "ok" else [])
+        self._injections = kept + ([injection] if injection.kind != OK else [])
+        self._count = max(self._count, injection.id)
+        return ended or injection.kind != OK
 
     def _clear_all(self) -> None:
-        """Have no injected fault any more."""
-        if self._injections:
-            self._injections = []
-            self._take(without_faults(self.world))
+        """Have no injected fault any more, and the weather of the scenario."""
+        world = self._first_world
+        self._requests, self._injections, self._weather = [], [], None
+        self._take(world)
 
     def _injections_text(self) -> str:
-        return json.dumps([dataclasses.asdict(one) for one in self._injections])
+        weather = [one for one in self._requests if one.target == WORLD]
+        return json.dumps([dataclasses.asdict(one) for one in (*weather, *self._injections)])
+
+    @property
+    def _first_world(self) -> World:
+        """The parameters without what was injected."""
+        world = without_faults(self.world) if self._injections else self.world
+        return world if self._weather is None else with_weather(world, self._weather)
 
     def _inject_again(self, text: str) -> None:
         """Have the injected faults of a saved state, and no others.
@@ -191,47 +277,25 @@ class Injecting(Alone):
         Raises:
             UsageError: they are none of this world.
         """
-        world, kept = without_faults(self.world), []
+        first = self._first_world
+        world, kept = without_faults(first), []
         try:
             for entry in json.loads(text):
                 one = Injection(**entry | {"vehicles": tuple(entry["vehicles"])})
                 if not all(type(number) is int and 0 <= number <= LAST_TICK for number in one.counts):
                     raise ValueError
-                ticks = (one.start_tick, one.end_tick)
-                world, _ = injected(
-                    world, one.target, one.kind, named_vehicles(world, one.vehicles), ticks, one.numbers
-                )
+                world, _ = after_request(world, one)
                 kept.append(one)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             raise UsageError("saved state: its injected faults are damaged") from None
-        if kept or self._injections:
+        if kept or self._requests or self._injections:
             self._take(world)
-        self._injections, self._count = kept, max([self._count, *(one.id for one in kept)])
+        self._injections = [one for one in kept if one.target != WORLD]
+        self._requests = kept
+        self._weather = weather_of(first) if len(kept) > len(self._injections) else None
+        self._count = max([self._count, *(one.id for one in kept)])
 
 
-def _of_sensor(world: World, target: str) -> bool:
-    return any(target in fleet.sensor_names for fleet in world.fleets)
-
-
-def wind_limit(world: World) -> float:
-    """Return the largest speed [m/s], 20 ft above the ground, that the mean wind of a world can be changed to.
-
-    Raises:
-        UsageError: it cannot be changed.
-    """
-    # What every episode draws anew would win over any change.
-    if any(path[:1] == ("wind",) for item in world.ranges for path in item.paths):
-        raise UsageError("wind: every episode draws it (ranges), so it cannot be changed in flight")
-    wind = world.wind
-    if not isinstance(wind, LogShear | VeeringShear):
-        raise UsageError("wind: only that of type log_shear, or a series over time, can be changed in flight")
-    limit = next(field_info(field).maximum for field in dataclasses.fields(wind) if field.name == "speed_20ft")
-    return math.inf if limit is None else limit
-
-
-def with_wind(world: World, speed: float, from_deg: float) -> World:
-    """Return a world with another mean wind: speed [m/s] at 20 ft, and bearing [degrees] it comes from."""
-    wind: Any = world.wind
-    dtype = np.asarray(wind.speed_20ft).dtype
-    bearing = np.asarray(math.radians(from_deg), dtype)
-    return replace(world, wind=replace(wind, speed_20ft=np.asarray(speed, dtype), wind_from_rad=bearing))
+def plain(value: Any) -> Any:
+    """Return a number of NumPy as one of Python's own, which saved states and files can have."""
+    return value.item() if isinstance(value, np.generic) else value

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import is_number
 from qrsim.core.tables import Table, Tabled
 from qrsim.core.tree import cast, map_tree, replace
 from qrsim.errors import UsageError, did_you_mean
@@ -22,27 +22,30 @@ from qrsim.models.sensors.fault_numbers import (
     number_problems,
 )
 from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultSlot
-from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.models.vehicles.fault_numbers import number_of
+from qrsim.models.vehicles.faults import FREE, BatteryFault, RotorFault
 from qrsim.world.state import Fleet, World
 
 # Longer times are none [s]. What may be injected in one tick.
 LONGEST_S = 1e9
 MOST_AT_ONCE = 64
-ROTOR_KINDS, BATTERY_KINDS = ("off", "weak"), ("drop",)
+# Target of what is changed for all, and the kind that ends a fault.
+WORLD, OK = "world", "ok"
 
 
 @dataclass(frozen=True)
 class Injection:
-    """A fault that was injected.
+    """A fault that was injected, or another request of a flight: one that ends faults, or changes the world.
 
     Attributes:
-        id: its number, from 1.
-        target: sensor, ``rotor N`` or ``battery``.
-        kind: what happens to it.
-        vehicles: names.
+        id: its number, from 1; 0 of what is no fault.
+        target: sensor, ``rotor N``, ``battery`` or ``world``.
+        kind: what happens to it; ``ok``: a fault ends.
+        vehicles: names; none of the world.
         start_tick, end_tick: first tick of the fault, and first tick after it.
         numbers: how large it is, and the field that it is of.
         asked_by: who asked for it.
+        tick: at which it was asked for.
     """
 
     id: int
@@ -53,11 +56,12 @@ class Injection:
     end_tick: int
     numbers: Mapping[str, Any] = field(default_factory=dict)
     asked_by: str = "python"
+    tick: int = 0
 
     @property
-    def counts(self) -> tuple[int, int, int]:
+    def counts(self) -> tuple[int, ...]:
         """Its number and ticks."""
-        return self.id, self.start_tick, self.end_tick
+        return self.id, self.start_tick, self.end_tick, self.tick
 
 
 class Injected(Tabled, tuple[Injection, ...]):
@@ -202,7 +206,8 @@ def _with_fault(
     target = plain_target(target)
     for place, slot in enumerate(fleet.fault_slots):
         if slot.sensor == target:
-            changed = _sensor_fault(slot, kind, chosen, ticks, numbers, dt)
+            white = fleet.sensors[fleet.sensor_names.index(target)].white_noise()
+            changed = _sensor_fault(slot, kind, chosen, ticks, numbers, dt, white)
             return replace(fleet, fault_slots=_swapped(fleet.fault_slots, place, changed))
     for place, rotor in enumerate(fleet.rotor_slots):
         if target == f"rotor {rotor.rotor}":
@@ -218,7 +223,13 @@ def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
 
 
 def _sensor_fault(
-    slot: FaultSlot, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any], dt: float
+    slot: FaultSlot,
+    kind: str,
+    chosen: Any,
+    ticks: tuple[int, int],
+    numbers: Mapping[str, Any],
+    dt: float,
+    white: Mapping[str, Any] | None = None,
 ) -> FaultSlot:
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
@@ -233,7 +244,7 @@ def _sensor_fault(
             raise UsageError(f"{name}: {value!r}; allowed: a number")
     given = {name: value for name, value in numbers.items() if name != "field"}
     part = numbers.get("field")
-    for name, problem in number_problems(kind, part, given, slot.fields):
+    for name, problem in number_problems(kind, part, given, slot.fields, white):
         raise UsageError(f"{name}: {problem}")
     late = given.get("by", 0.0)
     if late > slot.remembered * slot.ticks * dt + 1e-9:
@@ -241,7 +252,7 @@ def _sensor_fault(
             f"by: {late:g} s; allowed: at most {slot.remembered * slot.ticks * dt:g} s, "
             "injectable.delay_max of the scenario"
         )
-    asked = fault_numbers(kind, given, chosen_fields(part, slot.fields), slot.fields, dt, slot.ticks)
+    asked = fault_numbers(kind, given, chosen_fields(part, slot.fields), slot.fields, dt, slot.ticks, white)
     return replace(
         slot,
         start_tick=_put(slot.start_tick, chosen, ticks[0]),
@@ -258,15 +269,15 @@ def _rotor_fault(
     if kind == "ok":
         empty = replace(RotorFault.empty(len(chosen), slot.rotor, slot.noticed_ticks), noticed_ticks=slot.noticed_ticks)
         return map_tree(lambda old, new: _put(old, chosen, new[chosen]) if np.ndim(old) else old, slot, empty)
-    if kind not in ROTOR_KINDS:
-        raise UsageError(f"kind: '{kind}' does not suit a rotor; allowed: {', '.join(ROTOR_KINDS)}, ok")
-    health = _share(numbers, "health", kind, 0.0 if kind == "off" else None)
+    number = number_of("rotor", kind, numbers)
     return replace(
         slot,
         start_tick=_put(slot.start_tick, chosen, ticks[0]),
         end_tick=_put(slot.end_tick, chosen, ticks[1]),
         affected=slot.affected | chosen,
-        health=_put(slot.health, chosen, health),
+        # A rotor that is stuck turns as fast as it does, whatever it is told.
+        health=_put(slot.health, chosen, 1.0 if kind == "stuck" else number),
+        speed=_put(slot.speed, chosen, number if kind == "stuck" else FREE),
     )
 
 
@@ -275,38 +286,15 @@ def _battery_fault(
 ) -> BatteryFault:
     if kind == "ok":
         return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, BatteryFault.empty(len(chosen)))
-    if kind not in BATTERY_KINDS:
-        raise UsageError(f"kind: '{kind}' does not suit a battery; allowed: {', '.join(BATTERY_KINDS)}, ok")
-    charge = _share(numbers, "charge", kind, None)
+    number = number_of("battery", kind, numbers)
     return replace(
         slot,
         start_tick=_put(slot.start_tick, chosen, ticks[0]),
+        end_tick=_put(slot.end_tick, chosen, ticks[1]),
         affected=slot.affected | chosen,
-        charge=_put(slot.charge, chosen, charge),
+        charge=_put(slot.charge, chosen, number if kind == "drop" else 1.0),
+        health=_put(slot.health, chosen, 1.0 if kind == "drop" else number),
     )
-
-
-def _share(numbers: Mapping[str, Any], name: str, kind: str, default: float | None) -> float:
-    """Return the one number, from 0 to 1, that a kind takes."""
-    for other in numbers:
-        if other != name or default is not None:
-            raise UsageError(
-                f"{other}: kind '{kind}' does not take it" + ("" if default is not None else f"; it takes {name}")
-            )
-    value = numbers.get(name, default)
-    if value is None:
-        raise UsageError(f"{name}: missing; kind '{kind}' needs it, 0 to 1")
-    if not is_number(value) or not 0.0 <= value <= 1.0:
-        raise UsageError(f"{name}: {value!r}; allowed: 0 to 1")
-    return float(value)
-
-
-def is_number(value: Any) -> bool:
-    """Return whether something is a number, of NumPy's too, that a float holds."""
-    if not isinstance(value, Real) or isinstance(value, bool):
-        return False
-    size: Any = abs(value)
-    return not size >= 1e300
 
 
 def _put(array: Any, chosen: Any, value: Any) -> Any:

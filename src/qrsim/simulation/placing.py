@@ -15,6 +15,7 @@ from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import Violation, collisions, reason_text
+from qrsim.world.air import weather_at
 from qrsim.world.checking import own_checks
 from qrsim.world.episode import surroundings
 from qrsim.world.sensing import with_traffic
@@ -38,7 +39,7 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
         tick: () int32, now.
     """
     rows, chosen, renewed = given
-    world = world.with_drawn(state.drawn)
+    world = weather_at(world.with_drawn(state.drawn), tick)
     spans, first = [], 0
     for fleet in world.fleets:
         spans.append(slice(first, first + fleet.size))

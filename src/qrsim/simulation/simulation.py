@@ -28,7 +28,6 @@ from qrsim.simulation.alone import alone
 from qrsim.simulation.arguments import checked_number, checked_seed, checked_ticks
 from qrsim.simulation.history import History
 from qrsim.simulation.injecting import Injecting
-from qrsim.simulation.injections import without_faults
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
@@ -304,7 +303,8 @@ class Simulation(Radios, Injecting, Tabled):
         return self.reading
 
     def _fingerprint(self) -> str:
-        ticks = OneWorld(without_faults(self.world)) if self._injections else self._ticks
+        first = self._first_world
+        ticks = self._ticks if first is self.world else OneWorld(first)
         return fingerprint(ticks.layout, ticks.parameters)
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from qrsim.errors import UsageError
-from qrsim.simulation.injecting import wind_limit, with_wind
+from qrsim.simulation.changing import wind_limit, with_wind
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
 
@@ -45,17 +45,11 @@ def wind_of(world: World) -> Wind | None:
 
 
 def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, object]]:
-    """Change the wind from the next tick on; return the change as events of a run."""
-    asked = {SPEED: wind.speed, BEARING: wind.from_deg}
-    simulation.change_world(with_asked(simulation.world, asked))
-    where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None, "kind": WIND_CHANGED}
-    said = (f"{wind.speed:g} m/s at 20 ft", f"from {wind.from_deg:g} degrees")
-    return [
-        {**where, "field": field, "value": value, "message": f"wind changed at {simulation.time:.2f} s: {what}"}
-        for (field, value), what in zip(asked.items(), said, strict=True)
-    ]
+    """Change the wind from the next tick on; return no events, because the simulation keeps the request."""
+    simulation.set_wind(wind.speed, wind.from_deg, asked_by="page")
+    return []
 
 
 def with_asked(world: World, asked: Mapping[Any, Any]) -> World:
     """Return a world with the wind set by the fields of recorded events."""
-    return with_wind(world, asked[SPEED], asked[BEARING])
+    return with_wind(world, asked.get(SPEED), asked.get(BEARING))

@@ -6,11 +6,13 @@ from typing import Any
 
 from jax import Array
 
+from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.vehicles.contracts import Around, Pose
-from qrsim.world.state import World
+from qrsim.models.vehicles.faults import RotorFault, failed_rotors, stuck_rotors
+from qrsim.world.state import World, replaced
 
 Time = tuple[Array, Array]
 
@@ -35,7 +37,7 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
     """
     shared, drawn = _shared_and_own(world, field)
     inputs = turbulence_inputs(world.turbulence, position_ned, time, shared)
-    random = world.turbulence.gust_ned(memory, height_agl, **inputs)
+    random = _scaled(world, world.turbulence.gust_ned(memory, height_agl, **inputs))
     carried: dict[str, Any] = {name: world.turbulence.convection_velocity_ned(world.wind) for name in world.gust.reads}
     gust = random + world.gust.velocity_ned(position_ned, *time, **carried)
     if not world.updrafts:
@@ -60,7 +62,29 @@ def gust_rates_at(
     if not world.turbulence.rates:
         return None
     inputs = turbulence_inputs(world.turbulence, position_ned, time, _shared_and_own(world, field)[0])
-    return world.turbulence.gust_rates_ned(memory, height_agl, **inputs)
+    return _scaled(world, world.turbulence.gust_rates_ned(memory, height_agl, **inputs))
+
+
+def weather_at(world: World, tick: Array) -> World:
+    """Return a world with its weather at a tick; itself where it does not change."""
+    changes = world.changes
+    if changes is None:
+        return world
+    for name in ("speed_20ft", "wind_from_rad"):
+        course = getattr(changes, name)
+        if course is not None:
+            world = replace(world, wind=replace(world.wind, **{name: course.at(tick)}))
+    if changes.gusts is not None:
+        world = replace(world, gust_scale=changes.gusts.at(tick))
+    for number, course in enumerate(changes.powers):
+        world = replaced(world, ("sky", "interference", "jammers", number, "power_w"), course.at(tick))
+    return world
+
+
+def _scaled(world: World, gusts: Vec3) -> Vec3:
+    """Return random gusts, or their rates, of the strength that they have now."""
+    scale = world.gust_scale
+    return gusts if scale is None else gusts.map(lambda axis: axis * scale)
 
 
 def around_of(
@@ -68,7 +92,8 @@ def around_of(
     pose: Pose,
     rates_ned: Vec3 | None,
     wake_rates: Vec3 | None = None,
-    failed: tuple[tuple[int, Array, Array], ...] = (),
+    faults: tuple[RotorFault, ...] = (),
+    tick: Array | None = None,
 ) -> Around:
     """Return the part of the world that vehicles (n,) may read.
 
@@ -77,7 +102,8 @@ def around_of(
         pose: of the vehicles.
         rates_ned: rotation of the air (n,) [rad/s]; None: none.
         wake_rates: rotation (n,) [rad/s] in body axes that wakes add (wakes.py); None: there are no wakes.
-        failed: see ``Around``.
+        faults: of rotors.
+        tick: () int32, where there are faults.
     """
     still = Vec3.zeros(pose.attitude.roll.shape, pose.attitude.roll.dtype)
 
@@ -86,4 +112,5 @@ def around_of(
 
     rates = still if rates_ned is None else rotation(pose.attitude).to_body(rates_ned)
     rates = rates if wake_rates is None else rates + wake_rates
-    return Around(ground, rates, failed, world.air.density(pose.position_ned))
+    failed, stuck = ((), ()) if tick is None else (failed_rotors(faults, tick), stuck_rotors(faults, tick))
+    return Around(ground, rates, failed, world.air.density(pose.position_ned), stuck)

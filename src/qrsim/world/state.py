@@ -30,8 +30,9 @@ from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault, FaultMemory, FaultSlot
 from qrsim.models.sensors.fitting import Fitted, Fitting
-from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
+from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, VehicleState
 from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.world.changes import Changes
 
 S = TypeVar("S")
 # What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing;
@@ -116,6 +117,7 @@ class Fleet:
     )
 
     rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
+    battery_faults: tuple[BatteryFault, ...] = quantity(default=(), doc="faults of the battery")
     fault_slots: tuple[FaultSlot, ...] = quantity(default=(), doc="room for sensor faults that are injected in flight")
     rotor_slots: tuple[RotorFault, ...] = quantity(default=(), doc="the same of rotors")
     battery_slot: BatteryFault | None = quantity(default=None, doc="the same of the battery")
@@ -147,6 +149,18 @@ class Fleet:
     def all_faults(self) -> tuple[Fault | FaultSlot, ...]:
         """Faults of sensors and the slots of more, in the order in which they are applied."""
         return (*self.faults, *self.fault_slots)
+
+    @property
+    def all_battery_faults(self) -> tuple[BatteryFault, ...]:
+        """Faults of the battery and the slot of one more."""
+        return (*self.battery_faults, *(() if self.battery_slot is None else (self.battery_slot,)))
+
+    def voltage(self, battery: object, load: Load, tick: Array) -> Array | None:
+        """Return the battery voltage under load (n,) [V] at a tick; None where it has none."""
+        voltage = self.battery.voltage(battery, load)
+        for fault in self.all_battery_faults:
+            voltage = fault.sagged(voltage, tick)
+        return voltage
 
     @property
     def first_normals(self) -> int:
@@ -204,6 +218,8 @@ class World(Tabled):
     updrafts: tuple[Updraft, ...] = quantity(
         default=(), doc="rising air, and what terrain and buildings do to the wind"
     )
+    changes: Changes | None = quantity(default=None, doc="weather that changes in flight; None: none can")
+    gust_scale: Array | None = quantity(default=None, doc="what random gusts are multiplied by; None: by nothing")
 
     __repr__ = Tabled.__repr__
 
@@ -255,18 +271,18 @@ class World(Tabled):
         world = self
         for item, value in zip(self.ranges, drawn, strict=True):
             for path in item.paths:
-                world = _replaced(world, path, value)
+                world = replaced(world, path, value)
         return world
 
 
-def _replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
+def replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
     """Return a tree with the leaf at a path replaced, in its own shape."""
     if not path:
         return jnp.broadcast_to(value, jnp.shape(item)).astype(jnp.asarray(item).dtype)
     step, rest = path[0], path[1:]
     if isinstance(step, int):
-        return (*item[:step], _replaced(item[step], rest, value), *item[step + 1 :])
-    return replace(item, **{step: _replaced(getattr(item, step), rest, value)})
+        return (*item[:step], replaced(item[step], rest, value), *item[step + 1 :])
+    return replace(item, **{step: replaced(getattr(item, step), rest, value)})
 
 
 @record

@@ -20,9 +20,8 @@ from qrsim.core.vectors import rotation
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.vehicles.contracts import VehicleState
-from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
-from qrsim.world.air import around_of, gust_at, gust_rates_at
+from qrsim.world.air import around_of, gust_at, gust_rates_at, weather_at
 from qrsim.world.checking import check
 from qrsim.world.commanding import by_kind, command_fleet
 from qrsim.world.draws import draw_fleet, draw_sky, keys_of
@@ -117,6 +116,7 @@ def step(
     due = after = tick + 1
     if before is not None:
         tick, after = tick + before, after + before
+    world = weather_at(world, tick)
     actions, said = parted(actions)
     state = replace(state, radio=exchange(world, state, said, tick, due - 1))
     sky = _step_sky(world, state, due, after)
@@ -183,18 +183,18 @@ def _fly(
 
     flown = command_fleet(world, whole, fleet, state, tick, action, believed)
     load = model.load(state.vehicle)
-    voltage = fleet.battery.voltage(state.battery, load)
+    voltage = fleet.voltage(state.battery, load, tick)
     commands = [
         (which, *model.clip(model.powered(wanted, voltage), voltage is not None)) for which, wanted in flown.commands
     ]
     battery = fleet.battery.step(state.battery, load, dt)
-    if fleet.battery_slot is not None:
-        battery = fleet.battery_slot.apply(battery, tick)
+    for fault in fleet.all_battery_faults:
+        battery = fault.apply(state.battery, battery, tick)
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
-        failed = failed_rotors((*fleet.rotor_faults, *fleet.rotor_slots), tick)
-        around = around_of(world, pose, gust_rates, None if blown is None else blown[1], failed)
+        faults = (*fleet.rotor_faults, *fleet.rotor_slots)
+        around = around_of(world, pose, gust_rates, None if blown is None else blown[1], faults, tick)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         vehicle, low, force = move(

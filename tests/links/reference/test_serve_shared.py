@@ -11,14 +11,14 @@ from functools import partial
 import numpy as np
 import pytest
 from shared_worlds import SEED, A, B, alone, goal, sharing, together
-from wires import Wire
+from wires import Wire, running
 
 import qrsim
 from qrsim.cli import main
 from qrsim.errors import RunError, UsageError
 from qrsim.links.contracts import Silence
 from qrsim.links.reference.claiming import KINDS
-from qrsim.links.reference.client import Refused
+from qrsim.links.reference.client import Client, Refused
 from qrsim.links.reference.describing import description
 from qrsim.links.reference.kinds import TYPES
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
@@ -31,6 +31,7 @@ from qrsim.links.reference.tasks import Tasks
 from qrsim.links.shared.replay import replay
 from qrsim.runs import RunInfo, RunWriter, open_run
 from qrsim.runs.compare import compare_runs
+from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 from small_worlds import bare_pair, pair
 
@@ -201,6 +202,48 @@ def test_a_free_run_is_flown_again_to_the_bit(tmp_path, capsys):
     assert "truth" in capsys.readouterr().out
     with pytest.raises(UsageError, match="exists already"):
         replay(recorded, tmp_path / "again")
+
+
+@pytest.mark.long
+def test_what_is_injected_in_a_shared_world_is_replayed(tmp_path, capsys):
+    content = pair(wind={"type": "log_shear", "speed_20ft": 2.0, "wind_from_deg": 0.0}).spec.model_dump(mode="json")
+    content["fleets"]["vehicles"]["injectable"] = {"sensors": ["gnss"]}
+    tasks = Tasks(load_scenario(content, quiet=True))
+    with running(tasks, seed=SEED, pace="barrier", record=tmp_path) as server, Client(port=server.port) as client:
+        client.claim(A, B)
+        simulation = server.server.sharing.session.simulation
+        for k in range(6):
+            client.advance({name: ("waypoint", goal(v, k)) for v, name in enumerate((A, B))}, ticks=7)
+            # The world waits for the client.
+            if k == 1:
+                simulation.inject("gnss", "stuck", A, asked_by="tcp:1")
+            if k == 2:
+                simulation.set_wind(8.0, 90.0, asked_by="page")
+            if k == 3:
+                simulation.clear("gnss", asked_by="tcp:1")
+    (folder,) = tmp_path.iterdir()
+    recorded = open_run(folder)
+    assert [(one["target"], one["kind"], one["tick"], one["asked_by"]) for one in recorded.injections] == [
+        ("gnss", "stuck", 14, "tcp:1"),
+        ("world", "wind", 21, "page"),
+        ("gnss", "ok", 28, "tcp:1"),
+    ]
+    kinds = [event.kind for event in recorded.events if event.kind in ("injected", "wind_changed", "cleared")]
+    assert kinds == ["injected", "wind_changed", "wind_changed", "cleared"]
+    fix = recorded["measurements"]["gnss.position_ned.x"][:, 0]
+    assert len(set(fix[15:29].tolist())) == 1
+    assert main(["replay", str(folder), "--out", str(tmp_path / "again")]) == 0
+    assert "42 ticks of 2 vehicles: the same to the bit" in capsys.readouterr().out
+    assert open_run(tmp_path / "again").injections == recorded.injections
+    # Without the file it is another flight, and another wind another too.
+    file = recorded.folder / "injections.yaml"
+    lines = file.read_text("utf-8").splitlines(keepends=True)
+    for text in ("[]", "".join(lines[:2])):
+        file.write_text(text, "utf-8")
+        assert main(["replay", str(folder)]) == 1
+    file.write_text("- {target: gnsss, kind: off, at: 1}", "utf-8")
+    assert main(["replay", str(folder)]) == 2
+    assert "injections.yaml: entry 1: there is no target 'gnsss'; did you mean 'gnss'?" in capsys.readouterr().err
 
 
 def test_a_run_without_orders_is_not_replayed(tmp_path):

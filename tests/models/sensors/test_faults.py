@@ -14,7 +14,7 @@ import pytest
 import qrsim
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
-from qrsim.errors import ScenarioError
+from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.fault_numbers import empty_slot, fault_numbers, kind_of
 from qrsim.models.sensors.faults import Fault, FaultMemory
@@ -94,6 +94,27 @@ def test_random_kinds_have_the_law_that_is_asked_for() -> None:
     np.testing.assert_allclose([garbage.mean(), garbage.std()], [0.0, math.sqrt(3.0)], atol=0.06)
     assert np.abs(garbage).max() <= 3.0
     assert np.isnan(lost).mean() == pytest.approx(0.5, abs=0.015)
+
+
+def test_faults_draw_independently_but_for_those_that_are_one() -> None:
+    """By the tick at which they begin, and by their order where that is the same; three standard errors."""
+    stream = Key.root(3).stream("a/barometer/fault", jnp.arange(10_000, dtype=jnp.uint32))
+    reading = BarometerReading(jnp.zeros(10_000), jnp.zeros(10_000))
+    rows = []
+    for start, order in ((10, 0), (11, 0), (10, 1), (10, 0)):
+        one = replace(
+            fault("noisy", std=1.0), start_tick=jnp.int32(start), affected=jnp.ones(10_000, bool), order=order
+        )
+        draw = Draw(stream, jnp.int32(15), jnp.float32(0.0))
+        rows.append(np.asarray(one.apply(reading, None, jnp.int32(15), draw)[0].height))
+    together = np.corrcoef(rows)
+    assert np.abs(together[0, 1:3]).max() < 0.03
+    assert abs(together[1, 2]) < 0.03
+    np.testing.assert_array_equal(rows[0], rows[3])
+    pair = [{"sensor": "baro", "kind": "noisy", "field": "height", "std": 1.0, "start": 1.0} for _ in range(3)]
+    pair[1] |= {"vehicles": ["a_0"]}
+    pair[2] |= {"kind": "garbage", "range": 2.0, "std": None}
+    assert [one.order for one in load_scenario(scenario(*pair)).world().fleets[0].faults] == [0, 1, 0]
 
 
 def test_what_is_drawn_for_a_reading_stays_while_it_is_held() -> None:
@@ -228,6 +249,56 @@ def test_of_several_faults_each_acts_on_what_the_one_before_it_passes_on() -> No
     assert reasons[0.6] == ["", ""]
 
 
+def test_faults_of_late_sensors_are_those_of_the_time_of_the_reading() -> None:
+    """A barometer of 0.1 s, delivered 0.06 s late: what was taken from 0.2 s on is lost, until 0.4 s."""
+    content = scenario(
+        {"sensor": "baro", "kind": "off", "start": 0.2, "end": 0.4},
+        {"sensor": "other", "kind": "noisy", "field": "height", "std": 5.0, "start": 0.2, "end": 0.4},
+        {"sensor": "other", "kind": "delayed", "by": 0.1, "start": 0.5},
+    )
+    late = {"type": "ideal_barometer", "period": 0.1, "delay": 0.6}
+    content["fleets"]["a"]["sensors"] |= {"baro": late, "other": late}
+    simulation = qrsim.load(content)
+    simulation.reset()
+    lost, noisy, height = [], [], []
+    for _ in range(45):
+        reading = simulation.step()
+        lost.append(bool(np.isnan(reading.baro.height[0])))
+        noisy.append(float(reading.other.height[0]))
+        height.append(-float(simulation.truth.position_ned[0, 2]))
+    # Row k is tick k + 1: tick 13 has the reading of tick 10, and tick 23 that of tick 20.
+    assert np.flatnonzero(lost).tolist() == list(range(12, 22))
+    # One draw for each reading, held until the next one comes.
+    assert len(set(noisy[12:17])) == len(set(noisy[17:22])) == 1
+    assert abs(noisy[12] - height[9]) > 0.1
+    np.testing.assert_allclose(noisy[22:27], height[19], atol=1e-4)
+    # From the reading of tick 25 on one more reading late.
+    np.testing.assert_allclose([noisy[27], noisy[32], noisy[37]], [height[19], height[24], height[29]], atol=1e-4)
+
+
+def test_noise_can_be_a_multiple_of_the_sensor_s_own() -> None:
+    """Of 0.3 m, three times as much is sqrt(8) of it added; a sensor that states none is refused."""
+    content = scenario({"sensor": "baro", "kind": "noisy", "field": "height", "times": 3.0, "start": 1.0})
+    content["fleets"]["a"]["sensors"]["baro"] = {"type": "barometer", "white_std": 0.3}
+    (built,) = load_scenario(content, quiet=True).world().fleets[0].faults
+    np.testing.assert_allclose(built.numbers.amounts, [0.3 * math.sqrt(8.0), 0.0], rtol=1e-6)
+    content["fleets"]["a"] |= {"injectable": "all", "faults": []}
+    simulation = qrsim.load(content)
+    simulation.inject("baro", "noisy", field="height", times=3.0)
+    (slot,) = [slot for slot in simulation.world.fleets[0].fault_slots if slot.sensor == "baro"]
+    np.testing.assert_array_equal(slot.numbers.amounts[0], np.float32(built.numbers.amounts[0]))
+    for sensor, field, message in (
+        ("gnss", "position_ned", "times: the sensor states no white noise of 'position_ned'; give std"),
+        ("baro", "height_rate", "times: the sensor states no white noise of 'height_rate', only of height; give std"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            simulation.inject(sensor, "noisy", field=field, times=2.0)
+    with pytest.raises(UsageError, match="std: kind 'noisy' needs std or times, one of the two"):
+        simulation.inject("baro", "noisy", field="height", times=2.0, std=1.0)
+    with pytest.raises(UsageError, match=r"times: 0\.5; allowed: 1 to 1e"):
+        simulation.inject("baro", "noisy", field="height", times=0.5)
+
+
 def test_only_what_is_frozen_has_a_memory() -> None:
     simulation = qrsim.load(scenario({"sensor": "baro", "kind": "lost", "start": 1.0}))
     simulation.reset()
@@ -261,6 +332,8 @@ def test_an_end_beyond_the_run_is_its_end() -> None:
         ({"kind": "biased", "bias": 1.0, "field": "position_ned.w"}, "the sensor does not report 'position_ned.w'"),
         ({"kind": "biased", "field": "position_ned.x"}, "faults.0.bias: missing"),
         ({"kind": "biassed"}, "did you mean 'biased'?"),
+        ({"kind": "noisy", "field": "position_ned.x"}, "faults.0.std: kind 'noisy' needs std or times, one of the two"),
+        ({"kind": "noisy", "field": "position_ned.x", "times": 2}, "faults.0.times: the sensor states no white noise"),
     ],
 )
 def test_bad_input(change: dict[str, Any], message: str) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from qrsim.runs.recorder import Pace
     from qrsim.runs.summary import VehicleSummary
     from qrsim.scenarios.scenario import Scenario
+    from qrsim.simulation.injections import Injection
     from qrsim.view.live import LiveView
 
 FIGURE = "figure.png"
@@ -129,10 +130,11 @@ class Run:
                 raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
             overrides.append(f"duration={self.duration!r}")
         scenario = load_scenario(self.scenario, overrides)
+        injections: tuple[Injection, ...] = ()
         if self.inject is not None:
-            from qrsim.scenarios.injection_file import with_injections
+            from qrsim.scenarios.injection_file import read_injections
 
-            scenario = with_injections(scenario, self.inject)
+            scenario, injections = read_injections(scenario, self.inject)
         every = parse_every(self.every)
         folder = self.out or _new_folder(scenario.name, self.seed)
         # The folder is checked before anything is compiled.
@@ -141,14 +143,21 @@ class Run:
         if folder.exists():
             raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
         with shown(self.view, self.view_port, self.view_host) as page:
-            pace = self._fly(scenario, folder, every, page)
+            pace = self._fly(scenario, folder, every, page, injections)
             if page is not None:
                 replay(page, folder)
             self._report(folder, pace)
             if page is not None:
                 stay(page)
 
-    def _fly(self, scenario: Scenario, folder: Path, every: dict[str, int], page: LiveView | None) -> Pace:
+    def _fly(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        every: dict[str, int],
+        page: LiveView | None,
+        injections: tuple[Injection, ...],
+    ) -> Pace:
         from qrsim.runs.recorder import fly
         from qrsim.runs.waiting import waiting_since
 
@@ -180,6 +189,7 @@ class Run:
                     progress=progress,
                     view=page,
                     begun=waiting_since(),
+                    injections=injections,
                 )
         except KeyboardInterrupt as error:
             if folder.exists():

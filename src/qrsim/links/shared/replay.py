@@ -14,8 +14,13 @@ from qrsim.links.shared.latches import Latches
 from qrsim.links.shared.recorded import STREAM
 from qrsim.links.shared.spoken import TICK, Spoken
 from qrsim.runs import Run, RunInfo, RunWriter
+from qrsim.runs.layout import INJECTIONS_FILE
 from qrsim.runs.streams import EventFinder, Values, columns, values
+from qrsim.scenarios.injection_file import read_injections
 from qrsim.simulation.history import History
+from qrsim.simulation.injections import Injection
+from qrsim.simulation.requests import entry_of, events_of
+from qrsim.simulation.schedule import Schedule
 from qrsim.simulation.simulation import Simulation
 
 # Ticks that are flown in one call, where their orders are the same.
@@ -38,7 +43,9 @@ def replay(run: Run, out: Path) -> Path:
             f"{run.folder}: it has no orders; 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier) "
             "records them, and 'qrsim run scenario.yaml' flies the scenario of any other run again"
         )
-    scenario = run.built()
+    scenario, injections = run.built(), tuple[Injection, ...]()
+    if run.injections:
+        scenario, injections = read_injections(scenario, run.folder / INJECTIONS_FILE)
     simulation = Simulation(
         scenario.world(run.info.precision), seed=run.info.seed, name=scenario.name, site=scenario.site, number=0
     )
@@ -58,8 +65,15 @@ def replay(run: Run, out: Path) -> Path:
         components=scenario.outside,
     )
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
-        for history, flown in _flights(run, simulation, beginning):
+        schedule, kept = Schedule(simulation, injections), 0
+        for history, flown in _flights(run, simulation, beginning, schedule):
             with writer.together():
+                new = simulation.requests[kept:]
+                kept += len(new)
+                for request in new:
+                    writer.note_injection(entry_of(request, info.time_step))
+                for event in events_of(new, info.time_step):
+                    writer.append_event(**event)
                 for stream, arrays in (values(simulation.world, history, known) | {STREAM: flown}).items():
                     writer.append(stream, history.ticks, history.time, arrays)
                 for event in finder.find(history):
@@ -67,7 +81,9 @@ def replay(run: Run, out: Path) -> Path:
     return out
 
 
-def _flights(run: Run, simulation: Simulation, beginning: History) -> Iterator[tuple[History, Values]]:
+def _flights(
+    run: Run, simulation: Simulation, beginning: History, schedule: Schedule
+) -> Iterator[tuple[History, Values]]:
     """Yield some ticks after the other, with the orders that they were flown by."""
     latches = Latches(simulation.world.fleets, simulation.dtype)
     # Recordings of before there were radios have no such columns.
@@ -91,8 +107,13 @@ def _flights(run: Run, simulation: Simulation, beginning: History) -> Iterator[t
             if spoken is not None:
                 spoken.read(batch.arrays, begin)
                 spoken.say_again(simulation)
-            history = simulation.record(end - begin, latches.actions(), MOST_AT_ONCE)
-            yield history, {name: array[begin:end] for name, array in batch.arrays.items()}
+            actions = latches.actions()
+            while begin < end:
+                schedule.make()
+                until = begin + schedule.ticks(end - begin)
+                history = simulation.record(until - begin, actions, MOST_AT_ONCE)
+                yield history, {name: array[begin:until] for name, array in batch.arrays.items()}
+                begin = until
 
 
 def _alike(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:

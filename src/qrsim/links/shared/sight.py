@@ -165,7 +165,8 @@ class Sight:
         for fleet, state in zip(self._simulation.world.fleets, self._simulation.state.fleets, strict=True):
             if fleet.battery.drains:
                 with self._simulation.precision_context():
-                    voltage = fleet.battery.voltage(state.battery, fleet.vehicle.load(state.vehicle))
+                    load = fleet.vehicle.load(state.vehicle)
+                    voltage = fleet.voltage(state.battery, load, np.int32(self._simulation.tick))  # type: ignore[arg-type]
                 self.values[first : first + fleet.size, VOLTAGE] = np.asarray(voltage)
             first += fleet.size
 

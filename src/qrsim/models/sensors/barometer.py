@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jax import Array
 
@@ -44,6 +44,10 @@ class Barometer(Sensor):
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned")
     normals: ClassVar[int] = 2
+
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {"height": self.white_std}
 
     def init(self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3) -> tuple[BarometerState, BarometerReading]:
         """Return a stationary first drift and reading; the first height rate is the true one."""

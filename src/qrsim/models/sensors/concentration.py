@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jax import Array
 
@@ -30,6 +30,10 @@ class ConcentrationSensor(Memoryless):
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "surroundings")
     normals: ClassVar[int] = 1
+
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {"concentration": self.white_std}
 
     def init(self, draw: Noise, position_ned: Vec3, surroundings: Surroundings) -> tuple[None, ConcentrationReading]:
         """Return the first reading of vehicles at position_ned (n,)."""

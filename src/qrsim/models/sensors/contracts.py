@@ -89,6 +89,13 @@ class Sensor(Protocol):
         """Return the true slow error (n,) of each vector of its reading, by name, of those that are known."""
         return {}
 
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field or vector, as far as it is one number for it.
+
+        The fault ``noisy`` can be a multiple of it.
+        """
+        return {}
+
     def overfull(self, state: Any) -> Array | None:
         """Return the looks (n,) int32 so far in which it may have missed others, for want of room; None: there is room.
 

@@ -32,17 +32,18 @@ TAKES: dict[Kind, _Takes] = {
     "stuck": _Takes(),
     "wrong": _Takes((), ("bias", "scale"), True),
     "drift": _Takes(("rate",), ("limit",), True),
-    "noisy": _Takes(("std",), (), True),
+    "noisy": _Takes((), ("std", "times"), True),
     "garbage": _Takes(("range",), (), True),
     "slow": _Takes(("every",)),
     "delayed": _Takes(("by",)),
     "intermittent": _Takes((), ("share", "on", "off")),
 }
-NAMES = ("bias", "scale", "rate", "limit", "std", "range", "every", "by", "share", "on", "off")
+NAMES = ("bias", "scale", "rate", "limit", "std", "times", "range", "every", "by", "share", "on", "off")
 # Smallest and largest value; without bounds any finite number.
 _BOUNDS = {
-    "limit": (0.0, math.inf), "std": (0.0, math.inf), "range": (0.0, math.inf), "every": (1, 1_000_000),
-    "by": (0.0, 600.0), "share": (0.0, 1.0), "on": (0.0, 1e6), "off": (0.0, 1e6),
+    "limit": (0.0, math.inf), "std": (0.0, math.inf), "times": (1.0, 1e6),
+    "range": (0.0, math.inf), "every": (1, 1_000_000), "by": (0.0, 600.0),
+    "share": (0.0, 1.0), "on": (0.0, 1e6), "off": (0.0, 1e6),
 }  # fmt: skip
 
 
@@ -57,9 +58,16 @@ def chosen_fields(field: str | None, fields: Sequence[str]) -> tuple[str, ...]:
 
 
 def number_problems(
-    word: str, field: str | None, given: Mapping[str, float | None], fields: Sequence[str]
+    word: str,
+    field: str | None,
+    given: Mapping[str, float | None],
+    fields: Sequence[str],
+    white: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield the name and the fault of each number, and of the field, that a kind ``word`` cannot be made with."""
+    """Yield the name and the fault of each number, and of the field, that a kind ``word`` cannot be made with.
+
+    ``white`` is the white noise of the sensor, see ``Sensor.white_noise``.
+    """
     takes = TAKES[kind_of(word)]
     said = {name: value for name, value in given.items() if value is not None}
     for name, value in said.items():
@@ -77,6 +85,11 @@ def number_problems(
             yield name, f"missing; kind '{word}' needs it"
     if word in ("wrong", "biased") and not {"bias", "scale"} & set(said):
         yield "bias", f"missing; kind '{word}' needs it" + (", or scale" if word == "wrong" else "")
+    if word == "noisy" and len({"std", "times"} & set(said)) != 1:
+        yield "std", "kind 'noisy' needs std or times, one of the two"
+    if "times" in said and not all(_white(name, white or {}) for name in chosen_fields(field, fields)):
+        known = ", ".join(name for name in white or {} if _white(name, white or {}))
+        yield "times", f"the sensor states no white noise of '{field}'{known and ', only of '}{known}; give std"
     if word == "intermittent" and set(said) not in ({"share"}, {"on", "off"}):
         yield "share", "kind 'intermittent' needs it alone, or on and off"
     if word == "intermittent" and said.get("on", 1.0) + said.get("off", 1.0) <= 0.0:
@@ -91,7 +104,13 @@ def number_problems(
 
 
 def fault_numbers(
-    word: str, given: Mapping[str, float | None], chosen: Sequence[str], fields: Sequence[str], dt: float, ticks: int
+    word: str,
+    given: Mapping[str, float | None],
+    chosen: Sequence[str],
+    fields: Sequence[str],
+    dt: float,
+    ticks: int,
+    white: Mapping[str, Any] | None = None,
 ) -> FaultNumbers:
     """Return the numbers of a fault.
 
@@ -102,6 +121,7 @@ def fault_numbers(
         fields: fields that amounts and scales are for.
         dt: time step [s].
         ticks: between two readings.
+        white: white noise of the sensor, by field.
     """
     kind = kind_of(word)
 
@@ -112,13 +132,27 @@ def fault_numbers(
     amount = {"wrong": number("bias", 0.0), "drift": number("rate", 0.0), "noisy": number("std", 0.0)}
     amount["garbage"] = number("range", 0.0)
     scale = 0.0 if kind == "garbage" else number("scale", 1.0)
-    amounts = tuple(amount.get(kind, 0.0) if name in chosen else 0.0 for name in fields)
+    spreads = {name: amount.get(kind, 0.0) for name in chosen}
+    if given.get("times") is not None:
+        # Independent noise adds by its squares.
+        more = math.sqrt(number("times", 1.0) ** 2 - 1.0)
+        spreads = {name: more * (_white(name, white or {}) or 0.0) for name in chosen}
+    amounts = tuple(spreads.get(name, 0.0) for name in fields)
     scales = tuple(scale if name in chosen else 1.0 for name in fields)
     # A delay is a whole number of readings, and at least as long as asked for; so are the parts of a turn.
     counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
     every, late, on, off = (np.array(math.ceil(count - 1e-6), np.int32) for count in counts)
     parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]
     return record_of(FaultNumbers, *parts)
+
+
+def _white(name: str, white: Mapping[str, Any]) -> float | None:
+    """Return the white noise of a field; None where the sensor does not state one number."""
+    found = next((value for part, value in white.items() if name == part or name.startswith(f"{part}.")), None)
+    if found is None or np.ndim(found):
+        return None
+    # In six digits, so that it is the same before and after it was rounded to single precision.
+    return float(f"{float(found):.6g}")
 
 
 def empty_slot(count: int, sensor: str, fields: tuple[str, ...], ticks: int, dt: float, remembered: int) -> FaultSlot:

@@ -93,19 +93,28 @@ class _Fault:
         raise NotImplementedError
 
     def _delivered(
-        self, reading: T, memory: FaultMemory | None, tick: Array, choose: Callable[[FaultMemory | None], T]
+        self,
+        reading: T,
+        memory: FaultMemory | None,
+        tick: Array,
+        comes: Array | None,
+        choose: Callable[[FaultMemory | None], T],
     ) -> tuple[T, FaultMemory | None]:
         """Return what ``choose`` makes of a reading and the memory, and the memory after it."""
         if memory is None:
             return choose(None), None
         if memory.past:
-            comes, late = tick % self.ticks == 0, (memory.came_in, *memory.past[:-1])
+            comes, late = tick % self.ticks == 0 if comes is None else comes, (memory.came_in, *memory.past[:-1])
             memory = replace(memory, past=tuple(select(comes, *pair) for pair in zip(late, memory.past, strict=True)))
         delivered, came_in = choose(memory), None
         if memory.past:
             # What is late now was delivered in time, as the fault before this one, if there was one, had it.
             came_in = select(self.active(tick) & self._is("delayed"), reading, delivered)
         return delivered, FaultMemory(delivered if self._repeats else None, came_in, memory.past)
+
+    @property
+    def _order(self) -> int:
+        return 0
 
     # ---- what it delivers while it is active ----
 
@@ -160,9 +169,16 @@ class _Fault:
         return _at_fields(reading, "", places, change)
 
     def _of_reading(self, draw: Draw | None, tick: Array) -> Draw:
-        """Return a draw by the tick that a reading is of: what is drawn stays while the reading is held."""
+        """Return a draw by the tick that a reading is of: what is drawn stays while the reading is held.
+
+        Faults that begin at different times draw independently, so do scenario faults of different ``order``.
+        """
         assert draw is not None
-        return replace(draw, tick=(tick - tick % self.ticks).astype(draw.tick.dtype))
+        begun = jnp.asarray(self.start_tick).astype(jnp.uint32)
+        stream = replace(draw.stream, high=draw.stream.high ^ begun)
+        if self._order:
+            stream = replace(stream, low=stream.low ^ jnp.uint32(self._order << 24))
+        return replace(draw, stream=stream, tick=(tick - tick % self.ticks).astype(draw.tick.dtype))
 
 
 @record
@@ -170,6 +186,11 @@ class Fault(_Fault):
     """One fault of a scenario, of one sensor of some vehicles during [start, end)."""
 
     kind: Kind = setting(default="off", doc="what happens to the readings")
+    order: int = setting(default=0, doc="number among the faults of its kind that begin at the same time")
+
+    @property
+    def _order(self) -> int:
+        return self.order
 
     @property
     def _repeats(self) -> bool:
@@ -188,19 +209,25 @@ class Fault(_Fault):
         return [self.kind] * count
 
     def apply(
-        self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None = None
+        self,
+        reading: T,
+        memory: FaultMemory | None,
+        tick: Array,
+        draw: Draw | None = None,
+        comes: Array | None = None,
     ) -> tuple[T, FaultMemory | None]:
         """Return its output, for the next fault of the sensor or for the user, and its memory.
 
         Args:
             reading: what the sensor says at ``tick``, or what the fault before this one passes on.
             memory: what it remembers, of ``begin`` or the tick before.
-            tick: () int32.
+            tick: () or (n,) int32 at which the reading was taken, or which it is held at.
             draw: of the sensor's faults, where it is ``random``.
+            comes: (n,) whether the reading is another than at the tick before; None: by the sensor's period.
         """
         active = self.active(tick)
         return self._delivered(
-            reading, memory, tick, lambda known: select(active, self._told(reading, known, tick, draw), reading)
+            reading, memory, tick, comes, lambda known: select(active, self._told(reading, known, tick, draw), reading)
         )
 
 
@@ -223,7 +250,12 @@ class FaultSlot(_Fault):
         return [KINDS[int(number)] for number in self.kinds]
 
     def apply(
-        self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None = None
+        self,
+        reading: T,
+        memory: FaultMemory | None,
+        tick: Array,
+        draw: Draw | None = None,
+        comes: Array | None = None,
     ) -> tuple[T, FaultMemory | None]:
         """Return its output and its memory, see ``Fault.apply``; nearly for nothing where no vehicle has a fault."""
         active = self.active(tick)
@@ -233,7 +265,7 @@ class FaultSlot(_Fault):
             chosen: T = lax.cond(jnp.any(active), told, lambda: reading)
             return chosen
 
-        return self._delivered(reading, memory, tick, choose)
+        return self._delivered(reading, memory, tick, comes, choose)
 
 
 def _dtype(reading: Any) -> Any:

@@ -166,6 +166,13 @@ class Imu(Sensor):
             "specific_force": accelerometer + Vec3(*(row.z * AT_REST for row in state.accelerometer_error)),
         }
 
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {
+            "rates_body": self.gyroscope_noise / math.sqrt(self.period),
+            "specific_force": self.accelerometer_noise / math.sqrt(self.period),
+        }
+
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[ImuState, ImuReading]:
         """Return the state of chips that have just been turned on, and a first reading."""
         normals = draw.normals(self.first_normals)

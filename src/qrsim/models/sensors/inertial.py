@@ -46,6 +46,10 @@ class Gyroscope(Memoryless):
         """Return none: its errors are white."""
         return {"rates_body": 0.0}
 
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {"rates_body": self.white_std}
+
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
         """Return the first reading."""
         return None, GyroscopeReading(_with_white(rates_body, self.white_std, draw))
@@ -79,6 +83,10 @@ class Accelerometer(Memoryless):
     def biases(self, state: None) -> dict[str, Any]:
         """Return none: its errors are white."""
         return {"specific_force": 0.0}
+
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {"specific_force": self.white_std}
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
         """Return the first reading."""

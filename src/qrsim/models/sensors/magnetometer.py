@@ -133,6 +133,10 @@ class Magnetometer(Sensor):
     first_normals: ClassVar[int] = _ONCE + _AXES
     presets: ClassVar[Presets] = PRESETS
 
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {"field_body": self.noise / math.sqrt(self.period)}
+
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:

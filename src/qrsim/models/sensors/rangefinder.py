@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Unpack
+from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
@@ -85,6 +85,10 @@ class Rangefinder(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground")
     normals: ClassVar[int] = 3
     presets: ClassVar[Presets] = RANGEFINDERS
+
+    def white_noise(self) -> dict[str, Any]:
+        """Return the std of white noise of each reading, by field."""
+        return {"range": self.noise_std}
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground

@@ -11,11 +11,13 @@ from jax import Array
 from qrsim.core.tree import parameter, quantity, record, record_of, replace, setting
 
 LAST_TICK = 2**31 - 1
+# Speed of a rotor that is not stuck.
+FREE = -1.0
 
 
 @record
 class RotorFault:
-    """One rotor of some vehicles (n,) of a fleet that turns slower than it is told, or stands still."""
+    """One rotor of some vehicles (n,) of a fleet that turns slower than it is told, or stands still, or is stuck."""
 
     start_tick: Array = quantity(doc="() or (n,) int32 first tick of the fault")
     noticed_ticks: Array = quantity(doc="() int32 ticks after which the autopilot knows of it")
@@ -23,31 +25,51 @@ class RotorFault:
     affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
     health: Array = parameter(unit="1", doc="the part of its speed that the rotor still reaches; 0: it stands still")
     rotor: int = setting(doc="number of the rotor, from 0")
+    speed: Array | None = quantity(
+        default=None, unit="1", doc="the part of its largest speed that it is stuck at; negative, or None: it is not"
+    )
 
     @staticmethod
     def empty(count: int, rotor: int, noticed_ticks: Any) -> RotorFault:
         """Return that of a rotor of ``count`` vehicles in which nothing is wrong."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
-        return record_of(RotorFault, never, noticed_ticks, never, nobody, np.ones(count), rotor)
+        free = np.full(count, FREE)
+        return record_of(RotorFault, never, noticed_ticks, never, nobody, np.ones(count), rotor, speed=free)
+
+    def active(self, tick: Array) -> Array:
+        """Return whether it concerns each vehicle (n,) at a tick."""
+        return self.affected & (tick < self.end_tick) & (tick >= self.start_tick)
 
 
 @record
 class BatteryFault:
-    """A battery that loses charge at once, of some vehicles (n,) of a fleet."""
+    """A battery that loses charge at once, or capacity and voltage, of some vehicles (n,) of a fleet."""
 
-    start_tick: Array = quantity(doc="(n,) int32 tick at which it happens")
+    start_tick: Array = quantity(doc="() or (n,) int32 tick at which it happens")
+    end_tick: Array = quantity(doc="() or (n,) int32 first tick at which capacity and voltage are back")
     affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
     charge: Array = parameter(unit="1", doc="what is left of a full charge", minimum=0.0, maximum=1.0)
+    health: Array = parameter(unit="1", doc="what is left of capacity and voltage", above=0.0, maximum=1.0)
 
     @staticmethod
     def empty(count: int) -> BatteryFault:
         """Return that of ``count`` vehicles in which nothing is wrong."""
-        return record_of(BatteryFault, np.full(count, LAST_TICK, np.int32), np.zeros(count, bool), np.zeros(count))
+        never, full = np.full(count, LAST_TICK, np.int32), np.ones(count)
+        return record_of(BatteryFault, never, never, np.zeros(count, bool), full, full)
 
-    def apply(self, battery: Any, tick: Array) -> Any:
-        """Return the state of batteries with a ``charge`` (n,) after a tick."""
+    def apply(self, before: Any, battery: Any, tick: Array) -> Any:
+        """Return the state of batteries with a ``charge`` (n,) after a tick, from those before and after it."""
+        used = before.charge - battery.charge
+        charge = jnp.where(self._weak(tick), jnp.maximum(before.charge - used / self.health, 0.0), battery.charge)
         happens = self.affected & (tick == self.start_tick)
-        return replace(battery, charge=jnp.where(happens, jnp.minimum(self.charge, battery.charge), battery.charge))
+        return replace(battery, charge=jnp.where(happens, jnp.minimum(self.charge, charge), charge))
+
+    def sagged(self, voltage: Array | None, tick: Array) -> Array | None:
+        """Return the voltage (n,) [V] that is left at a tick; None where the battery has none."""
+        return None if voltage is None else jnp.where(self._weak(tick), voltage * self.health, voltage)
+
+    def _weak(self, tick: Array) -> Array:
+        return self.affected & (tick >= self.start_tick) & (tick < self.end_tick) & (self.health < 1.0)
 
 
 def failed_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[int, Array, Array], ...]:
@@ -62,3 +84,16 @@ def failed_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[in
             left, known = jnp.minimum(before, left), known | knew
         found[fault.rotor] = (left, known)
     return tuple((number, left, known) for number, (left, known) in sorted(found.items()))
+
+
+def stuck_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[int, Array], ...]:
+    """Return, of each rotor that may be stuck, its number and the part of its largest speed (n,); negative: it is not.
+
+    Of two faults of a rotor the later one in the order of ``faults`` counts.
+    """
+    found: dict[int, Array] = {}
+    for fault in faults:
+        if fault.speed is not None:
+            stuck = fault.active(tick) & (fault.speed >= 0.0)
+            found[fault.rotor] = jnp.where(stuck, fault.speed, found.get(fault.rotor, jnp.full_like(fault.speed, FREE)))
+    return tuple(sorted(found.items(), key=lambda item: item[0]))

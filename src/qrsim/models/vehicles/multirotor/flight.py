@@ -186,7 +186,14 @@ def stabilised(
         health[number] = health[number] * left
     loops = Loops(jnp.ones_like(like), jnp.zeros_like(like), state.rate_integral)
 
+    stuck = {} if around is None else dict(around.stuck_rotors)
+
     def told(speeds: Sequence[Array]) -> tuple[Array, ...]:
+        if stuck:
+            held = [(speed, stuck.get(number)) for number, speed in enumerate(speeds)]
+            speeds = [
+                speed if part is None else jnp.where(part >= 0.0, part * model.speed_max, speed) for speed, part in held
+            ]
         return tuple(
             jnp.minimum(speed, fastest) * left if not isinstance(left, float) else jnp.minimum(speed, fastest)
             for speed, left in zip(speeds, health, strict=True)

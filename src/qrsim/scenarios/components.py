@@ -1,0 +1,42 @@
+"""Components of a scenario's parts, with their inherited parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from qrsim.core.tree import field_info
+from qrsim.scenarios.schema import ScenarioSpec
+
+
+def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: ScenarioSpec) -> Any:
+    """Build the component of a part of a scenario, with its inherited parameters."""
+    cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
+    values: dict[str, object] = {}
+    for field in dataclasses.fields(cls):
+        if field_info(field).derived:
+            continue
+        value = getattr(spec, field.name)
+        inherits = field_info(field).inherits
+        if isinstance(value, BaseModel):
+            value = component(value, type(field.default), scenario)
+        elif isinstance(value, list):
+            value = np.array(value, np.float64)
+        elif value is None and inherits:
+            value = inherited(scenario, inherits)
+        elif value is None and field_info(field).of_sensors:
+            continue
+        values[field.name] = value
+    return cls(**values)
+
+
+def inherited(scenario: ScenarioSpec, path: str) -> object:
+    """Return the value at a dotted path of the scenario, None if there is none."""
+    value: Any = scenario
+    for part in path.split("."):
+        value = getattr(value, part, None)
+    return value

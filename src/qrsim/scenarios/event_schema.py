@@ -1,0 +1,61 @@
+"""What a scenario says of changes of the weather, at set times and in flight."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from qrsim.scenarios.component_schema import Finite, Strict
+from qrsim.scenarios.fault_schema import ALL
+from qrsim.simulation.changing import JAM, TAKES
+
+MOST_EVENTS = 50
+_OVER: Any = Field(0.0, description="how long it takes [s], evenly; 0: at once", ge=0, le=1e6)
+
+
+class WindEvent(Strict):
+    """Another mean wind."""
+
+    speed_20ft: Finite | None = Field(None, description="speed 20 ft above the ground [m/s]; default: as it is", ge=0)
+    wind_from_deg: Finite | None = Field(
+        None, description="bearing the wind comes from [deg], reached by the shorter turn; default: as it is"
+    )
+    over: Finite = _OVER
+
+
+class GustsEvent(Strict):
+    """Random gusts of another strength."""
+
+    times: Finite = Field(description="what the gusts of the scenario are multiplied by", ge=0, le=10)
+    over: Finite = _OVER
+
+
+class JamEvent(Strict):
+    """Another power of a jammer of the scenario."""
+
+    jammer: int = Field(description="which one of the jammers in interference, from 0", ge=0, strict=True)
+    power_w: Finite = Field(description="power that it radiates [W]", ge=0, le=1e6)
+    over: Finite = _OVER
+
+
+class EventSpec(Strict):
+    """A change of the weather at a time: one of wind, gusts and jam."""
+
+    at: Finite = Field(description="when [s], a multiple of the time step", ge=0)
+    wind: WindEvent | None = Field(None, description="another mean wind, of type log_shear or veering_shear")
+    gusts: GustsEvent | None = Field(None, description="random gusts of another strength")
+    jam: JamEvent | None = Field(None, description="another power of a jammer")
+
+
+def _every_kind(value: object) -> object:
+    return list(TAKES) if value == ALL else value
+
+
+Changeable = Annotated[list[Literal["wind", "gusts", "jam"]], BeforeValidator(_every_kind)]
+
+
+def may_be_jammed(scenario: Any) -> bool:
+    """Return whether the power of jammers may change, so that those without power are built too."""
+    world = scenario.world
+    return JAM in world.injectable or any(event.jam is not None for event in world.events)

@@ -1,0 +1,111 @@
+"""Requests that change a flight: what each does to a world, the events of it, and its entry in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from qrsim.files import Content
+from qrsim.models.sensors.faults import LAST_TICK
+from qrsim.simulation.changing import GUSTS, JAM, WIND, changed
+from qrsim.simulation.injections import OK, WORLD, Injection, injected, named_vehicles
+from qrsim.world.state import World
+
+# Kinds of the events that tell of requests. Changes of the weather have an event for each number.
+INJECTED, CLEARED = "injected", "cleared"
+WEATHER_CHANGED = {WIND: "wind_changed", GUSTS: "gusts_changed", JAM: "jammer_changed"}
+_WORDS = {
+    "speed_20ft": "{:g} m/s at 20 ft",
+    "wind_from_deg": "from {:g} degrees",
+    "times": "{:g} times as strong as in the scenario",
+    "power_w": "{:g} W",
+}
+
+
+def after_request(world: World, request: Injection) -> tuple[World, Injection]:
+    """Return a world after a request, and the request with the names of all vehicles that it is of.
+
+    Raises:
+        UsageError: it is not possible in this world.
+    """
+    if request.target == WORLD:
+        return changed(world, request.kind, request.numbers, request.tick), request
+    chosen = named_vehicles(world, request.vehicles or None)
+    ticks = (request.start_tick, request.end_tick)
+    world, concerned = injected(world, request.target, request.kind, chosen, ticks, request.numbers)
+    return world, replace(request, vehicles=concerned)
+
+
+def of_sensor(world: World, target: str) -> bool:
+    """Return whether a target is a sensor. Its next reading is the first that a fault can change."""
+    return any(target in fleet.sensor_names for fleet in world.fleets)
+
+
+def entry_of(request: Injection, time_step: float) -> Content:
+    """Return the entry of a request in a file of injections; ``time_step`` [s]."""
+
+    def seconds(tick: int) -> float:
+        return round(tick * time_step, 15)
+
+    entry: Content = {"target": request.target, "kind": request.kind, "tick": request.tick}
+    entry["at"] = seconds(request.start_tick)
+    if request.end_tick < LAST_TICK and request.kind != OK and request.target != WORLD:
+        entry["end"] = seconds(request.end_tick)
+    if request.vehicles:
+        entry["vehicles"] = list(request.vehicles)
+    return entry | dict(request.numbers) | {"asked_by": request.asked_by}
+
+
+def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[str, Any]]:
+    """Yield requests as events of a run: one for each vehicle, or for each number of the world.
+
+    Args:
+        requests: in the order in which they were made.
+        time_step: of the simulation [s].
+    """
+    for request in requests:
+        time = request.tick * time_step
+        where = {"time": time, "tick": request.tick}
+        if request.target == WORLD:
+            yield from _of_world(request, where)
+            continue
+        what, by = f"{request.target} {request.kind}", f"asked by {request.asked_by}"
+        part = request.numbers.get("field")
+        values = [value for name, value in request.numbers.items() if name != "field"]
+        kind = CLEARED if request.kind == OK else INJECTED
+        words = f"{request.target} cleared at {time:.2f} s, {by}"
+        if kind == INJECTED:
+            words = f"{what} injected at {time:.2f} s{_span(request, time_step)}, {by}"
+        for vehicle in request.vehicles:
+            yield {
+                **where,
+                "vehicle": vehicle,
+                "kind": kind,
+                "field": request.target if part is None else f"{request.target}.{part}",
+                "value": float(values[0]) if values else None,
+                "message": f"{vehicle}: {words}",
+            }
+
+
+def _span(request: Injection, time_step: float) -> str:
+    """Return when a fault acts, as far as that is not at once and for good."""
+    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick else ""
+    return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
+
+
+def _of_world(request: Injection, where: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    over, numbers = request.numbers.get("over"), dict(request.numbers)
+    slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)
+    what = request.kind if jammer is None else f"jammer {jammer}"
+    part = request.kind if jammer is None else f"{request.kind}.{jammer}"
+    for name, value in numbers.items():
+        if name != "over":
+            yield {
+                **where,
+                "vehicle": None,
+                "kind": WEATHER_CHANGED[request.kind],
+                "field": f"world.{part}.{name}",
+                "value": float(value),
+                "message": f"{what} changed at {where['time']:.2f} s{slowly}: {_WORDS[name].format(value)}",
+            }
