@@ -121,7 +121,7 @@ class CascadeController(Controller):
         none = jnp.full_like(zero, jnp.nan)
         nothing, still = Vec3(none, none, none), Vec3(zero, zero, zero)
         if isinstance(setpoint, PathSetpoint):
-            return replace(setpoint, idle=None, level=None)
+            return replace(setpoint, idle=None, level=None, blind=None)
         if isinstance(setpoint, WaypointSetpoint):
             return PathSetpoint(setpoint.position_ned, still, still, setpoint.yaw)
         if isinstance(setpoint, VelocitySetpoint):
@@ -161,6 +161,11 @@ class CascadeController(Controller):
             level = setpoint.level
             pitch, roll, turn = (jnp.where(level, 0.0, value) for value in (pitch, roll, turn))
             size = jnp.where(level, -force.z, size)
+        if isinstance(setpoint, PathSetpoint) and setpoint.blind is not None:
+            pitch, roll = (jnp.where(setpoint.blind, 0.0, value) for value in (pitch, roll))
+            size = jnp.where(setpoint.blind, -force.z, size)
+            level = state.integral.map(lambda axis: jnp.where(setpoint.blind, 0.0, axis))
+            state = replace(state, integral=replace(level, z=state.integral.z))
         throttle = known.throttle(known.mass * size)
         if isinstance(setpoint, PathSetpoint) and setpoint.idle is not None:
             idle = setpoint.idle

@@ -16,6 +16,7 @@ from qrsim.interface.crowds import crowds_of
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.runs import Column
+from qrsim.runs.failsafe_events import FailsafeWatch
 from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.runs.radio_columns import radio_columns
@@ -185,6 +186,7 @@ class EventFinder:
         start = simulation.history
         self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
         self.missions = MissionWatch(self.world, start)
+        self.failsafes = FailsafeWatch(self.world, start)
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
@@ -210,6 +212,7 @@ class EventFinder:
         found += self._losses(history)
         found += self._persons(history)
         found += self._of_missions(history, self.missions.events(history))
+        found += self._of_failsafes(history)
         found += self._landings(history)
         found += self._crowds(history)
         found.sort(key=lambda item: item[:2])
@@ -253,6 +256,15 @@ class EventFinder:
             events.append((row, vehicle, {**event, "kind": kind, "field": "leg", "value": value, "message": message}))
         return events
 
+    def _of_failsafes(self, history: History) -> list[tuple[int, int, Content]]:
+        """Return what failsafes noticed and did as events, each with its row and vehicle."""
+        events = []
+        for row, vehicle, kind, field, value, message in self.failsafes.events(history):
+            event = self._at(history, row, vehicle)
+            message = f"{event['vehicle']}: {message} at {event['time']:.2f} s"
+            events.append((row, vehicle, {**event, "kind": kind, "field": field, "value": value, "message": message}))
+        return events
+
     def _faults(self, history: History) -> list[tuple[int, int, Content]]:
         """Return the scheduled faults that begin or end."""
         found, first = [], 0
@@ -271,7 +283,11 @@ class EventFinder:
                             )
                             event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
                             found.append((int(row), first + int(i), event))
-            for broken in fleet.rotor_faults:
+            others: list[tuple[Any, str, str]] = [
+                (broken, f"rotor_{broken.rotor}", f"rotor {broken.rotor}") for broken in fleet.rotor_faults
+            ]
+            others += [(broken, "radio", f"radio{'' if broken.off else ' in part'}") for broken in fleet.radio_faults]
+            for broken, field, what in others:
                 for edge, kind, word in (
                     (broken.start_tick, "fault_begins", "fails"),
                     (broken.end_tick, "fault_ends", "is well again"),
@@ -279,8 +295,8 @@ class EventFinder:
                     for row in np.flatnonzero(history.ticks == int(edge)):
                         for i in np.flatnonzero(broken.affected):
                             event = self._at(history, int(row), first + int(i))
-                            message = f"{event['vehicle']}: rotor {broken.rotor} {word} at {event['time']:.2f} s"
-                            event |= {"kind": kind, "field": f"rotor_{broken.rotor}", "message": message}
+                            message = f"{event['vehicle']}: {what} {word} at {event['time']:.2f} s"
+                            event |= {"kind": kind, "field": field, "message": message}
                             found.append((int(row), first + int(i), event))
             first += fleet.size
         return found

@@ -39,6 +39,8 @@ NOT_A_STOP = (
     "mission_unfinished",
     "landed",
     "took_off",
+    "failsafe",
+    "failsafe_ends",
     OVERFULL,
 )
 

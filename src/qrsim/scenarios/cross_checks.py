@@ -20,6 +20,7 @@ from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited
 from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
+from qrsim.scenarios.failsafes import failsafe_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
@@ -77,6 +78,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_ground_problems(scenario),
         *_standing_problems(scenario),
         *fault_problems(scenario),
+        *failsafe_problems(scenario),
         *contents_problems(scenario),
         *updraft_problems(scenario),
         *range_problems(scenario),

@@ -18,6 +18,7 @@ from qrsim.models.atmosphere.wind_series import VeeringShear
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.injections import (
+    LINK,
     MOST_AT_ONCE,
     Injected,
     Injection,
@@ -80,16 +81,18 @@ class Injecting(Alone):
         A vehicle has one injected fault of a target at a time: a new one takes its place.
 
         Args:
-            target: name of a sensor, ``rotor N`` or ``battery``, which is ``injectable`` in the scenario.
+            target: name of a sensor, ``rotor N``, ``battery`` or ``radio``, which is ``injectable`` in the scenario; or
+                ``link``, that of a vehicle to MAVLink and ROS 2.
             kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
-                ``intermittent``; of a rotor ``off`` or ``weak``; of a battery ``drop``; ``ok`` for none.
+                ``intermittent``; of a rotor or radio ``off`` or ``weak``; of a battery ``drop``; of a link ``off``;
+                ``ok`` for none.
             vehicles: name or names; None: all that can have it.
             at: when [s], rounded up to a tick; None: from the next tick on.
             duration: how long [s]; None: for good.
             asked_by: who asks, for records.
             numbers: how large it is: ``field`` and ``bias``, ``scale``, ``rate``, ``limit``, ``std``, ``range``,
-                ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` of a rotor, ``charge`` that a
-                battery drops to.
+                ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` of a rotor, ``share`` of a
+                radio, ``charge`` that a battery drops to.
 
         Raises:
             UsageError: it cannot be injected; nothing has changed.
@@ -141,6 +144,15 @@ class Injecting(Alone):
         """The injected faults that act or will act, as a table."""
         with self._lock:
             return Injected([one for one in self._injections if one.end_tick > self.tick], self.world.time_step)
+
+    @property
+    def unlinked(self) -> frozenset[str]:
+        """Names of the vehicles whose link is off now: MAVLink and ROS 2 neither answer nor hear for them."""
+        if not self._injections:
+            return frozenset()
+        now = self.tick
+        off = [one for one in self._injections if one.target == LINK and one.start_tick <= now < one.end_tick]
+        return frozenset(name for one in off for name in one.vehicles)
 
     @alone
     def set_wind(self, speed: float, from_deg: float) -> None:
