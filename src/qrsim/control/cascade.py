@@ -162,10 +162,11 @@ class CascadeController(Controller):
             pitch, roll, turn = (jnp.where(level, 0.0, value) for value in (pitch, roll, turn))
             size = jnp.where(level, -force.z, size)
         if isinstance(setpoint, PathSetpoint) and setpoint.blind is not None:
-            pitch, roll = (jnp.where(setpoint.blind, 0.0, value) for value in (pitch, roll))
-            size = jnp.where(setpoint.blind, -force.z, size)
-            level = state.integral.map(lambda axis: jnp.where(setpoint.blind, 0.0, axis))
-            state = replace(state, integral=replace(level, z=state.integral.z))
+            blind, learned = setpoint.blind, state.integral
+            pitch, roll = (jnp.where(blind, 0.0, value) for value in (pitch, roll))
+            size = jnp.where(blind, -force.z, size)
+            north, east = (jnp.where(blind, 0.0, axis) for axis in (learned.x, learned.y))
+            state = replace(state, integral=Vec3(north, east, learned.z))
         throttle = known.throttle(known.mass * size)
         if isinstance(setpoint, PathSetpoint) and setpoint.idle is not None:
             idle = setpoint.idle

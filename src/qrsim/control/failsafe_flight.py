@@ -188,12 +188,6 @@ class Failsafes:
         """Return the state with the action of now, and for whom (n,) it begins."""
         flies = ~seen.standing & ~state.landed
         latched, lost = state.latched, jnp.zeros_like(state.landed)
-        dtype = state.yaw.dtype
-
-        def seconds(ticks: Array) -> Array:
-            # Half a tick more, so that rounding does not make it a tick later.
-            return (ticks.astype(dtype) + 0.5) * dt
-
         if seen.charge is not None:
             now = battery_level(seen.charge, self.BAT_LOW_THR, self.BAT_CRIT_THR, self.BAT_EMERGEN_THR)
             level = jnp.maximum(state.level, jnp.where(flies, now, 0))
@@ -204,11 +198,11 @@ class Failsafes:
             on_fix = fix_action(flies & ~seen.fixed, WORDS["COM_GNSSLOSS_ACT"][self.COM_GNSSLOSS_ACT])
             latched = graver(latched, on_fix)
             # Whoever descends goes on to do so while it touches the ground.
-            lost = (flies | state.position_lost) & is_lost(seconds(unfixed), 1e-6 * self.EKF2_NOAID_TOUT)
+            lost = (flies | state.position_lost) & is_lost(_seconds(unfixed, state, dt), 1e-6 * self.EKF2_NOAID_TOUT)
             state = replace(state, unfixed=unfixed, position_lost=lost)
         if seen.heard is not None:
             heard = jnp.maximum(state.heard, seen.heard)
-            silent = (heard >= 0) & is_lost(seconds(seen.tick - heard), self.COM_DL_LOSS_T)
+            silent = (heard >= 0) & is_lost(_seconds(seen.tick - heard, state, dt), self.COM_DL_LOSS_T)
             latched = graver(latched, link_action(silent & flies, WORDS["NAV_DLL_ACT"][self.NAV_DLL_ACT]))
             state = replace(state, heard=heard, link_lost=silent)
         action = graver(latched, position_action(lost))
@@ -260,6 +254,7 @@ class Failsafes:
         sinks = self.MPC_LAND_SPEED + share * (self.MPC_Z_VEL_MAX_DN - self.MPC_LAND_SPEED)
         speed = self._speed(state, goal, down, sinks, dt)
         # Without a position nothing is asked for to the sides.
+        speed = replace(speed, x=jnp.where(blind, 0.0, speed.x), y=jnp.where(blind, 0.0, speed.y))
         place = select(blind, replace(state.place_ned, x=here.x, y=here.y), state.place_ned)
         behind = (place - here).norm()
         rate = jnp.clip(1.0 - (behind - WAITS_FROM) / WAITS_OVER, 0.0, 1.0)
@@ -280,8 +275,7 @@ class Failsafes:
         there = (phase == FLY) & (_level_distance(home, here) < ABOVE)
         low = jnp.maximum(home.z - self.RTL_DESCEND_ALT, top)
         waits = (phase == LOWER) & (low - here.z < CLIMBED)
-        seconds = state.since.astype(state.yaw.dtype) * dt
-        lands = waits & (self.RTL_LAND_DELAY >= 0.0) & (seconds >= self.RTL_LAND_DELAY)
+        lands = waits & (self.RTL_LAND_DELAY >= 0.0) & (_seconds(state.since, state, dt) >= self.RTL_LAND_DELAY)
         moved = up | there | lands
         since = jnp.where(phase == LOWER, jnp.where(waits, state.since + 1, 0), state.since)
         return replace(state, phase=jnp.where(moved, phase + 1, phase), since=jnp.where(moved, 0, since))
@@ -308,6 +302,11 @@ class Failsafes:
         )
 
 
+def _seconds(ticks: Array, state: FailsafeState, dt: float) -> Array:
+    """Return times (n,) [s], half a tick more than they are, so that rounding makes nothing a tick later."""
+    return (ticks.astype(state.yaw.dtype) + 0.5) * dt
+
+
 def _level_distance(one: Vec3, other: Vec3) -> Array:
     """Return the horizontal distance (n,) [m] of two places."""
     north, east = one.x - other.x, one.y - other.y
@@ -326,14 +325,13 @@ def _on_the_ground(
         share: (n,) 0 at touchdown speed.
         dt: step [s].
     """
-    dtype = state.yaw.dtype
     above, sinking = state.place_ned.z - seen.estimate.position_ned.z, seen.estimate.velocity_ned.z
     since = jnp.where(down, jnp.where(share > 0.0, 0, state.since + 1), state.since)
-    steady = since.astype(dtype) * dt > STEADY
+    steady = _seconds(since, state, dt) > STEADY
     touched = (above > TOUCHED) & (jnp.abs(sinking) < HELD_SPEED) & steady
     waits = down & (seen.standing | held(above, sinking))
     waited = jnp.where(state.landed | waits, state.waited + 1, 0)
-    on = waited.astype(dtype) * dt
+    on = _seconds(waited, state, dt)
     landed = state.landed | (down & seen.standing & (on >= LANDED_AFTER))
     idle = down & (landed | (on >= IDLE_AFTER))
     level = down & (seen.standing | touched)

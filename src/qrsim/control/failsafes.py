@@ -1,7 +1,7 @@
 """What a vehicle does when its battery is low, or its link or its position is lost, by PX4's rules.
 
-Plain runs, sweeps and the flight stack of ``qrsim mavlink`` decide by these functions. They use operators only, so that
-they take Python numbers and JAX arrays alike.
+Plain runs, sweeps and the flight stack of ``qrsim mavlink`` decide by these functions. They use little but operators, so
+that they take Python numbers and JAX arrays alike.
 
 Source: PX4-Autopilot, src/modules/commander/failsafe/failsafe.cpp and framework.cpp.
 """
@@ -28,8 +28,6 @@ WORDS: dict[str, dict[str, int]] = {
 _ON_BATTERY = {2: (LAND, LAND), 3: (RETURN, LAND)}
 _ON_LINK = {1: HOLD, 2: RETURN, 3: LAND, 5: TERMINATE, 6: DISARM}
 _ON_FIX = {1: RETURN, 2: LAND}
-# Of a fixed type, because products of booleans and Python's integers have 64 bits in double precision.
-_ONE = np.int32(1)
 
 
 def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
@@ -39,28 +37,28 @@ def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
         charge: what is left of a full charge, 0 to 1.
         low, critical, emergency: BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
     """
-    return (charge <= low) * (_ONE + (charge <= critical) + (charge <= emergency))
+    return _one(charge <= low) * (1 + _one(charge <= critical) + _one(charge <= emergency))
 
 
 def battery_action(level: Any, low_bat_act: int) -> Any:
     """Return the action at a level of the battery, by the number of COM_LOW_BAT_ACT."""
     at_critical, at_emergency = _ON_BATTERY.get(low_bat_act, (NOTHING, NOTHING))
-    return (level == CRITICAL) * (_ONE * at_critical) + (level >= EMERGENCY) * (_ONE * at_emergency)
+    return _one(level == CRITICAL) * at_critical + _one(level >= EMERGENCY) * at_emergency
 
 
 def link_action(lost: Any, dll_act: int) -> Any:
     """Return the action of a vehicle whose link is ``lost``, by the number of NAV_DLL_ACT or NAV_RCL_ACT."""
-    return lost * (_ONE * _ON_LINK.get(dll_act, NOTHING))
+    return _one(lost) * _ON_LINK.get(dll_act, NOTHING)
 
 
 def fix_action(lost: Any, gnssloss_act: int) -> Any:
     """Return the action of a vehicle that has ``lost`` its GNSS fix, by the number of COM_GNSSLOSS_ACT."""
-    return lost * (_ONE * _ON_FIX.get(gnssloss_act, NOTHING))
+    return _one(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
 
 
 def position_action(lost: Any) -> Any:
     """Return the action of a vehicle that does not know where it is: nothing but a descent needs no position."""
-    return lost * (_ONE * DESCEND)
+    return _one(lost) * DESCEND
 
 
 def is_lost(silence: Any, after: Any) -> Any:
@@ -70,4 +68,9 @@ def is_lost(silence: Any, after: Any) -> Any:
 
 def graver(one: Any, other: Any) -> Any:
     """Return the graver of two actions."""
-    return one + (other > one) * (other - one)
+    return one + _one(other > one) * (other - one)
+
+
+def _one(flag: Any) -> Any:
+    """Return 1 for true and 0 for false: an int, or an array of int32."""
+    return flag.astype(np.int32) if hasattr(flag, "astype") else int(flag)

@@ -55,18 +55,19 @@ def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
         )
     elif not stands(fleet):
         yield f"{path}: they land, but touching the ground ends the flight of this fleet; give it ground: parked"
+    spec: Any = fleet.failsafes
     has_fix = any(
-        name.startswith("position_ned.") for spec in fleet.sensors.values() for name in reading_fields(spec.type)
+        name.startswith("position_ned.") for sensor in fleet.sensors.values() for name in reading_fields(sensor.type)
     )
-    if not (has_fix or known.BATTERIES[fleet.battery.type].drains or fleet.failsafes.NAV_DLL_ACT != "none"):
+    if not (has_fix or known.BATTERIES[fleet.battery.type].drains or spec.NAV_DLL_ACT != "none"):
         yield f"{path}: nothing can fail: the fleet has no battery that drains, no GNSS receiver and no NAV_DLL_ACT"
-    if fleet.failsafes.COM_GNSSLOSS_ACT != "warn" and not has_fix:
+    if spec.COM_GNSSLOSS_ACT != "warn" and not has_fix:
         yield f"{path}.COM_GNSSLOSS_ACT: the fleet has no GNSS receiver"
 
 
 def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
     """Yield what is wrong with the levels of a battery."""
-    spec = fleet.failsafes
+    spec: Any = fleet.failsafes
     if spec.COM_LOW_BAT_ACT != "warn" and not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.COM_LOW_BAT_ACT: a battery of type '{fleet.battery.type}' has no charge that could be low"
     names = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
@@ -78,7 +79,7 @@ def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 def _link_problems(path: str, name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
     """Yield why a fleet cannot lose a link."""
-    spec = fleet.failsafes
+    spec: Any = fleet.failsafes
     if spec.NAV_DLL_ACT == "none":
         if spec.link_to:
             yield f"{path}.link_to: nothing is done when that link is lost; give NAV_DLL_ACT too: hold, return or land"

@@ -109,7 +109,9 @@ class FlownWorld:
         self._restarts.look()
         self.simulation.advance(self._latches.actions())
         self._command()
+        unlinked = self.simulation.unlinked
         for system in self.systems:
+            system.muted = system.name in unlinked
             system.publish(self.simulation.tick, wall)
         busy = (time.perf_counter() - begin) / self.simulation.world.time_step
         self._busy += 0.02 * (busy - self._busy)

@@ -105,7 +105,7 @@ class Failsafes:
         charge, values = craft.seen.charge, craft.parameters.values
         if not charge <= values["BAT_LOW_THR"]:
             return NOTHING
-        level = int(battery_level(charge, *(values[name] for _, _, name in _BATTERY[1:])))
+        level = battery_level(charge, *(values[name] for _, _, name in _BATTERY[1:]))
         if level <= self._battery:
             return NOTHING
         self._battery = level
