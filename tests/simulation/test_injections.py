@@ -266,7 +266,7 @@ def test_radios_fail_where_they_are_injectable_and_links_anywhere() -> None:
             injected(world, "radio", kind, None, (0, 9), numbers)
     bare = load_scenario(scenario()).world()
     with pytest.raises(
-        UsageError, match="'radio' is not injectable; write 'injectable: {radio: true}' under fleets.uav"
+        UsageError, match=r"'radio' is not injectable; write 'injectable: \{radio: true\}' under fleets.uav"
     ):
         injected(bare, "radio", "off", None, (0, 9), {})
     assert injected(bare, "link", "off", None, (0, 9), {}) == (bare, ("uav_0", "uav_1", "uav_2"))

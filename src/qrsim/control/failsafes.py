@@ -1,7 +1,7 @@
 """What a vehicle does when its battery is low, or its link or its position is lost, by PX4's rules.
 
-Plain runs, sweeps and the flight stack of ``qrsim mavlink`` decide by these functions. They use little but operators, so
-that they take Python numbers and JAX arrays alike.
+Plain runs, sweeps and the flight stack of ``qrsim mavlink`` decide by these functions. They use little but operators:
+they take Python numbers and JAX arrays alike.
 
 Source: PX4-Autopilot, src/modules/commander/failsafe/failsafe.cpp and framework.cpp.
 """
