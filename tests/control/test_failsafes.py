@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from qrsim.control.failsafes import (
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
 
-DT = 0.02
+DT = 0.1
 
 
 def test_the_graver_action_comes_later_as_in_px4() -> None:
@@ -106,7 +107,9 @@ class Rig:
     def step(self, ticks: int = 1, **changes: Any) -> PathSetpoint:
         self.seen = self.seen._replace(**changes)
         for _ in range(ticks):
-            self.state, asked = self.failsafes.step(self.state, self.seen, self.setpoint, DT)
+            # Without compiling, which takes longer than these few steps.
+            with jax.disable_jit():
+                self.state, asked = self.failsafes.step(self.state, self.seen, self.setpoint, DT)
             self.seen = self.seen._replace(tick=self.seen.tick + 1)
         return asked
 
@@ -142,10 +145,10 @@ def test_a_guidance_flies_until_something_fails() -> None:
 
 
 def test_a_return_climbs_flies_home_lowers_waits_and_lands() -> None:
-    rig = Rig((20.0, 0.0, -20.0), NAV_DLL_ACT="return", COM_DL_LOSS_T=5.0, RTL_RETURN_ALT=30.0, RTL_LAND_DELAY=0.1)
-    rig.step(2, tick=jnp.int32(248))
+    rig = Rig((20.0, 0.0, -20.0), NAV_DLL_ACT="return", COM_DL_LOSS_T=5.0, RTL_RETURN_ALT=30.0, RTL_LAND_DELAY=0.5)
+    rig.step(2, tick=jnp.int32(48))
     assert rig.action == NOTHING
-    # At 250 ticks, 5 s after the newest message.
+    # At 50 ticks, 5 s after the newest message.
     rig.step()
     assert rig.action == RETURN
     assert bool(rig.state.link_lost[0])
@@ -191,7 +194,7 @@ def test_a_hold_is_where_it_can_stop() -> None:
     rig = Rig((20.0, 0.0, -20.0), NAV_DLL_ACT="hold", COM_DL_LOSS_T=5.0)
     zero = jnp.zeros(1)
     moving = replace(rig.seen.estimate, velocity_ned=Vec3(zero + 6.0, zero, zero - 2.0))
-    rig.step(estimate=moving, tick=jnp.int32(250))
+    rig.step(estimate=moving, tick=jnp.int32(50))
     assert (rig.action, int(rig.state.phase[0])) == (HOLD, STAY)
     # 6^2 / (2 x 3), and 2^2 / (2 x 2).
     assert float(rig.state.goal_ned.x[0]) == pytest.approx(26.0)
@@ -203,12 +206,12 @@ def test_without_a_position_it_descends_level_until_there_is_one() -> None:
     zero = jnp.zeros(1)
     drifting = replace(rig.seen.estimate, velocity_ned=Vec3(zero + 4.0, zero, zero))
     # 5 s without a fix.
-    rig.lose_fix(248)
+    rig.lose_fix(48)
     rig.step(fixed=jnp.zeros(1, bool), estimate=drifting)
     assert rig.action == NOTHING
     rig.step()
     assert rig.action == DESCEND
-    asked = rig.step(25)
+    asked = rig.step(5)
     assert bool(asked.blind[0])
     # Nothing is asked for to the sides, and 0.7 m/s down.
     assert (float(asked.position_ned.x[0]), float(asked.velocity_ned.x[0])) == (20.0, 4.0)
@@ -220,19 +223,19 @@ def test_without_a_position_it_descends_level_until_there_is_one() -> None:
 
 def test_who_has_landed_stays_whatever_ends() -> None:
     rig = Rig((20.0, 0.0, -0.1))
-    rig.lose_fix(250)
+    rig.lose_fix(50)
     rig.step(fixed=jnp.zeros(1, bool))
     assert rig.action == DESCEND
-    asked = rig.step(20, standing=jnp.ones(1, bool))
+    asked = rig.step(4, standing=jnp.ones(1, bool))
     assert not bool(asked.idle[0])
     assert bool(asked.level[0])
     # Motors idle after 0.5 s on the ground, and after 1 s it has landed.
-    asked = rig.step(10)
+    asked = rig.step(2)
     assert bool(asked.idle[0])
     assert not bool(rig.state.landed[0])
-    rig.step(25)
+    rig.step(4)
     assert bool(rig.state.landed[0])
-    asked = rig.step(10, fixed=jnp.ones(1, bool), standing=jnp.zeros(1, bool))
+    asked = rig.step(2, fixed=jnp.ones(1, bool), standing=jnp.zeros(1, bool))
     assert rig.action == DESCEND
     assert bool(asked.idle[0])
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from qrsim.control.failsafes import (
     DESCEND,
@@ -175,14 +175,18 @@ class Failsafes:
             dt: step [s].
         """
         state, begins = self._decided(state, seen, dt)
-        state = select(begins, self._begun(state, seen.estimate), state)
-        state, asked = self._flown(state, seen, dt)
         no = jnp.zeros(state.landed.shape, bool)
         idle, level = (no if flag is None else flag for flag in (setpoint.idle, setpoint.level))
-        given = PathSetpoint(
-            setpoint.position_ned, setpoint.velocity_ned, setpoint.acceleration_ned, setpoint.yaw, idle, level, no
-        )
-        return state, select(state.action > NOTHING, asked, given)
+        given = replace(setpoint, idle=idle, level=level, blind=no)
+        acts = state.action > NOTHING
+
+        def taken_over() -> tuple[FailsafeState, PathSetpoint]:
+            begun = select(begins, self._begun(state, seen.estimate), state)
+            flown, asked = self._flown(begun, seen, dt)
+            return flown, select(acts, asked, given)
+
+        result: tuple[FailsafeState, PathSetpoint] = lax.cond(jnp.any(acts), taken_over, lambda: (state, given))
+        return result
 
     def _decided(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, Array]:
         """Return the state with the action of now, and for whom (n,) it begins."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from qrsim.control import PathSetpoint, WaypointSetpoint
 from qrsim.control.failsafe_flight import Failsafes
+from qrsim.control.rover import RoverController
 from qrsim.core.tree import replace
 from qrsim.errors import did_you_mean
 from qrsim.scenarios import catalogue as known
@@ -41,8 +42,8 @@ def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
     controller, guidance = known.CONTROLLERS.get(fleet.controller.type), known.GUIDANCE.get(fleet.guidance.type)
     if controller is None or guidance is None:
         return
-    if PathSetpoint not in controller.setpoints:
-        fitting = [name for name, kind in known.CONTROLLERS.items() if PathSetpoint in kind.setpoints]
+    if not _flies_paths(controller):
+        fitting = [name for name, kind in known.CONTROLLERS.items() if _flies_paths(kind)]
         yield (
             f"{path}: the controller '{fleet.controller.type}' does not fly paths, as failsafes do; allowed: "
             f"{', '.join(fitting)}"
@@ -63,6 +64,11 @@ def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
         yield f"{path}: nothing can fail: the fleet has no battery that drains, no GNSS receiver and no NAV_DLL_ACT"
     if spec.COM_GNSSLOSS_ACT != "warn" and not has_fix:
         yield f"{path}.COM_GNSSLOSS_ACT: the fleet has no GNSS receiver"
+
+
+def _flies_paths(controller: Any) -> bool:
+    """Return whether a controller, by its class, flies paths; a rover drives along them."""
+    return PathSetpoint in controller.setpoints and not issubclass(controller, RoverController)
 
 
 def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
