@@ -9,7 +9,7 @@ from qrsim.errors import UsageError
 from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.failures import UNITS, _numbers
-from qrsim.links.mavlink.fleet import prepared
+from qrsim.links.mavlink.fleet import prepared, start_parameters
 from qrsim.links.mavlink.frames import Reader, frame
 from qrsim.links.mavlink.link import Link
 from qrsim.links.mavlink.stack.contracts import NAN, Command
@@ -193,3 +193,13 @@ def test_a_link_that_is_off_neither_hears_nor_is_heard_and_the_vehicle_comes_hom
         simulation.inject("link", "weak", "field_4")
     with pytest.raises(UsageError, match="share: kind 'off' of a link does not take it"):
         simulation.inject("link", "off", "field_4", share=0.5)
+
+
+def test_a_stack_begins_with_the_failsafes_of_its_scenario() -> None:
+    content = load_scenario("mavlink_field").spec.model_dump(mode="json")
+    field, each = content["fleets"]["field"], [0.07, 0.08, 0.09, 0.1, 0.11]
+    assert start_parameters(load_scenario(content).world().fleets[0], 0) == {}
+    field["failsafes"] = {"COM_LOW_BAT_ACT": "return_or_land", "BAT_CRIT_THR": each, "RTL_RETURN_ALT": 25.0}
+    found = start_parameters(load_scenario(content).world().fleets[0], 3)
+    names = ("COM_LOW_BAT_ACT", "NAV_DLL_ACT", "BAT_CRIT_THR", "RTL_RETURN_ALT", "COM_DL_LOSS_T")
+    assert [found[name] for name in names] == [3.0, 0.0, pytest.approx(0.1), 25.0, 10.0]
