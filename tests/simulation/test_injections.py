@@ -11,7 +11,7 @@ import pytest
 import qrsim
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.injections import injected
+from qrsim.simulation.injections import injected, without_faults
 
 ALL = {"sensors": "all", "rotors": "all", "battery": True, "delay_max": 0.4}
 
@@ -327,3 +327,34 @@ def test_what_a_scenario_may_not_say(injectable: Any, message: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         load_scenario(scenario(injectable)).world()
     assert message in str(caught.value)
+
+
+def test_radios_fail_where_they_are_injectable_and_links_anywhere() -> None:
+    radio = {"preset": "sik_915", "path_loss": {"waves": 2}}
+    world = load_scenario(scenario({"radio": True}, world={"radio": radio})).world()
+    weak, names = injected(world, "radio", "weak", ["uav_1"], (50, 100), {"share": 0.25})
+    slot = weak.fleets[0].radio_slot
+    assert names == ("uav_1",)
+    off, lost = slot.at(np.int32(50))
+    assert (off.tolist(), lost.tolist()) == ([False] * 3, [0.0, 0.25, 0.0])
+    assert slot.at(np.int32(49))[1].tolist() == slot.at(np.int32(100))[1].tolist() == [0.0] * 3
+    silent, _ = injected(weak, "radio", "off", ["uav_1", "uav_2"], (60, 100), {})
+    off, lost = silent.fleets[0].radio_slot.at(np.int32(60))
+    assert (off.tolist(), lost.tolist()) == ([False, True, True], [0.0] * 3)
+    well, _ = injected(silent, "radio", "ok", ["uav_1"], (0, 0), {})
+    assert well.fleets[0].radio_slot.at(np.int32(60))[0].tolist() == [False, False, True]
+    assert without_faults(well).fleets[0].radio_slot.at(np.int32(60))[0].tolist() == [False] * 3
+    for kind, numbers, message in (
+        ("drop", {}, "kind: 'drop' does not suit a radio; allowed: off, weak, ok"),
+        ("weak", {}, "share: missing; kind 'weak' needs it, 0 to 1"),
+        ("weak", {"share": 1.2}, "share: 1.2; allowed: 0 to 1"),
+        ("off", {"share": 0.2}, "share: kind 'off' does not take it"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            injected(world, "radio", kind, None, (0, 9), numbers)
+    bare = load_scenario(scenario()).world()
+    with pytest.raises(
+        UsageError, match=r"'radio' is not injectable; write 'injectable: \{radio: true\}' under fleets.uav"
+    ):
+        injected(bare, "radio", "off", None, (0, 9), {})
+    assert injected(bare, "link", "off", None, (0, 9), {}) == (bare, ("uav_0", "uav_1", "uav_2"))

@@ -121,7 +121,7 @@ class CascadeController(Controller):
         none = jnp.full_like(zero, jnp.nan)
         nothing, still = Vec3(none, none, none), Vec3(zero, zero, zero)
         if isinstance(setpoint, PathSetpoint):
-            return replace(setpoint, idle=None, level=None)
+            return replace(setpoint, idle=None, level=None, blind=None)
         if isinstance(setpoint, WaypointSetpoint):
             return PathSetpoint(setpoint.position_ned, still, still, setpoint.yaw)
         if isinstance(setpoint, VelocitySetpoint):
@@ -161,6 +161,12 @@ class CascadeController(Controller):
             level = setpoint.level
             pitch, roll, turn = (jnp.where(level, 0.0, value) for value in (pitch, roll, turn))
             size = jnp.where(level, -force.z, size)
+        if isinstance(setpoint, PathSetpoint) and setpoint.blind is not None:
+            blind, learned = setpoint.blind, state.integral
+            pitch, roll = (jnp.where(blind, 0.0, value) for value in (pitch, roll))
+            size = jnp.where(blind, -force.z, size)
+            north, east = (jnp.where(blind, 0.0, axis) for axis in (learned.x, learned.y))
+            state = replace(state, integral=Vec3(north, east, learned.z))
         throttle = known.throttle(known.mass * size)
         if isinstance(setpoint, PathSetpoint) and setpoint.idle is not None:
             idle = setpoint.idle

@@ -201,7 +201,7 @@ class MissionGuidance(Guidance):
         landed = standing & (_seconds(state.waited + 1, state, dt) >= self.settle)
         at_rest = jnp.where(leg.lands, landed, stopped)
         arrives = ~state.arrived & jnp.where(leg.stops, at_rest, near & (time >= ends))
-        waits = leg.lands & (standing | _held(above, sinking))
+        waits = leg.lands & (standing | held(above, sinking))
         waited = jnp.where(state.arrived | (waits & ~arrives), state.waited + 1, 0)
         now = replace(
             state, time=time, time_low=time_low, waited=waited, near=near, arrived=state.arrived | arrives,
@@ -303,7 +303,7 @@ def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Arra
     return two_sum(state.time, state.time_low + ahead)
 
 
-def _held(above: Array, sinking: Array) -> Array:
+def held(above: Array, sinking: Array) -> Array:
     """Return who (n,) is asked to come down and does not: what holds it is the ground.
 
     Idle motors then let its feet bear.

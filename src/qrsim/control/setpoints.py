@@ -85,7 +85,8 @@ class PathSetpoint:
     """A point of a path, (n,): its position, velocity and acceleration (feed-forwards), and a heading.
 
     Where ``level`` is set, a vehicle with feet that touches the ground is not to lean. Where ``idle`` is set, one that
-    has landed is to stay on the ground with idle motors.
+    has landed is to stay on the ground with idle motors. Where ``blind`` is set, one without a position sinks or climbs
+    at its vertical velocity without leaning, and drifts with the wind.
     """
 
     position_ned: Vec3 = quantity(unit="m", doc="point of the path")
@@ -94,6 +95,7 @@ class PathSetpoint:
     yaw: Array = quantity(unit="rad", doc="heading")
     idle: Array | None = quantity(default=None, doc="bool: motors idle; None: they never are")
     level: Array | None = quantity(default=None, doc="bool: it does not lean; None: as its motion needs")
+    blind: Array | None = quantity(default=None, doc="bool: level, for want of a position; None: none is")
 
     @staticmethod
     def of(

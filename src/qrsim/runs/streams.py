@@ -17,6 +17,7 @@ from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.models.vehicles.faults import RotorFault
 from qrsim.runs import Column
+from qrsim.runs.failsafe_events import FailsafeWatch
 from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.runs.radio_columns import radio_columns
@@ -189,6 +190,7 @@ class EventFinder:
         start = simulation.history
         self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
         self.missions = MissionWatch(self.world, start)
+        self.failsafes = FailsafeWatch(self.world, start)
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
@@ -214,6 +216,7 @@ class EventFinder:
         found += self._losses(history)
         found += self._persons(history)
         found += self._of_missions(history, self.missions.events(history))
+        found += self._of_failsafes(history)
         found += self._landings(history)
         found += self._crowds(history)
         found.sort(key=lambda item: item[:2])
@@ -257,6 +260,15 @@ class EventFinder:
             events.append((row, vehicle, {**event, "kind": kind, "field": "leg", "value": value, "message": message}))
         return events
 
+    def _of_failsafes(self, history: History) -> list[tuple[int, int, Content]]:
+        """Return what failsafes noticed and did as events, each with its row and vehicle."""
+        events = []
+        for row, vehicle, kind, field, value, message in self.failsafes.events(history):
+            event = self._at(history, row, vehicle)
+            message = f"{event['vehicle']}: {message} at {event['time']:.2f} s"
+            events.append((row, vehicle, {**event, "kind": kind, "field": field, "value": value, "message": message}))
+        return events
+
     def _faults(self, history: History) -> list[tuple[int, int, Content]]:
         """Return the scheduled faults that begin or end."""
         found, first = [], 0
@@ -276,6 +288,10 @@ class EventFinder:
                 told = part.replace("_", " ")
                 edges.append((broken.start_tick, broken.affected, "fault_begins", part, f"{told} fails"))
                 edges.append((broken.end_tick, broken.affected, "fault_ends", part, f"{told} is well again"))
+            for radio in fleet.radio_faults:
+                told = "radio" if radio.off else "radio in part"
+                edges.append((radio.start_tick, radio.affected, "fault_begins", "radio", f"{told} fails"))
+                edges.append((radio.end_tick, radio.affected, "fault_ends", "radio", f"{told} is well again"))
             for edge, affected, kind, part, words in edges:
                 for row in np.flatnonzero(history.ticks == int(edge)):
                     for i in np.flatnonzero(affected):

@@ -20,6 +20,8 @@ from qrsim.runs.terrain import terrain_of
 Rows = NumpyArray
 STREAMS = ("truth", "measurements", "commands", "wind")
 CHARGE = "battery.charge"
+# What a failsafe noticed, with the number of its action (control/failsafes.py).
+FAILSAFE = "failsafe"
 # A set-point so far below the ground [m] is one of a landing.
 BELOW_M = 0.05
 # Without a contact that reports it, a vehicle is in the air at this height [m], or under way at this speed [m/s].
@@ -43,6 +45,8 @@ NOT_A_STOP = (
     "mission_unfinished",
     "landed",
     "took_off",
+    FAILSAFE,
+    "failsafe_ends",
     OVERFULL,
 )
 
@@ -67,6 +71,7 @@ class VehicleSummary:
         charge_least: lowest charge of the battery, 1 full and 0 empty; NaN without one that drains.
         endurance_s: how long the battery would last, from its charge at the start, at the mean consumption in the air;
             NaN without one that drains, or without a flight.
+        failsafes: how many times a failsafe took over.
     """
 
     vehicle: str
@@ -80,6 +85,7 @@ class VehicleSummary:
     height_error_rms_m: float = math.nan
     charge_least: float = math.nan
     endurance_s: float = math.nan
+    failsafes: int = 0
 
     def to_json(self) -> dict[str, object]:
         """Return the fields by name, None in place of NaN (JSON has no NaN)."""
@@ -297,6 +303,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
                 float(too_low[i]),
                 float(charge[i]),
                 float(endurance[i]),
+                sum(event.kind == FAILSAFE and (event.value or 0.0) > 0.0 for event in own),
             )
         )
     return summaries

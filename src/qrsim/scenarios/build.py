@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control import Route
+from qrsim.control.failsafe_flight import Failsafes
 from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.guidance import RouteFollower
 from qrsim.core.arrays import NumpyArray
@@ -30,7 +31,8 @@ from qrsim.scenarios.beacons import with_beacons
 from qrsim.scenarios.components import component
 from qrsim.scenarios.estimating import with_sensed
 from qrsim.scenarios.events import with_events
-from qrsim.scenarios.faults import battery_faults, faults, rotor_faults, slots, vehicle_names
+from qrsim.scenarios.failsafes import failsafes
+from qrsim.scenarios.faults import battery_faults, faults, radio_faults, rotor_faults, slots, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
@@ -207,7 +209,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
     built = [with_beacons(sensor, scenario) for sensor in built]
     sensors, fittings = fitted(spec, built)
     controller = component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle)
-    sensor_slots, rotor_slots, battery_slot = slots(name, spec, scenario)
+    sensor_slots, rotor_slots, battery_slot, radio_slot = slots(name, spec, scenario)
     return Fleet(
         vehicle=vehicle,
         controller=controller,
@@ -230,8 +232,13 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
         fault_slots=sensor_slots,
         rotor_slots=rotor_slots,
         battery_slot=battery_slot,
+        radio_faults=radio_faults(name, spec, scenario),
+        radio_slot=radio_slot,
         fittings=fittings,
         estimator=_estimator(spec, scenario, sensors, fittings),
+        failsafes=None
+        if spec.failsafes is None
+        else failsafes(component(spec.failsafes, Failsafes, scenario), scenario),
     )
 
 

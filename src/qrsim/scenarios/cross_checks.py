@@ -22,6 +22,7 @@ from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.components import component, inherited
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.events import event_problems
+from qrsim.scenarios.failsafes import failsafe_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
@@ -80,6 +81,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_standing_problems(scenario),
         *fault_problems(scenario),
         *event_problems(scenario),
+        *failsafe_problems(scenario),
         *contents_problems(scenario),
         *updraft_problems(scenario),
         *range_problems(scenario),

@@ -1,10 +1,10 @@
-"""What a scenario says of faults: of sensors, rotors and batteries."""
+"""What a scenario says of faults: of sensors, rotors, batteries and radios."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from qrsim.models.vehicles.fault_numbers import WEAKEST_BATTERY
 from qrsim.scenarios.component_schema import Finite, Strict
@@ -24,7 +24,7 @@ def _first_rotors(value: object) -> object:
 
 def _all_of(value: object) -> object:
     """Return what "all" is of: it is of as much as a vehicle has."""
-    return {"sensors": ALL, "rotors": ALL, "battery": True} if value == ALL else value
+    return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True} if value == ALL else value
 
 
 def or_all(schema: dict[str, Any]) -> None:
@@ -101,6 +101,27 @@ class BatteryFaultSpec(Strict):
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
 
 
+class RadioFaultSpec(Strict):
+    """A time during which radios are off, or lose more packets than they should."""
+
+    type: Literal["radio"] = Field(description="what fails")
+    kind: Literal["off", "weak"] = Field(description="off: nothing is sent or received; weak: a share is lost")
+    at: Finite = Field(description="start [s]", ge=0)
+    end: Finite | None = Field(None, description="end [s]; default: the end of the run", gt=0)
+    share: Finite | None = Field(
+        None, description="part of the packets, sent and received, that is lost in addition (weak)", ge=0, le=1
+    )
+    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
+
+    @model_validator(mode="after")
+    def _share_if_weak(self) -> RadioFaultSpec:
+        if (self.kind == "weak") != (self.share is not None):
+            raise ValueError(
+                "share is missing; kind 'weak' needs it" if self.kind == "weak" else "share is for kind 'weak' only"
+            )
+        return self
+
+
 class InjectableSpec(Strict):
     """What of the vehicles of a fleet may be made to fail in flight; it is compiled, and costs a little."""
 
@@ -113,6 +134,7 @@ class InjectableSpec(Strict):
         json_schema_extra=or_all,
     )
     battery: bool = Field(False, description="whether the battery may lose charge", strict=True)
+    radio: bool = Field(False, description="whether the radio may fail", strict=True)
     delay_max: Finite = Field(0.0, description="longest delay of kind delayed [s]", ge=0, le=60)
 
 
@@ -133,6 +155,7 @@ def _what_fails(fault: object) -> str:
 AnyFault = Annotated[
     Annotated[FaultSpec, Tag("sensor")]
     | Annotated[RotorFaultSpec, Tag("rotor")]
-    | Annotated[BatteryFaultSpec, Tag("battery")],
+    | Annotated[BatteryFaultSpec, Tag("battery")]
+    | Annotated[RadioFaultSpec, Tag("radio")],
     Discriminator(_what_fails),
 ]

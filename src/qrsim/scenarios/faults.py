@@ -13,6 +13,7 @@ import numpy as np
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import did_you_mean
+from qrsim.models.radio.faults import RadioFault
 from qrsim.models.sensors.contracts import Memoryless
 from qrsim.models.sensors.fault_numbers import (
     NAMES,
@@ -34,6 +35,7 @@ from qrsim.scenarios.fault_schema import (
     BatteryFaultSpec,
     FaultSpec,
     InjectableSpec,
+    RadioFaultSpec,
     RotorFaultSpec,
 )
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -133,6 +135,23 @@ def battery_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
     return tuple(found)
 
 
+def radio_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[RadioFault, ...]:
+    """Build the faults of a fleet's radios."""
+    names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
+    return tuple(
+        record_of(
+            RadioFault,
+            _tick(spec.at, dt),
+            _tick(spec.end, dt),
+            _mask(names, spec.vehicles),
+            np.array(spec.kind == "off"),
+            spec.share or 0.0,
+        )
+        for spec in fleet.faults
+        if isinstance(spec, RadioFaultSpec)
+    )
+
+
 # Of a fault's numbers, where a World has those that an episode may draw; times are ticks there.
 _SENSOR_PATHS: dict[str, tuple[str, ...]] = {
     "start": ("start_tick",), "end": ("end_tick",), "limit": ("numbers", "limit"), "share": ("numbers", "share"),
@@ -140,7 +159,16 @@ _SENSOR_PATHS: dict[str, tuple[str, ...]] = {
 _OF_FIELDS = {"bias": "amounts", "rate": "amounts", "std": "amounts", "range": "amounts", "scale": "scales"}
 _OTHER_PATHS = {
     name: {"at": "start_tick", "end": "end_tick"} | {number: number for number in numbers}
-    for name, numbers in (("rotor_faults", ("health", "speed")), ("battery_faults", ("charge", "health")))
+    for name, numbers in (
+        ("rotor_faults", ("health", "speed")),
+        ("battery_faults", ("charge", "health")),
+        ("radio_faults", ("share",)),
+    )
+}
+_OTHER_PLACES: dict[type, str] = {
+    RotorFaultSpec: "rotor_faults",
+    BatteryFaultSpec: "battery_faults",
+    RadioFaultSpec: "radio_faults",
 }
 TIMES = ("start", "end", "at")
 
@@ -150,7 +178,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
     chosen = fleet.faults[number]
     place = sum(isinstance(fault, type(chosen)) for fault in fleet.faults[:number])
     if not isinstance(chosen, FaultSpec):
-        where = "rotor_faults" if isinstance(chosen, RotorFaultSpec) else "battery_faults"
+        where = _OTHER_PLACES[type(chosen)]
         return [(where, place, _OTHER_PATHS[where][name])] if name in _OTHER_PATHS[where] else []
     if name in _SENSOR_PATHS:
         return [("faults", place, *_SENSOR_PATHS[name])]
@@ -159,14 +187,22 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
     return [("faults", place, "numbers", _OF_FIELDS[name], i) for i in places] if name in _OF_FIELDS else []
 
 
-def injectable_of(fleet: FleetSpec) -> InjectableSpec:
-    """Return what of a fleet may be made to fail in flight; of all, what it has."""
+def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
+    """Return what of a fleet may be made to fail in flight; of all, what it has.
+
+    Args:
+        fleet: of a scenario.
+        has_radio: whether the world has a radio.
+    """
     spec = fleet.injectable or InjectableSpec.model_validate({})
     if spec.sensors != [ALL]:
         return spec
     rotors = [rotor for rotor in spec.rotors if rotor < rotors_of(fleet)]
     battery = spec.battery and bool(known.BATTERIES[fleet.battery.type].drains)
-    return spec.model_copy(update={"sensors": list(fleet.sensors), "rotors": rotors, "battery": battery})
+    radio = spec.radio and has_radio and (fleet.radio is None or fleet.radio.works)
+    return spec.model_copy(
+        update={"sensors": list(fleet.sensors), "rotors": rotors, "battery": battery, "radio": radio}
+    )
 
 
 def rotors_of(fleet: FleetSpec) -> int:
@@ -176,9 +212,10 @@ def rotors_of(fleet: FleetSpec) -> int:
 
 def slots(
     fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec
-) -> tuple[tuple[FaultSlot, ...], tuple[RotorFault, ...], BatteryFault | None]:
-    """Build the slots of a fleet for faults of sensors, rotors and battery in flight, all empty."""
-    spec, dt, count = injectable_of(fleet), scenario.time_step, len(fleet.vehicles)
+) -> tuple[tuple[FaultSlot, ...], tuple[RotorFault, ...], BatteryFault | None, RadioFault | None]:
+    """Build the slots of a fleet for faults of sensors, rotors, battery and radio in flight, all empty."""
+    spec = injectable_of(fleet, scenario.world.radio is not None)
+    dt, count = scenario.time_step, len(fleet.vehicles)
     sensors = []
     for name in spec.sensors:
         fields = tuple(reading_fields(fleet.sensors[name].type))
@@ -189,7 +226,8 @@ def slots(
             )
         )
     broken = tuple(RotorFault.empty(count, rotor, _tick(NOTICED_S, dt)) for rotor in spec.rotors)
-    return tuple(sensors), broken, BatteryFault.empty(count) if spec.battery else None
+    battery = BatteryFault.empty(count) if spec.battery else None
+    return tuple(sensors), broken, battery, RadioFault.empty(count) if spec.radio else None
 
 
 def _mask(names: tuple[str, ...], chosen: list[str] | None) -> Any:
@@ -232,18 +270,31 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
             elif isinstance(fault, BatteryFaultSpec):
                 yield from _moment_problems(path, fault, scenario)
                 yield from _battery_problems(path, fault, fleet)
+            elif isinstance(fault, RadioFaultSpec):
+                yield from _moment_problems(path, fault, scenario)
+                yield from _radio_problems(f"{path}.type", fleet, scenario)
             else:
                 yield from _time_problems(path, fault, scenario)
                 yield from _problems(path, fault, fleet, scenario)
         rotors = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
         if len(rotors) > MOST_FAILED_ROTORS:
             yield f"fleets.{fleet_name}.faults: {len(rotors)} rotors fail; allowed: at most {MOST_FAILED_ROTORS}"
-        yield from _injectable_problems(f"fleets.{fleet_name}.injectable", fleet)
+        yield from _injectable_problems(f"fleets.{fleet_name}.injectable", fleet, scenario)
 
 
-def _injectable_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
+def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why the radios of a fleet cannot fail."""
+    if scenario.world.radio is None:
+        yield f"{path}: there is no world.radio that could fail"
+    elif fleet.radio is not None and not fleet.radio.works:
+        yield f"{path}: the fleet has no radio that could fail (radio: none)"
+
+
+def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
     """Yield what is wrong with what of a fleet may be made to fail in flight."""
-    spec = injectable_of(fleet)
+    spec = injectable_of(fleet, scenario.world.radio is not None)
+    if spec.radio:
+        yield from _radio_problems(f"{path}.radio", fleet, scenario)
     for name in spec.sensors:
         if name not in fleet.sensors:
             yield f"{path}.sensors: no sensor is called '{name}'{did_you_mean(name, fleet.sensors)}"
@@ -266,8 +317,10 @@ def _name_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) 
             yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
 
 
-def _moment_problems(path: str, fault: RotorFaultSpec | BatteryFaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the times of a fault of a rotor or a battery."""
+def _moment_problems(
+    path: str, fault: RotorFaultSpec | BatteryFaultSpec | RadioFaultSpec, scenario: ScenarioSpec
+) -> Iterator[str]:
+    """Yield what is wrong with the times of a fault of a rotor, a battery or a radio."""
     for name, seconds in (("at", fault.at), ("end", fault.end)):
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"

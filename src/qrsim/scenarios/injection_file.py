@@ -17,22 +17,25 @@ from qrsim.models.vehicles.fault_numbers import number_of
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.faults import rotors_of, vehicle_names
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.scenarios.schema import FleetSpec
+from qrsim.scenarios.schema import FleetSpec, WorldSpec
 from qrsim.scenarios.timing import is_multiple
 from qrsim.simulation.changing import JAM, TAKES, WIND
-from qrsim.simulation.injections import OK, WORLD, Injection, plain_target
+from qrsim.simulation.injections import LINK, OK, WORLD, Injection, plain_target
 from qrsim.simulation.requests import after_request
 
 LARGEST_BYTES, MOST_ENTRIES = 2**24, 10_000
 # Keys of an entry that are no numbers of its kind.
 KEYS = ("target", "kind", "tick", "at", "end", "vehicles", "asked_by")
-BATTERY = "battery"
+BATTERY, RADIO = "battery", "radio"
+# Targets of which a vehicle has one, and that are no sensor.
+PLAIN = (BATTERY, RADIO, LINK)
 
 
 def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Injection, ...]]:
     """Return a scenario in which the injections of a file are possible, and the requests that are made in flight.
 
-    A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery`` or ``world``), ``kind``, ``at`` [s],
+    A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery``, ``radio``, ``link`` or ``world``),
+    ``kind``, ``at`` [s],
     perhaps ``end`` [s] and ``vehicles``, and the numbers of the kind. Entries of a recorded flight have a ``tick`` too,
     at which they were asked for. Where a file has such entries, or ends faults (kind ``ok``), all of its faults are
     requests, for which the scenario gets room: a fault takes the place of the one before it. Otherwise its faults are
@@ -47,7 +50,7 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
     """
     entries = [(f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
                for number, entry in enumerate(_entries(path), 1)]  # fmt: skip
-    in_flight = any("tick" in entry or entry["kind"] == OK for _, entry in entries)
+    in_flight = any("tick" in entry or entry["kind"] == OK or entry["target"] == LINK for _, entry in entries)
     content = scenario.spec.model_dump(mode="json")
     requests, wheres = [], []
     for where, entry in entries:
@@ -128,13 +131,15 @@ def _rotor(target: str) -> int | None:
     return int(found[1]) if found else None
 
 
-def _has(fleet: FleetSpec, target: str) -> bool:
+def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
     rotor = _rotor(target)
     if rotor is not None:
         return rotor < rotors_of(fleet)
-    if target == BATTERY:
-        return bool(catalogue.BATTERIES[fleet.battery.type].drains)
-    return target in fleet.sensors
+    if target in fleet.sensors or target == LINK:
+        return True
+    if target == RADIO:
+        return world.radio is not None and (fleet.radio is None or fleet.radio.works)
+    return target == BATTERY and bool(catalogue.BATTERIES[fleet.battery.type].drains)
 
 
 def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, list[str] | None]]:
@@ -145,7 +150,7 @@ def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, l
         known = vehicle_names(name, fleet)
         mine = None if vehicles is None else [each for each in vehicles if each in known]
         placed = placed.union(mine or ())
-        if mine != [] and _has(fleet, target):
+        if mine != [] and _has(fleet, target, scenario.spec.world):
             found.append((name, mine))
     unknown = [one for one in vehicles or () if one not in placed]
     if unknown:
@@ -161,7 +166,7 @@ def _targets(scenario: Scenario) -> list[str]:
     """Return what may fail in any fleet."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
-    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets)))), BATTERY, WORLD]
+    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets)))), *PLAIN, WORLD]
 
 
 # ---- as faults of the scenario ----
@@ -177,14 +182,16 @@ def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
     rest = {"end": entry["end"]} if "end" in entry else {}
     rest |= {} if vehicles is None else {"vehicles": vehicles}
     rotor = _rotor(target)
-    if rotor is None and target != BATTERY:
+    if rotor is None and target not in PLAIN:
         return numbers | rest | {"sensor": target, "kind": kind, "start": entry["at"]}
-    what = BATTERY if rotor is None else "rotor"
+    what = target if rotor is None else "rotor"
     try:
         number_of(what, kind, numbers)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
     rest |= {"type": what, "at": entry["at"]} | ({} if rotor is None else {"rotor": rotor})
+    if what == RADIO:
+        return numbers | rest | {"kind": kind}
     return ({"health": 0.0} if kind == "off" else {}) | numbers | rest
 
 
@@ -199,12 +206,10 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
             raise UsageError(f"{where}: {name}: {entry[name]:g} s is not a multiple of the time step {dt:g} s")
     at, end = round(entry["at"] / dt), entry.get("end")
     # What a sensor says at the tick after a request is the first that it can change.
-    soonest = int(entry["kind"] == JAM if target == WORLD else target != BATTERY and _rotor(target) is None)
+    soonest = int(entry["kind"] == JAM if target == WORLD else target not in PLAIN and _rotor(target) is None)
     tick = entry.get("tick", max(0, at - soonest))
-    start, last = (
-        max(at, tick + (0 if entry["kind"] == OK else soonest)),
-        LAST_TICK if end is None else min(round(end / dt), LAST_TICK),
-    )
+    start = max(at, tick if entry["kind"] == OK else tick + soonest)
+    last = LAST_TICK if end is None else min(round(end / dt), LAST_TICK)
     if last <= start:
         raise UsageError(f"{where}: end: {end:g} s is not after the start, {start * dt:g} s")
     if tick >= scenario.ticks:
@@ -227,9 +232,9 @@ def _make_room(content: Content, entry: Mapping[str, Any], fleets: list[tuple[st
         spec = fleet["injectable"] or {"sensors": [], "rotors": [], "battery": False, "delay_max": 0.0}
         if rotor is not None:
             spec["rotors"] = sorted({*spec["rotors"], rotor})
-        elif target == BATTERY:
-            spec["battery"] = True
-        elif spec["sensors"] != ["all"]:
+        elif target in (BATTERY, RADIO):
+            spec[target] = True
+        elif target != LINK and spec["sensors"] != ["all"]:
             spec["sensors"] = [sensor for sensor in fleet["sensors"] if sensor in {*spec["sensors"], target}]
         by = entry.get("by")
         if is_number(by) and by is not None:

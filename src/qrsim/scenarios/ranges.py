@@ -31,7 +31,7 @@ IN_WORLD: dict[str, tuple[str, ...]] = {
     "world.terrain": ("contents", "terrain"),
     "world.persons": ("contents", "persons"),
 }
-IN_FLEET = ("vehicle", "controller", "guidance", "limits", "battery", "placement", "estimator")
+IN_FLEET = ("vehicle", "controller", "guidance", "limits", "battery", "placement", "estimator", "failsafes")
 GROUPS = {
     "wind": known.WINDS,
     "turbulence": known.TURBULENCES,

@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from qrsim.control import PathSetpoint
+from qrsim.control.failsafe_flight import Failsafes
 from qrsim.files import Content
 from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.scene.area import StateLimits
@@ -24,6 +25,7 @@ from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.definitions import with_short_names
 from qrsim.scenarios.event_schema import MOST_EVENTS, Changeable, EventSpec
+from qrsim.scenarios.failsafe_words import words_for_numbers
 from qrsim.scenarios.fault_schema import AnyFault, InjectableModel, or_all
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import RowsSpec, one_by_one
@@ -134,6 +136,9 @@ ControllerSlot: Any = slot_of(known.CONTROLLERS, each=True)
 GuidanceSlot: Any = slot_of(known.GUIDANCE, each=True)
 EstimatorSlot: Any = slot_of(known.FILTERS, each=True)
 LimitsModel: Any = component_model("limits", StateLimits, tagged=False, each=True)
+FailsafesModel: Any = Annotated[
+    component_model("failsafes", Failsafes, tagged=False, each=True), BeforeValidator(words_for_numbers)
+]
 
 
 def _base_model() -> object:
@@ -223,7 +228,10 @@ class FleetSpec(Strict):
     )
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[AnyFault] = Field(
-        [], description="faults of rotors, and of sensors, applied in this order", max_length=100
+        [], description="faults of rotors, radios, and of sensors, applied in this order", max_length=100
+    )
+    failsafes: FailsafesModel | None = Field(
+        None, description="reactions to a low battery, a lost link and lost GNSS, by PX4's parameters; default: none"
     )
     injectable: InjectableModel | None = Field(
         None, description="what may be made to fail in flight, or all; default: nothing", json_schema_extra=or_all

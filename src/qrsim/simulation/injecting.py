@@ -15,6 +15,7 @@ from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.changing import GUSTS, JAM, WIND, Weather, weather_of, with_weather
 from qrsim.simulation.injections import (
+    LINK,
     MOST_AT_ONCE,
     OK,
     WORLD,
@@ -25,6 +26,7 @@ from qrsim.simulation.injections import (
     last_tick,
     named_vehicles,
     plain_target,
+    targets_of,
     without_faults,
 )
 from qrsim.simulation.one_world import OneWorld
@@ -61,7 +63,7 @@ class Injecting(Alone):
             UsageError: something else than numbers differs.
         """
         self._weather = None
-        if any(fleet.fault_slots or fleet.rotor_slots or fleet.battery_slot for fleet in world.fleets):
+        if any(targets_of(fleet) for fleet in world.fleets):
             # What is in the slots of the world that is given may be older than what was injected since.
             world = without_faults(world)
             for one in self._injections:
@@ -85,16 +87,18 @@ class Injecting(Alone):
         A vehicle has one injected fault of a target at a time: a new one takes its place.
 
         Args:
-            target: name of a sensor, ``rotor N`` or ``battery``, which is ``injectable`` in the scenario.
+            target: name of a sensor, ``rotor N``, ``battery`` or ``radio``, which is ``injectable`` in the scenario; or
+                ``link``, that of a vehicle to MAVLink and ROS 2.
             kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
-                ``intermittent``; of a rotor ``off`` or ``weak``; of a battery ``drop``; ``ok`` for none.
+                ``intermittent``; of a rotor or radio ``off`` or ``weak``; of a battery ``drop``; of a link ``off``;
+                ``ok`` for none.
             vehicles: name or names; None: all that can have it.
             at: when [s], rounded up to a tick; None: from the next tick on.
             duration: how long [s]; None: for good.
             asked_by: who asks, for records.
             numbers: how large it is: ``field`` and ``bias``, ``scale``, ``rate``, ``limit``, ``std``, ``range``,
-                ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` of a rotor, ``charge`` that a
-                battery drops to.
+                ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` of a rotor, ``share`` of a
+                radio, ``charge`` that a battery drops to.
 
         Raises:
             UsageError: it cannot be injected; nothing has changed.
@@ -152,6 +156,15 @@ class Injecting(Alone):
     def requests(self) -> list[Injection]:
         """All requests since the reset, in their order: faults, ends of faults, and changes of the wind."""
         return list(self._requests)
+
+    @property
+    def unlinked(self) -> frozenset[str]:
+        """Names of the vehicles whose link is off now: MAVLink and ROS 2 neither answer nor hear for them."""
+        if not self._injections:
+            return frozenset()
+        now = self.tick
+        off = [one for one in self._injections if one.target == LINK and one.start_tick <= now < one.end_tick]
+        return frozenset(name for one in off for name in one.vehicles)
 
     @alone
     def repeat(self, requests: Sequence[Injection]) -> None:

@@ -13,6 +13,7 @@ from qrsim.core.arrays import is_number
 from qrsim.core.tables import Table, Tabled
 from qrsim.core.tree import cast, map_tree, replace
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.radio.faults import RadioFault
 from qrsim.models.sensors.fault_numbers import (
     NAMES,
     chosen_fields,
@@ -31,6 +32,8 @@ LONGEST_S = 1e9
 MOST_AT_ONCE = 64
 # Target of what is changed for all, and the kind that ends a fault.
 WORLD, OK = "world", "ok"
+# The link of a vehicle to the software of others is no part of the world, and needs no slot.
+LINK = "link"
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Injection:
 
     Attributes:
         id: its number, from 1; 0 of what is no fault.
-        target: sensor, ``rotor N``, ``battery`` or ``world``.
+        target: sensor, ``rotor N``, ``battery``, ``radio``, ``link`` or ``world``.
         kind: what happens to it; ``ok``: a fault ends.
         vehicles: names; none of the world.
         start_tick, end_tick: first tick of the fault, and first tick after it.
@@ -111,7 +114,7 @@ def injected(
 
     Args:
         world: its parameters, on the host.
-        target: sensor, ``rotor N`` or ``battery``.
+        target: sensor, ``rotor N``, ``battery``, ``radio`` or ``link``.
         kind: what happens to it; ``ok``: no fault any more.
         vehicles: names, of ``named_vehicles``; None: all that have the target in a slot.
         ticks: first tick of the fault, and first tick after it.
@@ -120,6 +123,8 @@ def injected(
     Raises:
         UsageError: it cannot be injected; nothing has changed.
     """
+    if target == LINK and not any(LINK in fleet.sensor_names for fleet in world.fleets):
+        return world, _linked(world, kind, vehicles, numbers)
     fleets, concerned = list(world.fleets), []
     for place, fleet in enumerate(world.fleets):
         chosen = np.array([vehicles is None or name in vehicles for name in fleet.vehicle_names])
@@ -130,6 +135,13 @@ def injected(
     if not concerned:
         raise _not_injectable(world.fleets, target)
     return replace(world, fleets=tuple(fleets)), tuple(concerned)
+
+
+def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the vehicles whose link fails; it is no part of the world."""
+    if kind != OK:
+        number_of(LINK, kind, numbers)
+    return tuple(name for fleet in world.fleets for name in fleet.vehicle_names if vehicles is None or name in vehicles)
 
 
 def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[str] | None:
@@ -161,7 +173,9 @@ def without_faults(world: World) -> World:
         )
         rotors = tuple(RotorFault.empty(n, slot.rotor, slot.noticed_ticks) for slot in fleet.rotor_slots)
         battery = None if fleet.battery_slot is None else BatteryFault.empty(n)
-        changes = cast({"fault_slots": sensors, "rotor_slots": rotors, "battery_slot": battery}, dtype)
+        radio = None if fleet.radio_slot is None else RadioFault.empty(n)
+        slots = {"fault_slots": sensors, "rotor_slots": rotors, "battery_slot": battery, "radio_slot": radio}
+        changes = cast(slots, dtype)
         fleets.append(replace(fleet, **changes))
     return replace(world, fleets=tuple(fleets))
 
@@ -169,7 +183,12 @@ def without_faults(world: World) -> World:
 def targets_of(fleet: Fleet) -> list[str]:
     """Return what of a fleet may be made to fail in flight."""
     rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
-    return [slot.sensor for slot in fleet.fault_slots] + rotors + ["battery"] * (fleet.battery_slot is not None)
+    others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot}
+    return (
+        [slot.sensor for slot in fleet.fault_slots]
+        + rotors
+        + [name for name, slot in others.items() if slot is not None]
+    )
 
 
 def _slot(fleet: Fleet, target: str) -> bool:
@@ -183,10 +202,10 @@ def plain_target(target: str) -> str:
 
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
-    there = sorted({name for fleet in fleets for name in (*fleet.sensor_names, "battery")})
+    there = sorted({name for fleet in fleets for name in (*fleet.sensor_names, "battery", "radio", LINK)})
     fleet = fleets[0].name
     if target in there or target.startswith("rotor"):
-        part = f"sensors: [{target}]" if target in there and target != "battery" else "battery: true"
+        part = f"{target}: true" if target in ("battery", "radio") else f"sensors: [{target}]"
         part = "rotors: all" if target.startswith("rotor") else part
         return UsageError(
             f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the scenario"
@@ -215,6 +234,8 @@ def _with_fault(
             return replace(fleet, rotor_slots=_swapped(fleet.rotor_slots, place, broken))
     if target == "battery" and fleet.battery_slot is not None:
         return replace(fleet, battery_slot=_battery_fault(fleet.battery_slot, kind, chosen, ticks, numbers))
+    if target == "radio" and fleet.radio_slot is not None:
+        return replace(fleet, radio_slot=_radio_fault(fleet.radio_slot, kind, chosen, ticks, numbers))
     raise _not_injectable([fleet], target)
 
 
@@ -278,6 +299,22 @@ def _rotor_fault(
         # A rotor that is stuck turns as fast as it does, whatever it is told.
         health=_put(slot.health, chosen, 1.0 if kind == "stuck" else number),
         speed=_put(slot.speed, chosen, number if kind == "stuck" else FREE),
+    )
+
+
+def _radio_fault(
+    slot: RadioFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
+) -> RadioFault:
+    if kind == "ok":
+        return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, RadioFault.empty(len(chosen)))
+    share = number_of("radio", kind, numbers)
+    return replace(
+        slot,
+        start_tick=_put(slot.start_tick, chosen, ticks[0]),
+        end_tick=_put(slot.end_tick, chosen, ticks[1]),
+        affected=slot.affected | chosen,
+        off=_put(slot.off, chosen, kind == "off"),
+        share=_put(slot.share, chosen, share),
     )
 
 

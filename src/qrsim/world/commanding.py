@@ -10,9 +10,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control import Estimate
+from qrsim.control.failsafe_flight import FailsafeState
+from qrsim.control.failsafes import NOTHING
 from qrsim.control.teams import Mates, TeamGuidance, mates_heard, mates_of, mates_wanted
 from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3
+from qrsim.world.failing import by_failsafe
 from qrsim.world.sensing import estimate_of, with_airspeed
 from qrsim.world.standing import on_ground, seen_ground
 from qrsim.world.state import Action, Fleet, FleetState, Piloted, Some, State, World
@@ -32,6 +35,7 @@ class Commanded(NamedTuple):
     commands: Commands
     # What is shown as the command in place of what is flown; None: that.
     shown: object | None = None
+    failsafe: FailsafeState | None = None
 
 
 def command_fleet(
@@ -44,8 +48,15 @@ def command_fleet(
         found = command_fleet(world, whole, fleet, state, tick, None, believed)
         return found._replace(commands=[(None, action.command)], shown=found.commands[0][1])
     if isinstance(action, fleet.vehicle.actions):
-        return Commanded(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
-    guidance = state.guidance
+        return Commanded(
+            state.guidance,
+            state.setpoint,
+            state.controller,
+            state.estimate,
+            [(None, action)],
+            failsafe=state.failsafe,
+        )
+    guidance, failsafe = state.guidance, state.failsafe
     fed = with_airspeed(fleet, state, estimate_of(fleet, state) if believed is None else believed)
     standing = on_ground(fleet, state)
     alone = replace(fed, position_low_ned=None)
@@ -59,13 +70,19 @@ def command_fleet(
         if fleet.guidance.sees_mates:
             motion |= {"mates": _mates(world, whole, fleet, state, estimate, tick)}
         guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
+        if fleet.failsafes is not None:
+            failsafe, setpoint = by_failsafe(world, whole, fleet, state, estimate, setpoint, tick)
+            # A guidance waits while a failsafe flies.
+            guidance = select(failsafe.action == NOTHING, guidance, state.guidance)
     known = replace(estimate, position_low_ned=fed.position_low_ned)
     controller = state.controller
     if standing is not None:
         # What it cannot move would fill its integrals, so it starts anew until it flies.
         controller = select(standing, fleet.controller.init(known), controller)
     controller, wanted = fleet.controller.step(controller, known, setpoint, world.time_step)
-    return Commanded(guidance, fleet.controller.shown(setpoint), controller, estimate, [(None, wanted)])
+    return Commanded(
+        guidance, fleet.controller.shown(setpoint), controller, estimate, [(None, wanted)], failsafe=failsafe
+    )
 
 
 def _command_some(
@@ -82,6 +99,7 @@ def _command_some(
             select(which, theirs.controller, found.controller),
             found.estimate,
             _joined(found.commands, which, theirs.commands[0][1]),
+            failsafe=None if found.failsafe is None else select(which, theirs.failsafe, found.failsafe),
         )
     return found
 

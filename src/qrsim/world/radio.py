@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import reduce
 
 import jax.numpy as jnp
 import numpy as np
@@ -54,13 +55,31 @@ def exchange(world: World, state: State, outboxes: tuple[Outbox | None, ...], ti
     works = jnp.concatenate([now.violation.code == 0 for now in state.fleets])
     if radio.own is not None:
         works = works & radio.own.works
+    off, lost = _failed(world, position.x, tick)
+    if off is not None:
+        works = works & ~off
     obstacles = world.obstacles
     height = world.height_agl(position) if radio.asks_height else None
     surfaces = Surfaces(position, works, obstacles if any_of(obstacles) else None, height)
     spoken = None if all(part is None for part in outboxes) else _merged_outbox(world, outboxes, position.x)
     beacons = _beacons(world, state, outboxes) if radio.beacon else None
     ids = np.concatenate([vehicle_ids(fleet) for fleet in world.fleets])
-    return radio.exchange(state.radio, Exchange(spoken, beacons, surfaces, ids, tick, due, world.time_step))
+    return radio.exchange(state.radio, Exchange(spoken, beacons, surfaces, ids, tick, due, world.time_step, lost))
+
+
+def _failed(world: World, like: Array, tick: Array) -> tuple[Array | None, Array | None]:
+    """Return which radios (n,) are off by a fault, and the share (n,) of packets that each loses; None: none can."""
+    faults = [
+        (*fleet.radio_faults, *([] if fleet.radio_slot is None else [fleet.radio_slot])) for fleet in world.fleets
+    ]
+    if not any(faults):
+        return None, None
+    off, lost = [], []
+    for fleet, own in zip(world.fleets, faults, strict=True):
+        now = [fault.at(tick) for fault in own]
+        off.append(reduce(jnp.logical_or, (each for each, _ in now), jnp.zeros(fleet.size, bool)))
+        lost.append(reduce(jnp.add, (each for _, each in now), jnp.zeros(fleet.size, like.dtype)))
+    return jnp.concatenate(off), jnp.concatenate(lost)
 
 
 def heard(world: World, state: State, tick: Array) -> Inbox:

@@ -18,6 +18,7 @@ from qrsim.models.sensors.faults import FaultMemory
 from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.draws import draw_fleet
+from qrsim.world.failing import first_failsafe
 from qrsim.world.sensing import airspeed_of, faulted, first_belief, inputs_of, scene_of, starting_fitted
 from qrsim.world.standing import lying_force, started
 from qrsim.world.state import TURBULENCE, Fleet, FleetState, Start, World, period_ticks
@@ -99,6 +100,7 @@ def start_fleet(
         position_low_ned=low if like.dtype == jnp.float32 else None,
         parked=parked,
         turns=None if fleet.limits.yaw is None else zero,
+        failsafe=first_failsafe(world, fleet, pose),
     )
     scene = scene_of(fleet, state, sky, view)
     return _sensed(world, fleet, state, scene, draws, tick, before)

@@ -10,6 +10,7 @@ from jax import Array, lax
 
 from qrsim.control import Estimate, Mission, MissionState, Route, RouteState
 from qrsim.control.contracts import Controller, Estimator, Guidance
+from qrsim.control.failsafe_flight import Failsafes, FailsafeState
 from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
 from qrsim.core.tables import Table, Tabled, number_text, parameters_text
@@ -21,6 +22,7 @@ from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.radio.contracts import Outbox, Radio
+from qrsim.models.radio.faults import RadioFault
 from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
 from qrsim.models.scene.contracts import Area, Ground, Placement
@@ -121,10 +123,15 @@ class Fleet:
     fault_slots: tuple[FaultSlot, ...] = quantity(default=(), doc="room for sensor faults that are injected in flight")
     rotor_slots: tuple[RotorFault, ...] = quantity(default=(), doc="the same of rotors")
     battery_slot: BatteryFault | None = quantity(default=None, doc="the same of the battery")
+    radio_faults: tuple[RadioFault, ...] = quantity(default=(), doc="faults of radios")
+    radio_slot: RadioFault | None = quantity(default=None, doc="room for a radio fault that is injected in flight")
     fittings: tuple[Fitting | None, ...] = quantity(
         default=(), doc="of each sensor, None for one at the centre of mass without delay; empty if all are"
     )
     estimator: Estimator | None = quantity(default=None, doc="estimator of the fleet; None: that of its controller")
+    failsafes: Failsafes | None = quantity(
+        default=None, doc="what vehicles do on a low battery, a lost link and lost GNSS; None: nothing"
+    )
 
     @property
     def size(self) -> int:
@@ -339,6 +346,7 @@ class FleetState:
     )
     parked: Array | None = quantity(default=None, doc="bool: held on the ground; None where touching it ends a flight")
     turns: Array | None = quantity(default=None, doc="whole turns of the yaw; None where its limit counts none")
+    failsafe: FailsafeState | None = quantity(default=None, doc="failsafes; None for a fleet without them")
 
 
 @record

@@ -232,6 +232,7 @@ def _fly(
         guidance=flown.guidance,
         setpoint=flown.setpoint,
         controller=flown.controller,
+        failsafe=flown.failsafe,
         command=command,
         command_clipped=clipped,
         battery=battery,

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from qrsim.errors import UsageError
+from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
+from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.failures import UNITS, _numbers
-from qrsim.links.mavlink.fleet import prepared
+from qrsim.links.mavlink.fleet import prepared, start_parameters
+from qrsim.links.mavlink.frames import Reader, frame
+from qrsim.links.mavlink.link import Link
 from qrsim.links.mavlink.stack.contracts import NAN, Command
 from qrsim.links.mavlink.stack.instances import instances_of
 from qrsim.links.mavlink.stack.stacks import stack_of
+from qrsim.links.mavlink.streams import Streams
 from qrsim.links.mavlink.world import FlownWorld
+from qrsim.links.ros2.apis.modes import name_of
 from qrsim.scenarios.scenario import load_scenario
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
@@ -145,3 +151,55 @@ def test_only_sensors_that_are_there_are_injectable() -> None:
 )
 def test_numbers_that_mavlink_leaves_to_the_simulator(word: str, numbers: dict[str, object]) -> None:
     assert _numbers(word, UNITS[GPS]) == (word, numbers)
+
+
+@pytest.mark.long
+def test_a_link_that_is_off_neither_hears_nor_is_heard_and_the_vehicle_comes_home(field: Field) -> None:
+    system, simulation, sent = field.world.systems[4], field.world.simulation, list[bytes]()
+    link = Link(system.number, Streams({"ATTITUDE": 10.0}, 0.02), sent.append)
+    system.links.append(link)
+    ground = frame(NUMBERS["HEARTBEAT"], LAYOUTS["HEARTBEAT"].payload(type=6, autopilot=8), 0, 255, 190)
+
+    def fly(seconds: float) -> None:
+        for _ in range(round(seconds)):
+            for one in Reader().datagram(ground):
+                handle(system, link, one)
+            field.run(1.0)
+
+    system.stack.parameters.set("NAV_DLL_ACT", 2.0)
+    system.stack.parameters.set("COM_DL_LOSS_T", 5.0)
+    system.stack.parameters.set("RTL_RETURN_ALT", 5.0)
+    fly(3.0)
+    assert field.command(4, 400, 1) == ACCEPTED
+    assert field.command(4, 22) == ACCEPTED
+    fly(4.0)
+    assert name_of(system.stack.heartbeat().custom_mode) in ("AUTO.TAKEOFF", "AUTO.LOITER")
+    simulation.inject("link", "off", "field_4", duration=8.0)
+    field.run(0.1)
+    assert simulation.unlinked == {"field_4"}
+    sent.clear()
+    # 1.1 s after the last heartbeat.
+    fly(3.0)
+    assert name_of(system.stack.heartbeat().custom_mode) == "AUTO.LOITER"
+    fly(4.0)
+    assert (sent, field.said[-1]) == ([], "Failsafe activated: return")
+    assert name_of(system.stack.heartbeat().custom_mode) == "AUTO.RTL"
+    # 8 s after the fault began there is a link again; the vehicle goes on home.
+    fly(2.0)
+    assert simulation.unlinked == frozenset()
+    assert len(sent) > 10
+    assert name_of(system.stack.heartbeat().custom_mode) in ("AUTO.RTL", "AUTO.LAND")
+    with pytest.raises(UsageError, match="kind: 'weak' does not suit a link; allowed: off, ok"):
+        simulation.inject("link", "weak", "field_4")
+    with pytest.raises(UsageError, match="share: kind 'off' of a link does not take it"):
+        simulation.inject("link", "off", "field_4", share=0.5)
+
+
+def test_a_stack_begins_with_the_failsafes_of_its_scenario() -> None:
+    content = load_scenario("mavlink_field").spec.model_dump(mode="json")
+    field, each = content["fleets"]["field"], [0.07, 0.08, 0.09, 0.1, 0.11]
+    assert start_parameters(load_scenario(content).world().fleets[0], 0) == {}
+    field["failsafes"] = {"COM_LOW_BAT_ACT": "return_or_land", "BAT_CRIT_THR": each, "RTL_RETURN_ALT": 25.0}
+    found = start_parameters(load_scenario(content).world().fleets[0], 3)
+    names = ("COM_LOW_BAT_ACT", "NAV_DLL_ACT", "BAT_CRIT_THR", "RTL_RETURN_ALT", "COM_DL_LOSS_T")
+    assert [found[name] for name in names] == [3.0, 0.0, pytest.approx(0.1), 25.0, 10.0]

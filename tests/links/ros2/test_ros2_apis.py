@@ -419,3 +419,26 @@ def test_hashes_of_services_are_those_of_rosidl():
     expected = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
     assert store.service_hash("example_interfaces/srv/AddTwoInts") == expected
     assert Types("humble", ["std_srvs"]).service_hash("std_srvs/srv/Trigger") == ""
+
+
+@pytest.mark.parametrize("api", ["px4", "mavros"])
+def test_over_a_link_that_is_off_nothing_is_published_taken_or_answered(world, api):
+    air = Air(world, api)
+    air.run(0.5)
+    first, second = (
+        (f"{space}fmu/" for space in ("/", "/px4_1/")) if api == "px4" else ("/pair_0/mavros/", "/pair_1/mavros/")
+    )
+    assert any(name.startswith(first) for name in air.said), sorted(air.said)
+    air.flown.world.simulation.inject("link", "off", world.systems[0].name, duration=1.0)
+    air.run(0.04)
+    air.said.clear()
+    air.run(0.5)
+    assert not any(name.startswith(first) for name in air.said)
+    assert any(name.startswith(second) for name in air.said), sorted(air.said)
+    armed = world.systems[0].stack.armed
+    service = f"{first}vehicle_command" if api == "px4" else f"{first}cmd/arming"
+    kind = "px4_msgs/srv/VehicleCommand_Request" if api == "px4" else "mavros_msgs/srv/CommandBool_Request"
+    assert air._answer[service].answer(filled(kind, {})) is None
+    assert world.systems[0].stack.armed == armed
+    air.run(1.0)
+    assert any(name.startswith(first) for name in air.said)

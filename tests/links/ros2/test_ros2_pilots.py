@@ -12,6 +12,7 @@ from qrsim.errors import UsageError
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.commands import Motion, Place, Thrust, Tilt, topics_of, wish_of
 from qrsim.links.ros2.pilots import Pilots
+from qrsim.links.ros2.server import Options, Server
 from qrsim.links.ros2.typestore import Types
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
@@ -237,3 +238,55 @@ def test_an_episode_begins_with_guidance(simulation):
     air.pilots.restart()
     assert air.pilots.modes == ["guidance", "guidance"]
     assert air.pilots.latches.codes.tolist() == [0, 0]
+
+
+class Wire:
+    """A node without a middleware: what was written by topic, and what is to be read."""
+
+    def __init__(self):
+        self.written, self.waiting = {}, {}
+
+    def writer(self, topic):
+        return Channel(self, topic.name)
+
+    reader = writer
+
+    def announce(self):
+        pass
+
+    def remarks(self):
+        return []
+
+
+class Channel:
+    def __init__(self, wire, name):
+        self._wire, self._name, self.lost = wire, name, 0
+
+    def write(self, cdr):
+        self._wire.written[self._name] = self._wire.written.get(self._name, 0) + 1
+
+    def take(self):
+        return self._wire.waiting.pop(self._name, [])
+
+
+@pytest.mark.long
+def test_a_vehicle_whose_link_is_off_neither_hears_nor_is_heard():
+    wire, simulation = Wire(), Simulation(load_scenario(CONTENT).world(), seed=1)
+    server = Server(simulation, TYPES, Options(pace="fast"), lambda line: None, wire)
+    simulation.inject("link", "off", "uav_0", duration=0.5)
+    for _ in range(20):
+        for name in ("uav_0", "uav_1"):
+            wire.waiting[f"/{name}/cmd_vel"] = [twist((1.0, 0.0, 0.0))]
+        server.listen()
+        server.tick()
+    assert not any(name.startswith("/uav_0/") for name in wire.written)
+    assert wire.written["/uav_1/odom"] == wire.written["/clock"] == 20
+    # Nobody has flown the first; the second goes by what it was asked.
+    assert server._pilots.modes[0] == "guidance"
+    assert server._pilots.modes[1] != "guidance"
+    for _ in range(10):
+        server.tick()
+    assert wire.written["/uav_0/odom"] == 6
+    # What was asked meanwhile is lost.
+    server.listen()
+    assert server._pilots.modes[0] == "guidance"

@@ -24,6 +24,7 @@ KINDS = {
 }
 LOST = "loses GNSS"
 UNFINISHED = "is still on its mission at the end"
+FAILSAFE = "is taken over by a failsafe"
 ANY = "any of these"
 # Reported even if nothing went wrong: (metric, whether its smallest value is the worst, unit). A metric without a time
 # and position is reported for the end of the flight.
@@ -94,6 +95,10 @@ def outcomes(flown: Rollout) -> list[Outcome]:
     end = np.where(flown["unfinished"] > 0.0, flown["flown_s"], np.nan)
     found.append(_outcome(flown, UNFINISHED, end, places))
     any_first = np.fmin(first, end)
+    taken = flown["failsafe_at_s"]
+    if np.isfinite(taken).any():
+        found.append(_outcome(flown, FAILSAFE, taken, places))
+        any_first = np.fmin(any_first, taken)
     where = np.where((first == any_first)[..., None], where, places)
     return [*found, _outcome(flown, ANY, any_first, where)]
 

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 FIGURE = "figure.png"
 MOST_EVENTS = 20
+# Vehicles named in a line.
+MOST_NAMED = 5
 BASELINE = "baseline"
 
 
@@ -315,6 +317,10 @@ def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
         row = min(charged, key=lambda each: each.charge_least)
         lasts = f"; in the air it lasts {row.endurance_s / 60.0:.1f} min in all" if row.endurance_s > 0.0 else ""
         yield f"battery: {100.0 * row.charge_least:.0f} % left, at least, of {row.vehicle}{lasts}"
+    flown = [row.vehicle for row in summaries if row.failsafes]
+    if flown:
+        more = f" and {len(flown) - MOST_NAMED} more" if len(flown) > MOST_NAMED else ""
+        yield f"failsafes: {sum(row.failsafes for row in summaries)}, of {', '.join(flown[:MOST_NAMED])}{more}"
 
 
 def _print_events(recorded: RecordedRun) -> None:

@@ -46,7 +46,7 @@ def handle(system: System, link: Link, frame: Frame) -> None:
         frame: of a client.
     """
     handler = _HANDLERS.get(frame.layout.name)
-    if handler is None or not _is_for(system, frame):
+    if handler is None or system.muted or not _is_for(system, frame):
         return
     link.heard = time.monotonic()
     handler(system, link, frame)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.cascade import CascadeController
+from qrsim.control.failsafes import WORDS
 from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
@@ -19,6 +20,7 @@ from qrsim.control.tracks import FixedWingGuidance
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
+from qrsim.links.mavlink.stack.parameters import TABLE
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
@@ -113,6 +115,25 @@ def type_of(vehicle: Vehicle) -> int:
     if isinstance(vehicle, Aeroplane):
         return FIXED_WING
     return _BY_ROTORS.get(len(vehicle.rotors), QUADROTOR) if isinstance(vehicle, Multirotor) else QUADROTOR
+
+
+def start_parameters(fleet: Fleet, number: int) -> dict[str, float]:
+    """Return the failsafes of a scenario as parameters of a vehicle's flight stack, by name; none without failsafes.
+
+    Args:
+        fleet: of the vehicle.
+        number: of the vehicle in it.
+    """
+    own = fleet.failsafes
+    if own is None:
+        return {}
+    found = {}
+    for name in (parameter.name for parameter in TABLE):
+        value = vars(own).get(name)
+        if value is not None:
+            each = np.asarray(WORDS[name][value] if name in WORDS else value, np.float64)
+            found[name] = float(np.broadcast_to(each, (fleet.size,))[number])
+    return found
 
 
 def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:

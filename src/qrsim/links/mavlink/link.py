@@ -28,6 +28,7 @@ class Link:
         heard: when a frame for the vehicle came [s], of ``time.monotonic``.
         flies: set-points come on it.
         owes: none has since the last ATTITUDE went out on it.
+        muted: what is sent is lost, by a fault of the vehicle's link.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class Link:
         self._parts: list[bytes] = []
         self._size = 0
         self.heard = time.monotonic()
-        self.flies = self.owes = False
+        self.flies = self.owes = self.muted = False
 
     def put(self, number: int, payload: bytes) -> None:
         """Send a message with the next ``flush``."""
@@ -59,4 +60,5 @@ class Link:
         if self._parts:
             data = self._parts[0] if len(self._parts) == 1 else b"".join(self._parts)
             self._parts, self._size = [], 0
-            self._send(data)
+            if not self.muted:
+                self._send(data)

@@ -44,6 +44,7 @@ class System:
         links: on which it is heard.
         transfers: of plans.
         reboots: whether it is to start again before the next tick.
+        muted: whether it neither hears its clients nor is heard by them.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class System:
         self.tick = 0
         self._text = 0
         self.told: set[str] = set()
-        self.reboots = False
+        self.reboots = self.muted = False
 
     def restart(self) -> None:
         """Begin again as after a boot; an upload that is on its way is broken off."""
@@ -74,6 +75,10 @@ class System:
             self.text(text)
         view, payloads = self.view, dict[int, bytes | None]()
         for link in self.links:
+            link.muted = self.muted
+            if self.muted:
+                link.flush()
+                continue
             if link.streams.changed and wall - link.heard > PEER_TIMEOUT_S:
                 link.streams.restart()
                 link.streams.begin_at(tick)

@@ -12,7 +12,7 @@ from qrsim.errors import UsageError
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.failures import Failures
-from qrsim.links.mavlink.fleet import systems_of
+from qrsim.links.mavlink.fleet import start_parameters, systems_of
 from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.stack.codes import Severity
@@ -75,6 +75,8 @@ class FlownWorld:
         for row, facts in known:
             stack = make_stack(facts, site)
             stack.factor = factor
+            if isinstance(stack, Flight):
+                self._start_parameters(stack, row)
             if isinstance(stack, Flight) and any(map(targets_of, world.fleets)):
                 stack.craft.injector = Failures(self.simulation, facts.name, facts.system).inject
             self.systems.append(System(stack, facts.name, facts.system, unix, log))
@@ -88,6 +90,14 @@ class FlownWorld:
         self._respawn = respawn
         self._restarts = self._fresh_restarts()
         self._command()
+
+    def _start_parameters(self, stack: Flight, row: int) -> None:
+        """Set the parameters of a stack to the failsafes of its scenario."""
+        for fleet in self.simulation.world.fleets:
+            rows = self.simulation.world.rows_of(fleet.name)
+            if rows.start <= row < rows.stop:
+                for name, value in start_parameters(fleet, row - rows.start).items():
+                    stack.parameters.set(name, value)
 
     def _warm(self) -> None:
         """Compile what is flown, and what puts a vehicle back."""
@@ -109,7 +119,9 @@ class FlownWorld:
         self._restarts.look()
         self.simulation.advance(self._latches.actions())
         self._command()
+        unlinked = self.simulation.unlinked
         for system in self.systems:
+            system.muted = system.name in unlinked
             system.publish(self.simulation.tick, wall)
         busy = (time.perf_counter() - begin) / self.simulation.world.time_step
         self._busy += 0.02 * (busy - self._busy)

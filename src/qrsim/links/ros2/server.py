@@ -151,20 +151,32 @@ class Server:
     def publish(self) -> None:
         """Publish what is new at this tick."""
         writers = self._writers
-        flown = self._flown
+        flown, off = self._flown, self._off()
         for topic, message in self.messages.due(self._pilots.modes if flown is None else flown.modes):
-            writers[topic].write(message)
+            if not (off and self.messages.topics[topic].name.startswith(off)):
+                writers[topic].write(message)
         if flown is not None:
             for topic, message in flown.due():
                 self._api_writers[topic].write(message)
         self._tell_status()
 
+    def _off(self) -> tuple[str, ...]:
+        """Return how the topics of vehicles begin whose link is off."""
+        unlinked = self.simulation.unlinked
+        if not unlinked:
+            return ()
+        names = zip(self.simulation.vehicle_names, self.messages.namespaces, strict=True)
+        return tuple(f"/{space}/" for name, space in names if name in unlinked)
+
     def listen(self) -> None:
-        """Take what others ask."""
+        """Take what others ask; what is asked of a vehicle whose link is off is lost."""
         for message in self._control.take():
             self._obey(message.data)
+        unlinked = self.simulation.unlinked
         for row, own, reader in self._readers:
             for message in reader.take():
+                if unlinked and self.simulation.vehicle_names[row] in unlinked:
+                    continue
                 try:
                     wish = wish_of(own, message)
                 except UsageError as error:
@@ -176,7 +188,9 @@ class Server:
                 take(message)
         for service, answer in self._services:
             for request, message in service.take():
-                service.reply(request, answer(message))
+                response = answer(message)
+                if response is not None:
+                    service.reply(request, response)
         for row, reader in self._said:
             for message in reader.take():
                 try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from jax import Array
@@ -12,7 +13,7 @@ from jax import Array
 from qrsim.core.noise import StreamKeys
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
-from qrsim.models.radio.tables import Heard
+from qrsim.models.radio.tables import NOBODY, Heard
 
 # Names of the radio's noise streams; a fleet has no slash in its name, so these are no fleet's.
 STREAMS = ("/radio.packet", "/radio.jitter", "/radio.backoff")
@@ -64,6 +65,7 @@ class Exchange(NamedTuple):
         tick: () int32 now.
         due: () int32 the same, not batched.
         time_step: [s].
+        lost: (n,) part of the packets of each vehicle, sent and received, that faults lose; None: no fault does.
     """
 
     said: Outbox | None
@@ -73,6 +75,7 @@ class Exchange(NamedTuple):
     tick: Array
     due: Array
     time_step: float
+    lost: Array | None = None
 
 
 @runtime_checkable
@@ -119,6 +122,12 @@ class Radio(Protocol):
     @abstractmethod
     def heard(self, state: Any, tick: Array, time_step: float) -> Heard:
         """Return the same as a table of messages, with the ticks at which each was sent and known."""
+
+    def last_heard(self, state: Any, senders: slice, tick: Array, time_step: float) -> Array:
+        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1: there is none."""
+        heard = self.heard(state, tick, time_step)
+        counts = (heard.sender >= senders.start) & (heard.sender < senders.stop)
+        return jnp.max(jnp.where(counts, heard.sent, NOBODY), axis=0)
 
     @abstractmethod
     def counted(self, state: Any) -> dict[str, Array]:

@@ -114,6 +114,12 @@ class Network(Channel, Radio):
         fresh = (tick - both.sent) <= round(self.inbox.forget / time_step)
         return newest(both, both.known(tick) & fresh, self.inbox.size)
 
+    def last_heard(self, state: NetworkState, senders: slice, tick: Array, time_step: float) -> Array:
+        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1: there is none."""
+        both = state.coming.joined(state.table)
+        counts = both.known(tick) & (both.sender >= senders.start) & (both.sender < senders.stop)
+        return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
+
     def counted(self, state: NetworkState) -> dict[str, Any]:
         """Return what has become of packets since the start, by name, (n,) each."""
         return dict(vars(state.counts))
@@ -172,7 +178,11 @@ class Network(Channel, Radio):
         power = powers(self, state.field, near, surfaces)
         draw = Draw(self._stream(state.keys, BACKOFF, now.ids, 0), frame.astype(jnp.uint32), payload[0, :1])
         begin, sends = starts(self.mac, self.air_time, draw, wants, self._audible(near, power))
-        links = outcomes(self, near, power, begin, sends, to, self._chance(state.keys, near, now.ids, frame))
+        chance = self._chance(state.keys, near, now.ids, frame)
+        if now.lost is not None:
+            # A packet is lost where its number is below the chance of an error.
+            chance = chance - now.lost[None] - now.lost.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
+        links = outcomes(self, near, power, begin, sends, to, chance)
         heard = self._arriving(state, near, links, (payload, since, begin), now, frame)
         table = self.heard(state, now.tick, now.time_step)
         kept = state.coming.sender.shape[0] - limits.size

@@ -1,4 +1,4 @@
-"""The numbers of faults of rotors and batteries as scenarios and injections give them: what each kind takes."""
+"""Numbers of faults of rotors, batteries, radios and links, of scenarios and injections: what each kind takes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from qrsim.errors import UsageError
 # Of each kind the number that it takes, from 0 to 1; None: it takes none.
 ROTOR: dict[str, str | None] = {"off": None, "weak": "health", "stuck": "speed"}
 BATTERY: dict[str, str | None] = {"drop": "charge", "weak": "health"}
+RADIO: dict[str, str | None] = {"off": None, "weak": "share"}
+LINK: dict[str, str | None] = {"off": None}
+_OF = {"rotor": ROTOR, "battery": BATTERY, "radio": RADIO, "link": LINK}
 # Less of its voltage and capacity no battery has that is weak.
 WEAKEST_BATTERY = 0.05
 
@@ -19,14 +22,14 @@ def number_of(what: str, kind: object, numbers: Mapping[str, Any]) -> float:
     """Return the number of a fault; 0 of a kind without one.
 
     Args:
-        what: "rotor" or "battery".
+        what: "rotor", "battery", "radio" or "link".
         kind: what happens to it.
         numbers: by name.
 
     Raises:
         UsageError: the kind does not suit, or its number is missing, out of range, or not one that it takes.
     """
-    kinds = ROTOR if what == "rotor" else BATTERY
+    kinds = _OF[what]
     if not isinstance(kind, str) or kind not in kinds:
         raise UsageError(f"kind: '{kind}' does not suit a {what}; allowed: {', '.join(kinds)}, ok")
     taken = kinds[kind]

@@ -40,7 +40,7 @@ from qrsim.runs.surroundings import surroundings_of
 WORLD = "map"
 # Foxglove's timestamps count the seconds since 1970 in 32 bits.
 LAST_START_US = 2**32 * 1_000_000
-WARNINGS = ("command_clipped", "fault_begins", "injected", "no_fix", "fix_lost", OVERFULL)
+WARNINGS = ("command_clipped", "fault_begins", "injected", "no_fix", "fix_lost", "failsafe", OVERFULL)
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:

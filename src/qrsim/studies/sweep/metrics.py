@@ -103,6 +103,8 @@ METRICS: dict[str, Metric] = {
     "flown_s": Metric("s", "time until the first vehicle stopped, or the end", _over(np.nanmin, "flown_s"),
                       low_is_bad=True),
     "unfinished": Metric("1", "vehicles still on their mission at the end", _over(np.sum, "unfinished")),
+    "failsafes": Metric("1", "vehicles that a failsafe flew",
+                        lambda found: np.sum(found["failsafe_action"] > 0, axis=1)),
     "stopped": Metric("1", "vehicles that stopped, for whatever reason", _stopped()),
     "collided": Metric("1", "vehicles that collided", _stopped("collision")),
     "left_area": Metric("1", "vehicles that left the area", _stopped("out_of_area")),

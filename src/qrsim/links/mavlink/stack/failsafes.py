@@ -4,6 +4,19 @@ from __future__ import annotations
 
 import math
 
+from qrsim.control.failsafes import (
+    DISARM,
+    HOLD,
+    LAND,
+    NOTHING,
+    RETURN,
+    TERMINATE,
+    battery_action,
+    battery_level,
+    graver,
+    is_lost,
+    link_action,
+)
 from qrsim.links.mavlink.stack.codes import FIXED_WING, Breach, Severity
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.modes import BY_STICKS, Mode
@@ -12,13 +25,10 @@ from qrsim.links.mavlink.stack.orbits import can_turn
 from qrsim.links.mavlink.stack.path import VERTICAL, braking_way
 from qrsim.links.mavlink.stack.statuses import FenceStatus
 
-# What a failsafe may ask for, the graver the later; of two the graver counts.
-NOTHING, HOLD, RETURN, LAND, DISARM, TERMINATE = range(6)
 MODE_OF = {HOLD: Mode.HOLD, RETURN: Mode.RTL, LAND: Mode.LAND}
 GRAVITY_OF = {mode: gravity for gravity, mode in MODE_OF.items()}
 # By the parameters' numbers.
 _FENCE = {0: NOTHING, 1: NOTHING, 2: HOLD, 3: RETURN, 4: TERMINATE, 5: LAND}
-_LINK = {0: NOTHING, 1: HOLD, 2: RETURN, 3: LAND, 5: TERMINATE, 6: DISARM}
 _OFFBOARD = {0: HOLD, 1: HOLD, 2: HOLD, 3: RETURN, 4: LAND, 5: HOLD, 6: TERMINATE, 7: DISARM}
 _BATTERY = (
     ("", Severity.INFO, ""),
@@ -69,18 +79,18 @@ class Failsafes:
         asked = self._look_at_battery(craft)
         if craft.seen.time >= self._fence_due:
             self._fence_due = craft.seen.time + FENCE_EVERY - 0.5 * craft.facts.time_step
-            asked = max(asked, self._look_at_fence(craft))
+            asked = graver(asked, self._look_at_fence(craft))
         heard, after = self._ground_heard, values["COM_DL_LOSS_T"] * stretch
-        if heard is not None and not self.link_lost and craft.seen.time - heard > after:
+        if heard is not None and not self.link_lost and is_lost(craft.seen.time - heard, after):
             self.link_lost = True
-            action = _LINK.get(int(values["NAV_DLL_ACT"]), NOTHING)
+            action = int(link_action(True, int(values["NAV_DLL_ACT"])))
             craft.say(Severity.CRITICAL if action else Severity.INFO, "Link to the ground lost")
-            asked = max(asked, action)
+            asked = graver(asked, action)
         if mode is Mode.OFFBOARD and not offboard.fresh(craft, values["COM_OF_LOSS_T"] * stretch):
             if not offboard.keeps_places:
                 # ArduPilot's GUIDED holds then, which is no failsafe.
                 craft.say(Severity.CRITICAL, "Failsafe: no offboard set-points")
-            asked = max(asked, _OFFBOARD[int(values["COM_OBL_RC_ACT"])])
+            asked = graver(asked, _OFFBOARD[int(values["COM_OBL_RC_ACT"])])
         return asked
 
     def look_at_sticks(self, craft: Craft, mode: Mode, fresh: bool) -> int:
@@ -89,22 +99,18 @@ class Failsafes:
             return NOTHING
         craft.say(Severity.CRITICAL, "Failsafe: no manual control input")
         # To fly on without them is no choice.
-        return _LINK.get(int(craft.parameters.values["NAV_RCL_ACT"])) or HOLD
+        return int(link_action(True, int(craft.parameters.values["NAV_RCL_ACT"]))) or HOLD
 
     def _look_at_battery(self, craft: Craft) -> int:
         charge, values = craft.seen.charge, craft.parameters.values
-        if charge != charge or charge > values["BAT_LOW_THR"]:
+        if not charge <= values["BAT_LOW_THR"]:
             return NOTHING
-        level = 1 + (charge <= values["BAT_CRIT_THR"]) + (charge <= values["BAT_EMERGEN_THR"])
+        level = battery_level(charge, *(values[name] for _, _, name in _BATTERY[1:]))
         if level <= self._battery:
             return NOTHING
         self._battery = level
         text, severity, _ = _BATTERY[level]
-        action, asked = int(values["COM_LOW_BAT_ACT"]), NOTHING
-        if level == 2 and action in (2, 3):
-            asked = LAND if action == 2 else RETURN
-        elif level == 3 and action in (2, 3):
-            asked = LAND
+        asked = int(battery_action(level, int(values["COM_LOW_BAT_ACT"])))
         word = {RETURN: ", return", LAND: ", land"}.get(asked, "")
         craft.say(severity, f"{text}{word}: {100.0 * charge:.0f} %")
         return asked

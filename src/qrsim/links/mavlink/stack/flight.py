@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from qrsim.control.failsafes import DISARM, HOLD, NOTHING, TERMINATE
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import failsafes as grave
 from qrsim.links.mavlink.stack.arming import ArmingChecks
@@ -382,14 +383,14 @@ class Flight:
     def _fail_over(self, asked: int) -> None:
         """Do what a failsafe asks for, unless something graver is under way."""
         craft = self.craft
-        if asked == grave.TERMINATE:
+        if asked == TERMINATE:
             self.terminate()
-        elif asked == grave.DISARM:
+        elif asked == DISARM:
             self.disarm("Disarmed by failsafe")
-        elif asked == grave.HOLD and self.mode is Mode.OFFBOARD and self.guided and not self.fresh():
+        elif asked == HOLD and self.mode is Mode.OFFBOARD and self.guided and not self.fresh():
             # ArduPilot's GUIDED holds without set-points, and is no failsafe.
             self.switch(Mode.HOLD)
-        elif asked > grave.GRAVITY_OF.get(self.mode, grave.NOTHING):
+        elif asked > grave.GRAVITY_OF.get(self.mode, NOTHING):
             craft.critical, self.guided = True, False
             mode, meant = grave.MODE_OF[asked], self._meant
             craft.say(Severity.CRITICAL, f"Failsafe activated: {mode.value}")

@@ -43,7 +43,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Answered:
-    """A service: its name, its type, and the function from a request to the response."""
+    """A service: its name, its type, and the function from a request to the response; None: it does not answer."""
 
     name: str
     type: str

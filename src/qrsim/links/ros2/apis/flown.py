@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from typing import Literal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Literal
 
 from qrsim.errors import UsageError
 from qrsim.links.mavlink.system import System
@@ -87,8 +88,8 @@ class Flown:
                 scheduled.append(_Scheduled(told, len(self.topics), self._every(told.rate)))
                 self.topics.append(told.topic)
             self._told.append((system, scheduled))
-            self.heard += made.heard
-            self.answered += made.answered
+            self.heard += [replace(each, take=_unless_muted(system, each.take)) for each in made.heard]
+            self.answered += [replace(each, answer=_unless_muted(system, each.answer)) for each in made.answered]
 
     def _mavros(self, types: Types, system: System, space: str) -> Interface:
         texts = Texts(system.number, self._dt)
@@ -130,8 +131,13 @@ class Flown:
         """Yield what is published at the present tick: number of its topic, and message."""
         tick = self.world.simulation.tick
         for system, scheduled in self._told:
-            for each in scheduled:
+            for each in () if system.muted else scheduled:
                 yield from each.due(tick, system)
+
+
+def _unless_muted(system: System, does: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a function that returns None while the link of a vehicle is off."""
+    return lambda message: None if system.muted else does(message)
 
 
 class _Scheduled:

@@ -1,0 +1,76 @@
+"""What a vehicle does when its battery is low, or its link or its position is lost, by PX4's rules.
+
+Plain runs, sweeps and the flight stack of ``qrsim mavlink`` decide by these functions. They use little but operators:
+they take Python numbers and JAX arrays alike.
+
+Source: PX4-Autopilot, src/modules/commander/failsafe/failsafe.cpp and framework.cpp.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+# Actions, the graver the later; of two the graver counts.
+NOTHING, HOLD, RETURN, LAND, DESCEND, DISARM, TERMINATE = range(7)
+ACTIONS = ("no action", "hold", "return", "land", "descend", "disarm", "terminate")
+# Levels of a battery.
+LEVELS = ("normal", "low", "critical", "emergency")
+LOW, CRITICAL, EMERGENCY = 1, 2, 3
+# Words for PX4's numbers, by parameter.
+WORDS: dict[str, dict[str, int]] = {
+    "COM_LOW_BAT_ACT": {"warn": 0, "land": 2, "return_or_land": 3},
+    "NAV_DLL_ACT": {"none": 0, "hold": 1, "return": 2, "land": 3},
+    "COM_GNSSLOSS_ACT": {"warn": 0, "return": 1, "land": 2},
+}
+# Actions by the numbers of the parameters; of COM_LOW_BAT_ACT at a critical level, and at an emergency.
+_ON_BATTERY = {2: (LAND, LAND), 3: (RETURN, LAND)}
+_ON_LINK = {1: HOLD, 2: RETURN, 3: LAND, 5: TERMINATE, 6: DISARM}
+_ON_FIX = {1: RETURN, 2: LAND}
+
+
+def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
+    """Return the level of a battery, an index of ``LEVELS``; 0 where the charge is NaN.
+
+    Args:
+        charge: what is left of a full charge, 0 to 1.
+        low, critical, emergency: BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
+    """
+    return _one(charge <= low) * (1 + _one(charge <= critical) + _one(charge <= emergency))
+
+
+def battery_action(level: Any, low_bat_act: int) -> Any:
+    """Return the action at a level of the battery, by the number of COM_LOW_BAT_ACT."""
+    at_critical, at_emergency = _ON_BATTERY.get(low_bat_act, (NOTHING, NOTHING))
+    return _one(level == CRITICAL) * at_critical + _one(level >= EMERGENCY) * at_emergency
+
+
+def link_action(lost: Any, dll_act: int) -> Any:
+    """Return the action of a vehicle whose link is ``lost``, by the number of NAV_DLL_ACT or NAV_RCL_ACT."""
+    return _one(lost) * _ON_LINK.get(dll_act, NOTHING)
+
+
+def fix_action(lost: Any, gnssloss_act: int) -> Any:
+    """Return the action of a vehicle that has ``lost`` its GNSS fix, by the number of COM_GNSSLOSS_ACT."""
+    return _one(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
+
+
+def position_action(lost: Any) -> Any:
+    """Return the action of a vehicle that does not know where it is: nothing but a descent needs no position."""
+    return _one(lost) * DESCEND
+
+
+def is_lost(silence: Any, after: Any) -> Any:
+    """Return whether something that was silent for a time [s] is lost ``after`` a time [s]."""
+    return silence > after
+
+
+def graver(one: Any, other: Any) -> Any:
+    """Return the graver of two actions."""
+    return one + _one(other > one) * (other - one)
+
+
+def _one(flag: Any) -> Any:
+    """Return 1 for true and 0 for false: an int, or an array of int32."""
+    return flag.astype(np.int32) if hasattr(flag, "astype") else int(flag)

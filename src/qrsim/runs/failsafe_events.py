@@ -1,0 +1,67 @@
+"""Events of failsafes: a low battery, a lost link or position, and what a vehicle does about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.control.failsafes import ACTIONS, LEVELS
+from qrsim.simulation.history import History
+from qrsim.world.state import World
+
+FAILSAFE, ENDS = "failsafe", "failsafe_ends"
+# Row, vehicle in the world, kind, field, value and words.
+Found = tuple[int, int, str, str, float, str]
+
+
+class FailsafeWatch:
+    """Watches the failsafes of a run."""
+
+    def __init__(self, world: World, start: History):
+        self._fleets = world.fleets
+        self._before = [self._rows(state, -1) for state in start.state.fleets]
+
+    @staticmethod
+    def _rows(state: Any, row: int | slice) -> dict[str, Any] | None:
+        """Return what is watched, (T, n) or (n,) each, None in a fleet without failsafes."""
+        own = state.failsafe
+        if own is None:
+            return None
+        names = ("level", "link_lost", "position_lost", "unfixed", "action")
+        return {name: getattr(own, name)[row] for name in names}
+
+    def events(self, history: History) -> Iterator[Found]:
+        """Yield what happened to vehicles that still fly: what was noticed, with what is done, and what ended."""
+        first = 0
+        for number, (fleet, state) in enumerate(zip(self._fleets, history.state.fleets, strict=True)):
+            now, before = self._rows(state, slice(None)), self._before[number]
+            if now is not None and before is not None:
+                self._before[number] = self._rows(state, -1)
+                yield from self._of_fleet(fleet, state, now, before, first)
+            first += fleet.size
+
+    @staticmethod
+    def _of_fleet(fleet: Any, state: Any, now: dict[str, Any], before: dict[str, Any], first: int) -> Iterator[Found]:
+        old = {name: np.concatenate([before[name][None], values[:-1]]) for name, values in now.items()}
+        flies = state.violation.code == 0
+        acts = fleet.failsafes.COM_GNSSLOSS_ACT != "warn"
+        changes = (
+            ("battery", now["level"] > old["level"]),
+            ("link", now["link_lost"] & ~old["link_lost"]),
+            ("fix", (now["unfixed"] == 1) & acts),
+            ("position", now["position_lost"] & ~old["position_lost"]),
+        )
+        noticed = np.zeros(flies.shape, bool)
+        for name, changed in changes:
+            for row, vehicle in np.argwhere(changed & flies):
+                noticed[row, vehicle] = True
+                action = int(now["action"][row, vehicle])
+                word = f"battery {LEVELS[int(now['level'][row, vehicle])]}" if name == "battery" else f"{name} lost"
+                done = f"failsafe: {word}, {ACTIONS[action]},"
+                yield int(row), first + int(vehicle), FAILSAFE, name, float(action), done
+        for row, vehicle in np.argwhere((now["action"] < old["action"]) & ~noticed & flies):
+            action = int(now["action"][row, vehicle])
+            what = f"failsafe: {ACTIONS[action]}," if action else "failsafe ends"
+            yield int(row), first + int(vehicle), ENDS, "action", float(action), what

@@ -1,0 +1,103 @@
+"""The failsafes of a scenario: their checks, and what is built of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.control import PathSetpoint, WaypointSetpoint
+from qrsim.control.failsafe_flight import Failsafes
+from qrsim.control.rover import RoverController
+from qrsim.core.tree import replace
+from qrsim.errors import did_you_mean
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.faults import reading_fields
+from qrsim.scenarios.ground import stands, top_of
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+
+# Guidances that give one of these can be taken over from.
+_TAKEN_OVER = (WaypointSetpoint, PathSetpoint)
+
+
+def failsafes(given: Failsafes, scenario: ScenarioSpec) -> Failsafes:
+    """Return the failsafes of a fleet with the ceiling of the area."""
+    top = top_of(scenario.world.area)
+    return given if top is None else replace(given, top=np.array(-top))
+
+
+def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the errors in the failsafes of a scenario."""
+    for name, fleet in scenario.fleets.items():
+        if fleet.failsafes is not None:
+            path = f"fleets.{name}.failsafes"
+            yield from _flight_problems(path, fleet)
+            yield from _level_problems(path, fleet)
+            yield from _link_problems(path, name, fleet, scenario)
+
+
+def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield why a failsafe could not fly the vehicles of a fleet, or land them."""
+    controller, guidance = known.CONTROLLERS.get(fleet.controller.type), known.GUIDANCE.get(fleet.guidance.type)
+    if controller is None or guidance is None:
+        return
+    if not _flies_paths(controller):
+        fitting = [name for name, kind in known.CONTROLLERS.items() if _flies_paths(kind)]
+        yield (
+            f"{path}: the controller '{fleet.controller.type}' does not fly paths, as failsafes do; allowed: "
+            f"{', '.join(fitting)}"
+        )
+    elif guidance.gives not in _TAKEN_OVER:
+        fitting = [name for name, kind in known.GUIDANCE.items() if kind.gives in _TAKEN_OVER]
+        yield (
+            f"{path}: failsafes cannot take over from the guidance '{fleet.guidance.type}'; allowed: "
+            f"{', '.join(fitting)}"
+        )
+    elif not stands(fleet):
+        yield f"{path}: they land, but touching the ground ends the flight of this fleet; give it ground: parked"
+    spec: Any = fleet.failsafes
+    has_fix = any(
+        name.startswith("position_ned.") for sensor in fleet.sensors.values() for name in reading_fields(sensor.type)
+    )
+    if not (has_fix or known.BATTERIES[fleet.battery.type].drains or spec.NAV_DLL_ACT != "none"):
+        yield f"{path}: nothing can fail: the fleet has no battery that drains, no GNSS receiver and no NAV_DLL_ACT"
+    if spec.COM_GNSSLOSS_ACT != "warn" and not has_fix:
+        yield f"{path}.COM_GNSSLOSS_ACT: the fleet has no GNSS receiver"
+
+
+def _flies_paths(controller: Any) -> bool:
+    """Return whether a controller, by its class, flies paths; a rover drives along them."""
+    return PathSetpoint in controller.setpoints and not issubclass(controller, RoverController)
+
+
+def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield what is wrong with the levels of a battery."""
+    spec: Any = fleet.failsafes
+    if spec.COM_LOW_BAT_ACT != "warn" and not known.BATTERIES[fleet.battery.type].drains:
+        yield f"{path}.COM_LOW_BAT_ACT: a battery of type '{fleet.battery.type}' has no charge that could be low"
+    names = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
+    values: list[Any] = [np.max(getattr(spec, name)) for name in names]
+    for above, below, high, low in zip(names, names[1:], values, values[1:], strict=False):
+        if low > high:
+            yield f"{path}.{below}: {low:g} is above {above}, {high:g}; allowed: at most that"
+
+
+def _link_problems(path: str, name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why a fleet cannot lose a link."""
+    spec: Any = fleet.failsafes
+    if spec.NAV_DLL_ACT == "none":
+        if spec.link_to:
+            yield f"{path}.link_to: nothing is done when that link is lost; give NAV_DLL_ACT too: hold, return or land"
+        return
+    if scenario.world.radio is None:
+        yield f"{path}.NAV_DLL_ACT: there is no link that could be lost; give world.radio"
+    elif not spec.link_to:
+        yield f"{path}.link_to: missing; NAV_DLL_ACT needs the fleet to listen to: {', '.join(scenario.fleets)}"
+    elif spec.link_to not in scenario.fleets:
+        yield (f"{path}.link_to: there is no fleet '{spec.link_to}'{did_you_mean(spec.link_to, list(scenario.fleets))}")
+    else:
+        for each in dict.fromkeys((name, spec.link_to)):
+            radio = scenario.fleets[each].radio
+            if radio is not None and not radio.works:
+                yield f"{path}.NAV_DLL_ACT: fleets.{each}.radio is none"

@@ -1,0 +1,89 @@
+"""Failsafes of a fleet in a tick: what they see, and the set-point that they put in place of the guidance's."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control import Estimate, PathSetpoint, WaypointSetpoint
+from qrsim.control.failsafe_flight import FailsafeState, Watched
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.contracts import Charged, Pose
+from qrsim.world.standing import on_ground
+from qrsim.world.state import Fleet, FleetState, State, World
+
+
+def first_failsafe(world: World, fleet: Fleet, pose: Pose) -> FailsafeState | None:
+    """Return the failsafes of a fleet at a start, home on the ground below it; None where it has none."""
+    if fleet.failsafes is None:
+        return None
+    start = pose.position_ned
+    return FailsafeState.start(replace(start, z=world.ground_down(start)), pose.attitude.yaw)
+
+
+def by_failsafe(
+    world: World,
+    whole: State,
+    fleet: Fleet,
+    state: FleetState,
+    estimate: Estimate,
+    setpoint: object,
+    tick: Array,
+) -> tuple[FailsafeState, PathSetpoint]:
+    """Return the failsafes of a fleet after a tick, and the set-point (n,) of its guidance or of a failsafe.
+
+    Args:
+        world, whole: parameters and state.
+        fleet, state: whose failsafes.
+        estimate: what its controller is fed with.
+        setpoint: of its guidance, a waypoint or the point of a path.
+        tick: () int32 now.
+    """
+    assert fleet.failsafes is not None
+    assert state.failsafe is not None
+    standing = on_ground(fleet, state)
+    seen = Watched(
+        estimate,
+        jnp.zeros(fleet.size, bool) if standing is None else standing,
+        tick,
+        cast(Charged, state.battery).charge if fleet.battery.drains else None,
+        _fixed(fleet, state),
+        _heard(world, whole, fleet, tick),
+    )
+    return fleet.failsafes.step(state.failsafe, seen, _as_path(setpoint), world.time_step)
+
+
+def _as_path(setpoint: object) -> PathSetpoint:
+    if isinstance(setpoint, PathSetpoint):
+        return setpoint
+    assert isinstance(setpoint, WaypointSetpoint)
+    zero = jnp.zeros_like(setpoint.yaw)
+    still = Vec3(zero, zero, zero)
+    return PathSetpoint(setpoint.position_ned, still, still, setpoint.yaw)
+
+
+def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
+    """Return for which vehicles (n,) a receiver reports a place; None where none could, or the truth is known."""
+    if fleet.controller.feed == "truth":
+        return None
+    places = [vars(reading).get("position_ned") for reading in state.readings]
+    fixes = [jnp.isfinite(place.x) for place in places if isinstance(place, Vec3)]
+    if not fixes:
+        return None
+    found = fixes[0]
+    for other in fixes[1:]:
+        found = found | other
+    return found
+
+
+def _heard(world: World, whole: State, fleet: Fleet, tick: Array) -> Array | None:
+    """Return the tick (n,) at which the newest message was sent that was heard; None where nobody listens."""
+    assert fleet.failsafes is not None
+    if fleet.failsafes.NAV_DLL_ACT == "none" or world.radio is None:
+        return None
+    senders = world.rows_of(fleet.failsafes.link_to)
+    own = world.rows_of(fleet.name)
+    return world.radio.last_heard(whole.radio, senders, tick, world.time_step)[own]
