@@ -101,6 +101,18 @@ class Reader:
             at += size if at + size == end or data[at + size] == data[at] else 1
         self._kept = data[at:]
 
+    def inside(self) -> Iterator[Frame]:
+        """Return whole frames inside an incomplete one, which may be none and wait for bytes that never come."""
+        kept = self._kept
+        for at in range(1, len(kept) - 2):
+            size = _size(kept, at) if kept[at] in (VERSION_1, VERSION_2) else len(kept)
+            found = _read(kept, at, size) if at + size <= len(kept) else None
+            if found is not None:
+                self.damaged += 1
+                self._kept = b""
+                yield from self.feed(kept[at:])
+                return
+
 
 def _size(data: bytes, at: int) -> int:
     length = data[at + 1]
