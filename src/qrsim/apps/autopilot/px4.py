@@ -175,7 +175,7 @@ class Px4:
         with opened(simulation) as flight:
             for link, found in zip(flight.links, flight.parameters(), strict=True):
                 print(
-                    f"# {link.name}: instance {link.instance}, TCP {link.port}; in a shell and an empty folder of its own"
+                    f"# {link.name}: instance {link.instance}, TCP {link.port}; a shell and an empty folder of its own"
                 )
                 for name, value in environment(found | own).items():
                     print(f"export {name}={value}")
