@@ -433,3 +433,28 @@ def test_periods_that_are_no_whole_number_of_ticks_become_one() -> None:
         "type": "magnetometer", "period": 0.01}}}}, "time_step": 0.01}  # fmt: skip
     (fleet,) = prepared(load_scenario(content, quiet=True), (), "x500", RATE)[0].world().fleets
     assert {type(sensor).__name__: sensor.period for sensor in fleet.sensors}["Magnetometer"] == 0.008
+
+
+@pytest.mark.long
+def test_sensors_that_px4_needs_are_asked_for_by_name() -> None:
+    """A fleet that is fed with the truth still needs sensors: PX4 takes equal readings for a failure."""
+    field = {
+        "vehicle": {"type": "multirotor", "model": "x500"},
+        "controller": {"type": "cascade", "feed": "truth"},
+        "vehicles": [{"position_ned": [0.0, 0.0, -0.2]}],
+    }
+    content: dict[str, Any] = {"name": "bare", "duration": 10.0}
+    with pytest.raises(UsageError, match="fleet 'pelicans' has no gyroscope, and an autopilot needs one: add a sensor"):
+        Flown({**content, "fleets": {"pelicans": {**field, "sensors": {"gnss": {"type": "gnss_receiver"}}}}})
+    imu = {"imu": {"type": "imu"}}
+    with pytest.raises(
+        UsageError, match=r"no GNSS receiver, .*; --set 'fleets\.pelicans\.sensors\.gnss={type: gnss_rec"
+    ):
+        Flown({**content, "fleets": {"pelicans": {**field, "sensors": imu}}})
+    imu = {"imu": {"type": "ideal_imu"}, "gnss": {"type": "gnss_receiver"}}
+    with pytest.warns(UserWarning, match="no magnetometer, and PX4 knows no heading") as found:
+        flown = Flown({**content, "fleets": {"pelicans": {**field, "sensors": imu}}})
+    assert any("ideal sensors (imu) repeat themselves at rest" in str(each.message) for each in found)
+    told = flown.flight.parameters()[0]
+    flown.flight.close()
+    assert [told[name] for name in ("SYS_HAS_MAG", "SYS_HAS_BARO", "EKF2_HGT_REF")] == [0, 0, 1]

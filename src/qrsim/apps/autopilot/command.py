@@ -86,14 +86,14 @@ class Betaflight:
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         program = binary(self.binary)
-        fresh_folder(self.out, "betaflight", scenario.name, self.seed)
+        folder = fresh_folder(self.out, "betaflight", scenario.name, self.seed)
         eeprom = configured(program, self.cli)
         lost = say if self.fly_on else None
 
         def flown_by(simulation: Simulation) -> Flight:
             return Flight(simulation, fleets, program, eeprom, lost=lost)
 
-        _, folder, pace = recorded(self, "betaflight", scenario, flown_by)
+        _, pace = recorded(self, folder, scenario, flown_by)
         report(self, "Betaflight", folder, fleets, pace)
 
 
@@ -162,6 +162,7 @@ class Ardupilot:
 
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
+        folder = fresh_folder(self.out, "ardupilot", scenario.name, self.seed)
 
         def flown_by(simulation: Simulation) -> JsonFlight:
             flight = JsonFlight(simulation, fleets, self.port, self.wait, say, say if self.fly_on else None)
@@ -169,7 +170,7 @@ class Ardupilot:
                 say(f"{link.name} waits for ArduPilot on UDP {link.port}")
             return flight
 
-        flight, folder, pace = recorded(self, "ardupilot", scenario, flown_by)
+        flight, pace = recorded(self, folder, scenario, flown_by)
         for link in flight.links:
             if link.lost or link.foreign or link.repeated:
                 say(f"{link.name}: {link.lost} packets lost, {link.repeated} repeated, {link.foreign} of others")

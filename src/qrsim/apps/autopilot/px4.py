@@ -112,6 +112,8 @@ class Px4:
         start_usec = round(scenario.spec.start_time.timestamp() * 1e6)
         port = FIRST_PORT + self.first_instance if self.port is None else self.port
         host = EVERYWHERE if self.allow_remote else LOOPBACK
+        folder = fresh_folder(self.out, "px4", scenario.name, self.seed)
+        logs = folder.with_name(f"{folder.name}-px4")
 
         def opened(simulation: Simulation) -> Px4Flight:
             pace = 0.0 if self.env else self.realtime
@@ -127,14 +129,14 @@ class Px4:
                 if not all(each.is_iris for each in flight.fleets):
                     say("PX4's none_iris is another vehicle than these; start PX4 with what --env prints")
             else:
-                flight.opened(lambda: started(build, flight, own))
+                flight.opened(lambda: started(build, flight, own, logs))
+                say(f"PX4's logs: {logs}")
             return flight
 
         if self.env:
             self._print_environment(scenario, opened, own)
             return
-        fresh_folder(self.out, "px4", scenario.name, self.seed)
-        flight, folder, pace = recorded(self, "px4", scenario, flown_by)
+        flight, pace = recorded(self, folder, scenario, flown_by)
         for link in flight.links:
             if link.oddities:
                 say(f"{link.name}: {link.oddities}")

@@ -52,19 +52,18 @@ def check_rate(rate: float) -> None:
 
 
 def recorded(
-    options: Options, who: str, scenario: Scenario, flown_by: Callable[[Simulation], Flown]
-) -> tuple[Flown, Path, Pace]:
-    """Fly a scenario and record it; return the flight, which is closed, its run folder and its pace.
+    options: Options, folder: Path, scenario: Scenario, flown_by: Callable[[Simulation], Flown]
+) -> tuple[Flown, Pace]:
+    """Fly a scenario and record it; return the flight, which is closed, and its pace.
 
     Args:
         options: of the command.
-        who: flies it, for the name of the folder.
+        folder: the run folder to write.
         scenario: to fly.
         flown_by: opens the flight of a simulation.
     """
     from qrsim.runs.recorder import fly
 
-    folder = fresh_folder(options.out, who, scenario.name, options.seed)
     flights: list[Flown] = []
 
     def opened(simulation: Simulation) -> Flown:
@@ -78,7 +77,7 @@ def recorded(
     finally:
         for flight in flights:
             flight.close()
-    return flights[0], folder, pace
+    return flights[0], pace
 
 
 def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:

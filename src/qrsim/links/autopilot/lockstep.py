@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -33,11 +33,17 @@ class FlownFleet:
         fleet: of multirotors.
         order: for each rotor the number of its motor at the autopilot, from 0.
         losses: of its vehicles.
+
+    Attributes:
+        fed_with_truth: whether autopilots get true rates and forces where the fleet's controller is fed with the truth.
     """
+
+    fed_with_truth: ClassVar[bool] = True
 
     def __init__(self, simulation: Simulation, fleet: Fleet, order: Sequence[int], losses: Losses):
         self.simulation, self.fleet, self.losses = simulation, fleet, losses
-        self.sight = FleetSight(simulation, [each.name for each in simulation.world.fleets].index(fleet.name))
+        number = [each.name for each in simulation.world.fleets].index(fleet.name)
+        self.sight = FleetSight(simulation, number, self.fed_with_truth)
         self.order = list(order)
         self._command = MotorCommand.of_count(len(self.order))
 

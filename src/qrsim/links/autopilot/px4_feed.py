@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, warn_user
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.autopilot import px4_messages as messages
 from qrsim.links.autopilot.sensing import FleetSight, pressure_of
@@ -24,8 +24,6 @@ SYSTEM, COMPONENT = 1, 200
 FRAME_USEC, START_USEC = 4000, 1_000_000
 # Accuracy of a receiver that gives dilution of precision only: that times 1 m, and no less than this [m].
 LEAST_ACCURACY = 0.3
-# What PX4 does not fly without.
-NEEDED = ((s.FIX_POSITION, "GNSS receiver", "gnss: {type: gnss_receiver}"),)
 
 
 def time_usec(number: int) -> int:
@@ -50,11 +48,22 @@ class Px4Feed:
     def __init__(self, simulation: Simulation, fleet: Fleet, sight: FleetSight, start_usec: int, truth: bool = False):
         self._simulation, self._fleet, self._sight = simulation, fleet, sight
         self._start_usec, self._truth = start_usec, truth
-        for column, what, line in NEEDED:
-            if column not in sight.sensors:
-                raise UsageError(
-                    f"fleet '{fleet.name}' has no {what}, and PX4 does not take off without one: add the sensor {line}"
-                )
+        if s.FIX_POSITION not in sight.sensors:
+            raise UsageError(
+                f"fleet '{fleet.name}' has no GNSS receiver, and PX4 does not take off without one; "
+                f"--set 'fleets.{fleet.name}.sensors.gnss={{type: gnss_receiver}}' adds it"
+            )
+        if s.FIELD not in sight.sensors:
+            warn_user(
+                f"fleet '{fleet.name}' has no magnetometer, and PX4 knows no heading before it moves; "
+                f"--set 'fleets.{fleet.name}.sensors.magnetometer={{type: magnetometer}}' adds one"
+            )
+        ideal = [kind.removeprefix("Ideal").lower() for kind in map(_kind, fleet.sensors) if kind.startswith("Ideal")]
+        if ideal:
+            warn_user(
+                f"fleet '{fleet.name}': ideal sensors ({', '.join(ideal)}) repeat themselves at rest, which "
+                "PX4 takes for a failure; take sensors with noise"
+            )
         names = [each.name for each in simulation.world.fleets]
         first = sum(each.size for each in simulation.world.fleets[: names.index(fleet.name)])
         self._rows = slice(first, first + fleet.size)
@@ -181,6 +190,10 @@ class Px4Feed:
 
 # Whose deliveries are followed: a barometer by the pressure that it reads, or else by its height.
 _COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.DIFFERENTIAL, s.RANGE, s.FLOW)
+
+
+def _kind(sensor: object) -> str:
+    return type(sensor).__name__
 
 
 def _number(sensor: Any, name: str, usual: float, i: int) -> float:

@@ -43,6 +43,9 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
 class Px4Fleet(FlownFleet):
     """The vehicles of a fleet and the ports of their PX4s."""
 
+    # At rest the truth does not change, and PX4 takes 100 equal readings for a sensor that has failed.
+    fed_with_truth = False
+
     def __init__(
         self,
         simulation: Simulation,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -51,21 +50,30 @@ class Process:
         build: where it is.
         instance: its number (-i).
         environment: variables for it, besides those of this process.
+        folder: new; it keeps what PX4 prints (px4.log), its parameters and its ULogs (log/).
 
     Raises:
+        UsageError: the folder exists.
         RunError: it does not start.
     """
 
-    def __init__(self, build: Build, instance: int, environment: Mapping[str, str]):
-        self._folder = tempfile.TemporaryDirectory(prefix="qrsim-px4-")
-        self._log = Path(self._folder.name) / "px4.log"
+    def __init__(self, build: Build, instance: int, environment: Mapping[str, str], folder: Path):
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            raise UsageError(
+                f"folder {folder} for PX4's logs exists and is never overwritten; choose another --out"
+            ) from None
+        except OSError as error:
+            raise RunError(f"{folder}: {error.strerror or error}") from None
+        self._log = folder / "px4.log"
         words = [str(build.program), "-i", str(instance), "-d", str(build.folder / "etc")]
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
         try:
             with open(self._log, "wb") as log:
                 self._process = subprocess.Popen(
                     words,
-                    cwd=self._folder.name,
+                    cwd=folder,
                     env={**inherited, **environment},
                     stdin=subprocess.DEVNULL,
                     stdout=log,
@@ -73,7 +81,6 @@ class Process:
                     start_new_session=True,
                 )
         except OSError as error:
-            self._folder.cleanup()
             raise RunError(f"{build.program}: {error.strerror or error}") from None
 
     def ended(self) -> str:
@@ -97,7 +104,6 @@ class Process:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._folder.cleanup()
 
     def __enter__(self) -> Process:
         return self
@@ -106,17 +112,19 @@ class Process:
         self.close()
 
 
-def started(build: Build, flight: Px4Flight, own: Mapping[str, Number]) -> None:
+def started(build: Build, flight: Px4Flight, own: Mapping[str, Number], logs: Path) -> None:
     """Start a PX4 for each vehicle of a flight, which ends them when it is closed.
 
     Args:
         build: of PX4.
         flight: not begun.
         own: parameters of the user's, after those of the vehicles.
+        logs: folder with one for each vehicle, by name.
 
     Raises:
         RunError: one does not start.
     """
     for link, found in zip(flight.links, flight.parameters(), strict=True):
-        process = flight.closing.enter_context(Process(build, link.instance, environment({**found, **own})))
+        begun = Process(build, link.instance, environment({**found, **own}), logs / link.name)
+        process = flight.closing.enter_context(begun)
         link.ended = process.ended

@@ -24,23 +24,24 @@ class FleetSight:
     Args:
         simulation: reset.
         number: of the fleet in its world.
+        truth: whether rates and forces are the true ones where the controller is fed with the truth.
 
     Raises:
-        UsageError: the controller is fed with sensors, and none senses rates or forces.
+        UsageError: nothing senses rates or forces.
 
     Attributes:
         sensors: by column of ``links.shared.sight`` the number of the sensor that it is of; None for the truth.
         stopped: after ``read``, which vehicles lie as wrecks.
     """
 
-    def __init__(self, simulation: Simulation, number: int):
+    def __init__(self, simulation: Simulation, number: int, truth: bool = True):
         fleet = simulation.world.fleets[number]
         self._simulation, self._site = simulation, simulation.site
         layout, _ = simulation.packed
         state = layout.numbers.fleets[number]
         self.sensors: dict[int, int | None] = {}
         places = []
-        for column, leaf, sensor in _leaves(fleet, state):
+        for column, leaf, sensor in _leaves(fleet, state, truth):
             if column not in self.sensors and layout.is_float[leaf]:
                 self.sensors[column] = sensor
                 places.append(np.arange(layout.slices[leaf].start, layout.slices[leaf].stop))
@@ -110,12 +111,12 @@ def pressure_of(row: Sequence[float], origin_height: float) -> float:
     return pressure if pressure == pressure else pressure_at(origin_height + row[s.HEIGHT])
 
 
-def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
+def _leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
     """Yield column, leaf and sensor of what is asked of the vehicles of a fleet, and of what they sense."""
     command = state.command
     for column, leaf in enumerate((command.pitch, command.roll, command.throttle, command.yaw_rate), ASKED):
         yield column, leaf, None
-    if fleet.controller.feed == "truth":
+    if truth and fleet.controller.feed == "truth":
         for first, vector in ((s.RATES, state.vehicle.rates_body), (s.FORCE, state.specific_force)):
             for column, leaf in enumerate((vector.x, vector.y, vector.z), first):
                 yield column, leaf, None
