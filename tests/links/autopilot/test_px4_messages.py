@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
@@ -18,8 +19,10 @@ from qrsim.links.autopilot.px4_messages import (
     speeds,
     true_state,
 )
+from qrsim.links.autopilot.px4_truth import geodetic, turned
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.frames import Reader, frame
+from qrsim.models.site import Site
 
 # The call, and the frame of the same numbers by pymavlink 2.4 (system 1, component 200, sequence 7).
 FRAMES = (
@@ -204,3 +207,29 @@ def test_an_incomplete_frame_gives_up_the_whole_ones_inside() -> None:
     assert list(reader.feed(honest[:30])) == []
     assert list(reader.inside()) == []
     assert len(list(reader.feed(honest[30:]))) == 1
+
+
+@pytest.mark.parametrize(
+    ("axis", "body", "ned"),
+    [
+        ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),  # nose to the east
+        ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),  # nose up
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),  # right side down
+        ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)),
+    ],
+)
+def test_a_quarter_turn_takes_body_axes_to_north_east_down(
+    axis: tuple[float, ...], body: tuple[float, ...], ned: tuple[float, ...]
+) -> None:
+    half = math.sqrt(0.5)
+    quaternion = np.array([[half, *(half * part for part in axis)]])
+    assert turned(quaternion, np.array([body]))[0] == pytest.approx(ned, abs=1e-12)
+
+
+@pytest.mark.parametrize("place", [(48.0, 11.0, 500.0), (-33.9, 151.2, 3.0), (0.0, -90.0, 10_000.0), (89.9, 5.0, 0.0)])
+def test_a_place_comes_back_from_its_earth_fixed_coordinates(place: tuple[float, float, float]) -> None:
+    site = Site.from_degrees(*place)
+    latitude, longitude, height = geodetic(tuple(site.origin_ecef().tolist()))
+    # 1e-9 deg are 0.1 mm.
+    assert (latitude, longitude) == pytest.approx(place[:2], abs=1e-9)
+    assert height == pytest.approx(place[2], abs=1e-4)

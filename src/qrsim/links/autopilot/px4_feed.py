@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, warn_user
-from qrsim.interface.arrays import quaternion_of
 from qrsim.links.autopilot import px4_messages as messages
+from qrsim.links.autopilot.px4_truth import TrueStates
 from qrsim.links.autopilot.sensing import FleetSight, pressure_of
 from qrsim.links.mavlink.frames import frame
 from qrsim.links.shared import sight as s
@@ -47,7 +46,7 @@ class Px4Feed:
 
     def __init__(self, simulation: Simulation, fleet: Fleet, sight: FleetSight, start_usec: int, truth: bool = False):
         self._simulation, self._fleet, self._sight = simulation, fleet, sight
-        self._start_usec, self._truth = start_usec, truth
+        self._start_usec = start_usec
         if s.FIX_POSITION not in sight.sensors:
             raise UsageError(
                 f"fleet '{fleet.name}' has no GNSS receiver, and PX4 does not take off without one; "
@@ -64,9 +63,8 @@ class Px4Feed:
                 f"fleet '{fleet.name}': ideal sensors ({', '.join(ideal)}) repeat themselves at rest, which "
                 "PX4 takes for a failure; take sensors with noise"
             )
-        names = [each.name for each in simulation.world.fleets]
-        first = sum(each.size for each in simulation.world.fleets[: names.index(fleet.name)])
-        self._rows = slice(first, first + fleet.size)
+        number = [each.name for each in simulation.world.fleets].index(fleet.name)
+        self._truth = TrueStates(simulation, number) if truth else None
         # By column: when each vehicle's reading, sent last, was true [s].
         self._sent: dict[int, list[float]] = {}
         self._sequence = [0] * fleet.size
@@ -77,7 +75,7 @@ class Px4Feed:
         rows = self._sight.read()
         news = {column: self._news(column) for column in _COLUMNS if column in self._sight.sensors}
         fixes = self._fixes(news.get(s.FIX_POSITION), rows)
-        truth = self._true(usec) if self._truth else None
+        truth = None if self._truth is None else self._truth.payloads(usec)
         found, turning = [], []
         for i, row in enumerate(rows):
             parts: list[tuple[int, bytes]] = []
@@ -167,26 +165,6 @@ class Px4Feed:
         assert number is not None
         return self._fleet.sensors[number]
 
-    def _true(self, usec: int) -> list[bytes]:
-        """Return the payload of each vehicle's true state."""
-        truth, rows = self._simulation.truth, self._rows
-        attitude, force = np.asarray(truth.attitude)[rows], np.asarray(truth.specific_force)[rows]
-        velocity, position = np.asarray(truth.velocity_ned)[rows], np.asarray(truth.position_ned)[rows]
-        quaternion = quaternion_of(attitude)
-        acceleration = _turned(np.asarray(quaternion, np.float64), np.asarray(force, np.float64))
-        acceleration[:, 2] += np.broadcast_to(np.asarray(getattr(self._fleet.vehicle, "gravity", 9.81)), len(force))
-        latitude, longitude, height = self._simulation.site.ned_to_geodetic(position)
-        airspeed = np.linalg.norm(velocity - np.asarray(truth.wind_ned)[rows], axis=1)
-        rates = np.asarray(truth.rates_body)[rows]
-        return [
-            messages.true_state(
-                usec, quaternion[i].tolist(), rates[i].tolist(),
-                (float(np.degrees(latitude[i])), float(np.degrees(longitude[i])), float(height[i])),
-                velocity[i].tolist(), float(airspeed[i]), acceleration[i].tolist(),
-            )
-            for i in range(self._fleet.size)
-        ]  # fmt: skip
-
 
 # Whose deliveries are followed: a barometer by the pressure that it reads, or else by its height.
 _COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.DIFFERENTIAL, s.RANGE, s.FLOW)
@@ -213,10 +191,3 @@ def _fix(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fi
         vertical if vertical == vertical else LEAST_ACCURACY, velocity,
         int(satellites) if satellites == satellites else 12,
     )  # fmt: skip
-
-
-def _turned(quaternion: NumpyArray, vectors: NumpyArray) -> NumpyArray:
-    """Return vectors (n, 3) in body axes turned to NED by quaternions (n, 4: w, x, y, z)."""
-    w, axis = quaternion[:, :1], quaternion[:, 1:]
-    across = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + w * across + np.cross(axis, across))
