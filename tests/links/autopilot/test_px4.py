@@ -288,6 +288,21 @@ def test_an_answer_to_an_older_frame_holds_but_is_not_waited_with(wire: Wire, mo
         wire.settle_all(range(4000, 9000, 1000))
 
 
+def test_a_px4_that_answers_every_second_frame_is_not_waited_for_long(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(px4_link, "ANSWER_S", 0.1)
+    begin = time.perf_counter()
+    for stamp in range(1000, 41_000, 1000):
+        if stamp % 2000:
+            wire.answer(stamp)
+        wire.settle(stamp)
+    # Seven of 0.1 s, until five gaps are known, and 13 of 0.02 s; without that it were 2 s.
+    assert time.perf_counter() - begin < 1.7
+    assert wire.link.unanswered == 20
+    assert sum("leaves many frames unanswered; each is waited for 20 ms" in line for line in wire.said) == 1
+
+
 def test_odd_outputs_are_clamped_and_said_once(wire: Wire) -> None:
     for stamp in (1000, 2000):
         wire.answer(stamp, (math.nan, 2.0, -3.0, 0.5, *[0.0] * 12))
@@ -400,6 +415,8 @@ def test_the_geometry_that_px4_is_told_is_that_of_the_vehicle(geometry: str, rot
         # and the vehicle clockwise.
         for rate, expected in zip(rates[motor], (-y, x, turn), strict=True):
             assert abs(expected) < 0.01 * abs(x + y) or rate * expected > 0.0, (motor, rates[motor], (x, y, turn))
+    # A zero counts as not set, and the airframe's own place would hold.
+    assert all(abs(told[f"CA_ROTOR{motor}_{axis}"]) >= 1e-4 for motor in range(rotors) for axis in ("PX", "PY"))
     assert (told["CA_ROTOR_COUNT"], told["MAV_TYPE"], told[f"PWM_MAIN_FUNC{rotors}"]) == (rotors, kind, 100 + rotors)
 
 
@@ -417,7 +434,8 @@ def test_the_x500_has_the_motors_of_the_iris_and_its_own_geometry() -> None:
     # 2.0643 kg, 9.81 m/s^2, four rotors of 8.54858e-6 N s^2 at 1000 rad/s, in air of 1.167 kg/m^3 at 488 m.
     assert found["MPC_THR_HOVER"] == pytest.approx(20.251 / (34.194 * 1.1681 / 1.225), rel=0.01)
     # A fix is reported after one period of 0.2 s.
-    assert (found["SENS_GPS0_DELAY"], found["THR_MDL_FAC"], found["MAV_TYPE"]) == (200.0, 1.0, 2)
+    assert (found["SENS_GPS0_DELAY"], found["EKF2_DELAY_MAX"], found["THR_MDL_FAC"]) == (200, 250, 1.0)
+    assert (found["EKF2_MULTI_IMU"], found["EKF2_MULTI_MAG"], found["MAV_TYPE"]) == (1, 1, 2)
     assert not {"SYS_HAS_MAG", "SYS_HAS_BARO"} & set(found)
 
 

@@ -24,6 +24,9 @@ LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 # On the wall clock: between frames while it boots, for an answer, until silence is its end, and for another one to
 # connect in its place [s].
 BOOT_FRAME_S, ANSWER_S, SILENCE_S, RECONNECT_S = 0.004, 0.5, 15.0, 15.0
+# Of a PX4 that answers again and again after a frame without an answer, as one that drops frames on purpose, the next
+# answer is waited for this long [s]; a gap counts for about the next 30 frames, and so many are many.
+IMPATIENT_S, GAP_DECAY, MANY_GAPS = 0.02, 0.97, 5.0
 # So many bytes without a frame are no MAVLink.
 NO_FRAME_BYTES = 64 * 1024
 # How long nothing has come when frames are looked for in an incomplete one, and others at the port [s].
@@ -83,6 +86,7 @@ class Px4Link:
         self.wanted = Controls()
         self.booted = self.free = self._greeted = False
         self._reader = Reader()
+        self._gaps, self._missed = 0.0, False
         self._unframed = self._frames = self._sent = self._answered = 0
         self._since = self._heard = time.perf_counter()
 
@@ -207,13 +211,19 @@ class Px4Link:
                 pass
             self._check_boot()
         elif answers:
+            patience = ANSWER_S if self._gaps < MANY_GAPS else min(IMPATIENT_S, ANSWER_S)
             while self._peer is not None and self._answered < self._sent:
-                if not self._receive(begin + ANSWER_S):
+                if not self._receive(begin + patience):
                     self._miss()
-                    break
+                    return
+            self._gaps = GAP_DECAY * self._gaps + self._missed
+            self._missed = False
 
     def _miss(self) -> None:
         self.unanswered += 1
+        self._missed = True
+        if self._gaps >= MANY_GAPS:
+            self._once("gaps", f"PX4 leaves many frames unanswered; each is waited for {1e3 * IMPATIENT_S:g} ms")
         silence = time.perf_counter() - self._heard
         if silence > SILENCE_S:
             raise RunError(f"{self.name}: its PX4 has not answered for {SILENCE_S:g} s")

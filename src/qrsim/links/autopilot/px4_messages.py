@@ -170,7 +170,7 @@ def distance_sensor(time_usec: int, distance: float, low: float, high: float, ax
     known = distance == distance
     centimetres = [_whole(metres * 100.0, 0, 65535) for metres in (low, high, distance if known else high)]
     return _PACK["DISTANCE_SENSOR"](
-        time_usec // 1000 & 0xFFFFFFFF, *centimetres, 0, 0, ROTATIONS[axis], 255, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        time_usec // 1000 & 0xFFFFFFFF, *centimetres, 0, 0, ROTATIONS[axis], 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         100 if known else 1,
     )  # fmt: skip
 
