@@ -28,6 +28,7 @@ MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrs
 # The keys of a row that are numbers above zero.
 NUMBERS = {
     "betaflight": {"vehicles", "rate_hz", "real_time_factor"},
+    "px4": {"vehicles", "rate_hz", "real_time_factor"},
     "bound": {"vehicles", "threads", "per_wall_second", "per_cpu_second", "flying", "of_bound_wall", "of_bound_cpu"},
     "env_peers": {"num_envs"},
     "envs": {
@@ -190,6 +191,12 @@ def test_pace():
 def test_betaflight():
     alone, hovering = rows("betaflight")
     assert (alone["target"], hovering["target"], hovering["rate_hz"]) == ("-", "at least 10", 400.0)
+
+
+@pytest.mark.nightly
+def test_px4():
+    [row] = rows("px4")
+    assert (row["vehicles"], row["rate_hz"], row["target"]) == (1, 250.0, "at least 10")
 
 
 @pytest.mark.nightly

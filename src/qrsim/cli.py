@@ -24,7 +24,8 @@ import qrsim.starting  # noqa: F401 (before the others)
 # isort: split
 import tyro
 
-from qrsim.apps.autopilot import Ardupilot, Betaflight
+from qrsim.apps.autopilot.command import Ardupilot, Betaflight
+from qrsim.apps.autopilot.px4 import Px4
 from qrsim.apps.cache import Clear, Info, Pack, Unpack
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare import Compare
@@ -121,7 +122,7 @@ AUTOPILOT = Group(
 
 Example:
   qrsim autopilot betaflight""",
-    {"betaflight": Betaflight, "ardupilot": Ardupilot},
+    {"betaflight": Betaflight, "ardupilot": Ardupilot, "px4": Px4},
 )
 
 COMMANDS: dict[str, type[Command] | Group] = {

@@ -17,13 +17,6 @@ FEW, MANY = struct.Struct("<HHI16H"), struct.Struct("<HHI32H")
 LAYOUTS = {18458: FEW, 29569: MANY}
 # Of a motor's pulse [us]: still, and at its largest speed.
 LEAST_US, MOST_US = 1000.0, 2000.0
-# AP_MotorsMatrix.cpp: for each frame of the type X, degrees clockwise from the nose of each motor's arm in the order of
-# its channels, and how it turns: +1 clockwise from above, -1 the other way.
-FRAMES: dict[int, tuple[tuple[float, int], ...]] = {
-    4: ((45.0, -1), (-135.0, -1), (-45.0, 1), (135.0, 1)),
-    6: ((90.0, 1), (-90.0, -1), (-30.0, 1), (150.0, -1), (30.0, -1), (-150.0, 1)),
-    8: ((22.5, 1), (-157.5, 1), (67.5, -1), (157.5, -1), (-22.5, -1), (-112.5, -1), (-67.5, 1), (112.5, 1)),
-}
 
 
 @dataclass(frozen=True)

@@ -2,52 +2,57 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-import numpy as np
-
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.links.shared.grounding import put_down, standing
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.scenarios.catalogue import VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
 
-# Signs of forward and right of the firmware's rotors, in its order, and how they turn (+1: clockwise from above).
-ROTORS = (((1, 1), -1), ((-1, -1), -1), ((1, -1), 1), ((-1, 1), 1))
+# For each frame of the type X, degrees clockwise from the nose of each motor's arm in the order of the firmware's
+# channels, and how it turns: +1 clockwise from above, -1 the other way. Source: ArduPilot, AP_MotorsMatrix.cpp; of four
+# motors Betaflight and PX4 (airframe none_iris) have the same.
+FRAMES: dict[int, tuple[tuple[float, int], ...]] = {
+    4: ((45.0, -1), (-135.0, -1), (-45.0, 1), (135.0, 1)),
+    6: ((90.0, 1), (-90.0, -1), (-30.0, 1), (150.0, -1), (30.0, -1), (-150.0, 1)),
+    8: ((22.5, 1), (-157.5, 1), (67.5, -1), (157.5, -1), (-22.5, -1), (-112.5, -1), (-67.5, 1), (112.5, 1)),
+}
+# An arm may be this far from that of the frame [deg]: anywhere in its corner, or near it.
+CORNER_DEG, NEAR_DEG = 45.0, 12.0
 INERTIAL = ("imu", "gyroscope", "accelerometer")
 IDENTIFIED = ("pelican", "quadrotor")
+# A period is a whole number of ticks up to this part of one.
+NEAR_TICK = 1e-6
 
 
-def prepared(scenario: Scenario, fleets: tuple[str, ...], model: str, rate: float) -> tuple[Scenario, tuple[str, ...]]:
-    """Return a scenario whose fleets the firmware can fly, and the names of these.
+def prepared(
+    scenario: Scenario,
+    fleets: tuple[str, ...],
+    model: str,
+    rate: float,
+    who: str = "Betaflight",
+    on_ground: bool = False,
+    inertial_rate: float | None = None,
+) -> tuple[Scenario, tuple[str, ...]]:
+    """Return a scenario whose fleets an autopilot can fly, and the names of these.
 
-    Identified quadrotors, which have an autopilot in them, become multirotors of a model with a ``cascade``; sensors of
-    rates and forces read at every tick.
+    Identified quadrotors, which have an autopilot in them, become multirotors of a model with a ``cascade``. Sensors of
+    rates and forces read at every tick; periods of others become multiples of a tick.
 
     Args:
         scenario: of the user.
         fleets: names; none: all with vehicles of rotors.
         model: of the multirotors.
         rate: ticks a second [Hz].
+        who: name of the autopilot, for messages.
+        on_ground: whether vehicles start at rest on the ground below their places, without a route.
+        inertial_rate: of rates and forces [Hz]; None: at every tick.
 
     Raises:
         UsageError: an unknown fleet, or one that has no rotors; a scenario that cannot be at this rate.
-    """
-    content, flown = refitted(scenario, fleets, model, rate, "Betaflight")
-    try:
-        made = load_scenario(content, quiet=True)
-    except ScenarioError as error:
-        raise UsageError(f"flown at {rate:g} Hz by Betaflight: {error}") from None
-    return made, flown
-
-
-def refitted(
-    scenario: Scenario, fleets: tuple[str, ...], model: str, rate: float, who: str
-) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return the content of ``prepared``'s scenario for an autopilot called ``who``, and the names of its fleets.
-
-    Raises:
-        UsageError: an unknown fleet, or one that has no rotors.
     """
     content = scenario.spec.model_dump(mode="json")
     found = content["fleets"]
@@ -62,8 +67,17 @@ def refitted(
         raise UsageError(f"no fleet of the scenario has rotors, and {who} flies these only here")
     content["time_step"] = 1.0 / rate
     for name in flown:
-        _fit(found[name], model, 1.0 / rate)
-    return content, flown
+        _fit(found[name], model, rate, inertial_rate or rate)
+    where = ""
+    try:
+        if on_ground:
+            where = "on the ground, "
+            for name in flown:
+                standing(found[name], True)
+            put_down(content, load_scenario(content, quiet=True).world(), flown)
+        return load_scenario(content, quiet=True), flown
+    except ScenarioError as error:
+        raise UsageError(f"{where}flown at {rate:g} Hz by {who}: {error}") from None
 
 
 def _has_rotors(fleet: dict[str, Any]) -> bool:
@@ -71,7 +85,7 @@ def _has_rotors(fleet: dict[str, Any]) -> bool:
     return kind in IDENTIFIED or VEHICLES.get(kind) is Multirotor
 
 
-def _fit(fleet: dict[str, Any], model: str, period: float) -> None:
+def _fit(fleet: dict[str, Any], model: str, rate: float, inertial_rate: float) -> None:
     if fleet["vehicle"]["type"] in IDENTIFIED:
         fleet["vehicle"] = {"type": "multirotor", "model": model}
         # Those of the identified vehicle are where it was identified.
@@ -80,29 +94,48 @@ def _fit(fleet: dict[str, Any], model: str, period: float) -> None:
             feed = fleet["controller"].get("feed")
             fleet["controller"] = {"type": "cascade"} | ({"feed": feed} if feed else {})
     for sensor in (fleet.get("sensors") or {}).values():
-        if sensor["type"] in INERTIAL and "period" in sensor:
-            sensor["period"] = period
+        if "period" not in sensor:
+            continue
+        ticks = max(1, round(sensor["period"] * rate))
+        if sensor["type"] in INERTIAL:
+            sensor["period"] = 1.0 / inertial_rate
+        elif abs(ticks - sensor["period"] * rate) > NEAR_TICK:
+            sensor["period"] = ticks / rate
+
+
+def motor_order(fleet: Fleet, away_deg: float = NEAR_DEG) -> tuple[int, ...] | None:
+    """Return for each rotor of the vehicles the number of its motor in frame X, from 0; None: it is no such frame.
+
+    Args:
+        fleet: of multirotors.
+        away_deg: rotors are this close to the arms of the frame [deg].
+    """
+    rotors = fleet.vehicle.rotors if isinstance(fleet.vehicle, Multirotor) else ()
+    frame = FRAMES.get(len(rotors), ())
+    order = []
+    for rotor in rotors:
+        bearing = math.degrees(math.atan2(rotor.position[1], rotor.position[0]))
+        order += [
+            number
+            for number, (arm, turn) in enumerate(frame)
+            if abs((bearing - arm + 180.0) % 360.0 - 180.0) < away_deg and turn == rotor.direction
+        ]
+    return tuple(order) if frame and sorted(order) == list(range(len(frame))) else None
 
 
 def rotor_order(fleet: Fleet) -> tuple[int, ...]:
-    """Return for each rotor of the vehicles its number in the firmware's order: FR, RL, FL, RR.
+    """Return for each rotor of the vehicles its number in Betaflight's order: FR, RL, FL, RR.
 
     Raises:
         UsageError: they are not the four of an X that turn as the firmware has it.
     """
-    vehicle = fleet.vehicle
-    rotors = vehicle.rotors if isinstance(vehicle, Multirotor) else ()
-    order = []
-    for rotor in rotors:
-        corner = (int(np.sign(rotor.position[0])), int(np.sign(rotor.position[1])))
-        numbers = [number for number, (where, turn) in enumerate(ROTORS) if (where, turn) == (corner, rotor.direction)]
-        order += numbers
-    if len(rotors) != 4 or sorted(order) != [0, 1, 2, 3]:
+    order = motor_order(fleet, CORNER_DEG)
+    if order is None or len(order) != 4:
         raise UsageError(
             f"fleet '{fleet.name}': Betaflight flies four rotors in an X here, front right and rear left counter-"
             "clockwise from above; take model x500, hummingbird or crazyflie"
         )
-    return tuple(order)
+    return order
 
 
 def checked_fleet(world: World, name: str) -> Fleet:

@@ -10,12 +10,12 @@ import numpy as np
 
 from qrsim.errors import UsageError
 from qrsim.links.autopilot.packets import PRESSURE_PA, Sensed, pressure_at
+from qrsim.links.shared import sight as s
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-# Columns of the numbers of a vehicle.
-ASKED, ATTITUDE, VELOCITY, POSITION, RATES, FORCE, HEIGHT, PRESSURE = 0, 4, 7, 10, 13, 16, 19, 20
-WIDTH = 21
+# What the controller asks: pitch, roll, throttle, yaw rate; behind the columns of all that is known of a vehicle.
+ASKED, WIDTH = s.WIDTH, s.WIDTH + 4
 
 
 class FleetSight:
@@ -24,25 +24,31 @@ class FleetSight:
     Args:
         simulation: reset.
         number: of the fleet in its world.
+        truth: whether rates and forces are the true ones where the controller is fed with the truth.
 
     Raises:
-        UsageError: the controller is fed with sensors, and none senses rates or forces.
+        UsageError: nothing senses rates or forces.
+
+    Attributes:
+        sensors: by column of ``links.shared.sight`` the number of the sensor that it is of; None for the truth.
+        stopped: after ``read``, which vehicles lie as wrecks.
     """
 
-    def __init__(self, simulation: Simulation, number: int):
+    def __init__(self, simulation: Simulation, number: int, truth: bool = True):
         fleet = simulation.world.fleets[number]
         self._simulation, self._site = simulation, simulation.site
         layout, _ = simulation.packed
         state = layout.numbers.fleets[number]
-        self._columns: list[int] = []
+        self.sensors: dict[int, int | None] = {}
         places = []
-        for column, leaf in _leaves(fleet, state):
-            if column not in self._columns and layout.is_float[leaf]:
-                self._columns.append(column)
+        for column, leaf, sensor in _leaves(fleet, state, truth):
+            if column not in self.sensors and layout.is_float[leaf]:
+                self.sensors[column] = sensor
                 places.append(np.arange(layout.slices[leaf].start, layout.slices[leaf].stop))
-        for column, what in ((RATES, "gyroscope"), (FORCE, "accelerometer")):
-            if column not in self._columns:
+        for column, what in ((s.RATES, "gyroscope"), (s.FORCE, "accelerometer")):
+            if column not in self.sensors:
                 raise UsageError(f"fleet '{fleet.name}' has no {what}, and an autopilot needs one: add a sensor imu")
+        self._columns = list(self.sensors)
         self._places = np.array(places)
         force = state.specific_force
         self._force, self._codes = (
@@ -50,77 +56,68 @@ class FleetSight:
             for leaves in ((force.x, force.y, force.z), (state.violation.code,))
         )
         origin = self._site.ned_to_geodetic(np.zeros((1, 3)))
-        self._origin = tuple(float(np.ravel(part)[0]) for part in origin)
-        self._last = [[0.0] * WIDTH for _ in range(fleet.size)]
-        for row in self._last:
-            row[PRESSURE] = math.nan
+        self.origin = tuple(float(np.ravel(part)[0]) for part in origin)
+        self._now = np.full((fleet.size, WIDTH), math.nan)
+        self._last = np.zeros((fleet.size, WIDTH))
+        self._last[:, s.PRESSURE] = math.nan
+
+    def read(self) -> list[list[float]]:
+        """Return the numbers of each vehicle at this tick by column; NaN where nobody knows them."""
+        floats, integers = (np.asarray(part) for part in self._simulation.packed[1])
+        now = self._now
+        now[:, self._columns] = floats[self._places].T
+        self.stopped = integers[self._codes[0]] != 0
+        if self.stopped.any():
+            # A wreck has no readings, and feels its weight alone.
+            now[self.stopped, s.RATES : s.RATES + 3] = 0.0
+            now[self.stopped, s.FORCE : s.FORCE + 3] = floats[self._force].T[self.stopped]
+        return now.tolist()
 
     def look(self) -> tuple[list[Sequence[float]], list[Sensed]]:
-        """Return pitch, roll, throttle and yaw rate that are asked of each vehicle, and what each senses."""
-        floats, integers = (np.asarray(part) for part in self._simulation.packed[1])
-        lies, forces = integers[self._codes[0]] != 0, floats[self._force].T
-        asked: list[Sequence[float]] = []
-        sensed: list[Sensed] = []
-        for number, values in enumerate(floats[self._places].T.tolist()):
-            row = self._last[number]
-            for column, value in zip(self._columns, values, strict=True):
-                # A sensor without a reading says what it said before.
-                if value == value or column < ATTITUDE:
-                    row[column] = value
-            if lies[number]:
-                # A wreck has no readings, and feels its weight alone.
-                row[RATES:FORCE], row[FORCE:HEIGHT] = [0.0, 0.0, 0.0], forces[number].tolist()
-            asked.append(row[ASKED:ATTITUDE])
-            sensed.append(self._sensed(row))
-        return asked, sensed
+        """Return pitch, roll, throttle and yaw rate that are asked of each vehicle, and what each senses.
+
+        A sensor without a reading says what it said before.
+        """
+        self.read()
+        known = ~np.isnan(self._now)
+        known[:, ASKED:] = True
+        self._last = np.where(known, self._now, self._last)
+        rows: list[list[float]] = self._last.tolist()
+        return [row[ASKED:] for row in rows], [self._sensed(row) for row in rows]
 
     def positions(self) -> list[list[float]]:
         """Return where each vehicle takes itself to be, NED [m], as of the last look."""
-        return [row[POSITION : POSITION + 3] for row in self._last]
+        return self._last[:, s.POSITION : s.POSITION + 3].tolist()
 
     def _sensed(self, row: list[float]) -> Sensed:
-        latitude, longitude, height = self._origin
-        north, east, down = row[POSITION : POSITION + 3]
+        latitude, longitude, height = self.origin
+        north, east, down = row[s.POSITION : s.POSITION + 3]
         # The firmware takes the place to no more than a number to show: a sphere is enough.
         latitude += north / 6.371e6
         longitude += east / (6.371e6 * math.cos(latitude))
-        pressure = row[PRESSURE] if row[PRESSURE] == row[PRESSURE] else pressure_at(height + row[HEIGHT])
         return Sensed(
-            row[RATES : RATES + 3],
-            row[FORCE : FORCE + 3],
-            row[ATTITUDE : ATTITUDE + 3],
-            row[VELOCITY : VELOCITY + 3],
+            row[s.RATES : s.RATES + 3],
+            row[s.FORCE : s.FORCE + 3],
+            row[s.ATTITUDE : s.ATTITUDE + 3],
+            row[s.VELOCITY : s.VELOCITY + 3],
             (math.degrees(latitude), math.degrees(longitude), height - down),
-            pressure or PRESSURE_PA,
+            pressure_of(row, height) or PRESSURE_PA,
         )
 
 
-def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
-    """Yield the column and the leaf of what is asked of the vehicles of a fleet, and of what they sense."""
+def pressure_of(row: Sequence[float], origin_height: float) -> float:
+    """Return the pressure [Pa] that a barometer reads, or that of the height it reads above the site's origin [m]."""
+    pressure = row[s.PRESSURE]
+    return pressure if pressure == pressure else pressure_at(origin_height + row[s.HEIGHT])
+
+
+def _leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
+    """Yield column, leaf and sensor of what is asked of the vehicles of a fleet, and of what they sense."""
     command = state.command
-    yield from zip(
-        range(ASKED, ATTITUDE), (command.pitch, command.roll, command.throttle, command.yaw_rate), strict=True
-    )
-    true = fleet.controller.feed == "truth"
-    own = state.belief is not None and not true
-    estimate = state.belief.estimate if own else state.estimate
-    angles = estimate.attitude
-    yield from zip(range(ATTITUDE, VELOCITY), (angles.roll, angles.pitch, angles.yaw), strict=True)
-    yield from _axes(VELOCITY, estimate.velocity_ned)
-    yield from _axes(POSITION, estimate.position_ned)
-    if true:
-        yield from _axes(RATES, state.vehicle.rates_body)
-        yield from _axes(FORCE, state.specific_force)
-    for reading in state.readings:
-        said = vars(reading)
-        for name, column in (("rates_body", RATES), ("specific_force", FORCE)):
-            if name in said:
-                yield from _axes(column, said[name])
-        for name, column in (("height", HEIGHT), ("pressure", PRESSURE)):
-            # Its number in the state; None for a reading that may say it and does not.
-            if isinstance(said.get(name), int):
-                yield column, said[name]
-
-
-def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
-    return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
+    for column, leaf in enumerate((command.pitch, command.roll, command.throttle, command.yaw_rate), ASKED):
+        yield column, leaf, None
+    if truth and fleet.controller.feed == "truth":
+        for first, vector in ((s.RATES, state.vehicle.rates_body), (s.FORCE, state.specific_force)):
+            for column, leaf in enumerate((vector.x, vector.y, vector.z), first):
+                yield column, leaf, None
+    yield from s.leaves(fleet, state)

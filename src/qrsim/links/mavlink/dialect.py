@@ -78,12 +78,19 @@ SET_POSITION_TARGET_GLOBAL_INT 86 time_boot_ms:I target_system:B target_componen
   lat_int:i lon_int:i alt:f vx:f vy:f vz:f afx:f afy:f afz:f yaw:f yaw_rate:f
 POSITION_TARGET_GLOBAL_INT 87 time_boot_ms:I coordinate_frame:B type_mask:H lat_int:i lon_int:i alt:f vx:f vy:f vz:f
   afx:f afy:f afz:f yaw:f yaw_rate:f
+HIL_ACTUATOR_CONTROLS 93 time_usec:Q controls:16f mode:B flags:Q
 HIGHRES_IMU 105 time_usec:Q xacc:f yacc:f zacc:f xgyro:f ygyro:f zgyro:f xmag:f ymag:f zmag:f abs_pressure:f
   diff_pressure:f pressure_alt:f temperature:f fields_updated:H | id:B
 OPTICAL_FLOW_RAD 106 time_usec:Q sensor_id:B integration_time_us:I integrated_x:f integrated_y:f integrated_xgyro:f
   integrated_ygyro:f integrated_zgyro:f temperature:h quality:B time_delta_distance_us:I distance:f
+HIL_SENSOR 107 time_usec:Q xacc:f yacc:f zacc:f xgyro:f ygyro:f zgyro:f xmag:f ymag:f zmag:f abs_pressure:f
+  diff_pressure:f pressure_alt:f temperature:f fields_updated:I | id:B
 FILE_TRANSFER_PROTOCOL 110 target_network:B target_system:B target_component:B payload:251B
 TIMESYNC 111 tc1:q ts1:q
+HIL_GPS 113 time_usec:Q fix_type:B lat:i lon:i alt:i eph:H epv:H vel:H vn:h ve:h vd:h cog:H satellites_visible:B |
+  id:B yaw:H
+HIL_OPTICAL_FLOW 114 time_usec:Q sensor_id:B integration_time_us:I integrated_x:f integrated_y:f integrated_xgyro:f
+  integrated_ygyro:f integrated_zgyro:f temperature:h quality:B time_delta_distance_us:I distance:f
 HIL_STATE_QUATERNION 115 time_usec:Q attitude_quaternion:4f rollspeed:f pitchspeed:f yawspeed:f lat:i lon:i alt:i
   vx:h vy:h vz:h ind_airspeed:H true_airspeed:H xacc:h yacc:h zacc:h
 LOG_REQUEST_LIST 117 target_system:B target_component:B start:H end:H

@@ -97,9 +97,33 @@ class Reader:
                 yield found
                 continue
             self.damaged += 1
-            # What looked like a beginning may have been none; where another frame follows, it was one.
-            at += size if at + size == end or data[at + size] == data[at] else 1
+            # What looked like a beginning may have been none; where another frame follows, it was one, unless that of
+            # a piece of a frame, with a whole one behind it.
+            if at + size == end or data[at + size] == data[at]:
+                inner = _whole(data, at + 1, at + size)
+                at = at + size if inner is None else inner
+            else:
+                at += 1
         self._kept = data[at:]
+
+    def inside(self) -> Iterator[Frame]:
+        """Return whole frames inside an incomplete one, which may be none and wait for bytes that never come."""
+        kept = self._kept
+        at = _whole(kept, 1, len(kept))
+        if at is not None:
+            self.damaged += 1
+            self._kept = b""
+            yield from self.feed(kept[at:])
+
+
+def _whole(data: bytes, begin: int, end: int) -> int | None:
+    """Return where the first whole and unharmed frame begins, from ``begin`` to ``end``; None without any."""
+    for at in range(begin, min(end, len(data) - 2)):
+        if data[at] in (VERSION_1, VERSION_2):
+            size = _size(data, at)
+            if at + size <= len(data) and _read(data, at, size) is not None:
+                return at
+    return None
 
 
 def _size(data: bytes, at: int) -> int:

@@ -49,7 +49,7 @@ class Messages:
         self.namespaces, self.topics = own.namespaces, own.topics
         self._clock_topic = own.add(t.CLOCK)
         self._states = [own.add(t.Topic(f"/{name}/{t.STATE}", t.STATE_TYPE, "reliable")) for name in self.namespaces]
-        self._perceived = Perceived(types, simulation, self.namespaces, sight, own.add)
+        self._perceived = Perceived(types, simulation, self.namespaces, own.add)
         self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
         self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
         self._told: list[tuple[object, float]] = [(None, -math.inf)] * simulation.size

@@ -17,7 +17,7 @@ from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.ros2.variances import own
 from qrsim.links.shared.around import NEIGHBOURS, RANGINGS, SCANS, first_of
-from qrsim.links.shared.sight import Sight
+from qrsim.links.shared.sight import delivery
 from qrsim.models.sensors.ranging import Ranging
 from qrsim.models.sensors.scan import FARTHEST, Scan, ray_angles
 from qrsim.simulation.simulation import Simulation
@@ -33,14 +33,11 @@ class Perceived:
         types: of the distribution.
         simulation: reset.
         namespaces: of the vehicles.
-        sight: of the simulation, which knows when sensors deliver.
         add: adds a topic, and returns its number.
     """
 
-    def __init__(
-        self, types: Types, simulation: Simulation, namespaces: Sequence[str], sight: Sight, add: Callable[[Topic], int]
-    ):
-        self._types, self._simulation, self._sight = types, simulation, sight
+    def __init__(self, types: Types, simulation: Simulation, namespaces: Sequence[str], add: Callable[[Topic], int]):
+        self._types, self._simulation = types, simulation
         self._spaces, self._add = namespaces, add
         self._parts: list[tuple[Fleet, int, _Part]] = []
         first = 0
@@ -55,7 +52,7 @@ class Perceived:
     def new(self) -> Iterator[tuple[int, bytes]]:
         """Yield number of the topic and message of the readings that have been delivered at the present tick."""
         for fleet, number, part in self._parts:
-            fresh, times = self._sight.delivery(fleet, number)
+            fresh, times = delivery(self._simulation, fleet, number)
             if any(fresh):
                 reading = getattr(self._simulation.reading[fleet.name], fleet.sensor_names[number])
                 for own_row, (now, time) in enumerate(zip(fresh, times, strict=True)):

@@ -82,7 +82,7 @@ class Sight:
         for fleet, state in zip(simulation.world.fleets, numbers.fleets, strict=True):
             rows = np.arange(first, first + fleet.size)
             own: dict[int, int] = {}
-            for column, leaf, number in _leaves(fleet, state):
+            for column, leaf, number in leaves(fleet, state):
                 if number is not None:
                     own[column] = number
                 if layout.is_float[leaf]:
@@ -127,7 +127,7 @@ class Sight:
         self.fresh: list[bool] = []
         self.fix_time: list[float] = []
         for fleet, number in zip(self._simulation.world.fleets, self._receivers, strict=True):
-            fresh, times = self.delivery(fleet, number)
+            fresh, times = delivery(self._simulation, fleet, number)
             self.fresh += fresh
             self.fix_time += times
 
@@ -136,24 +136,10 @@ class Sight:
         fresh: list[bool] = []
         times: list[float] = []
         for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
-            delivered, true = self.delivery(fleet, own.get(column))
+            delivered, true = delivery(self._simulation, fleet, own.get(column))
             fresh += delivered
             times += true
         return fresh, times
-
-    def delivery(self, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
-        """Return of a fleet's vehicles whether a sensor, by its number, delivers now, and when that was true [s]."""
-        simulation = self._simulation
-        if number is None:
-            return [False] * fleet.size, [0.0] * fleet.size
-        fitting = fleet.fitting(number)
-        if fitting is not None and fitting.is_late:
-            reading = getattr(simulation.reading[fleet.name], fleet.sensor_names[number])
-            return np.asarray(reading.fresh).tolist(), np.asarray(reading.time_of_reading).tolist()
-        tick: Any = simulation.tick
-        dt, sensor = simulation.world.time_step, fleet.sensors[number]
-        time = float(sensor.time_of_reading(tick, dt)) * dt
-        return [bool(sensor.fresh(tick, dt))] * fleet.size, [time] * fleet.size
 
     def sensor(self, fleet: int, column: int) -> Any:
         """Return the sensor of a fleet, by its number, that a column is of; None where there is none."""
@@ -195,7 +181,21 @@ def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
         values[plain, FIX_TYPE] = np.where(np.isfinite(values[plain, FIX_POSITION]), 3.0, 0.0)
 
 
-def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
+def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
+    """Return of a fleet's vehicles whether a sensor, by its number, delivers now, and when that was true [s]."""
+    if number is None:
+        return [False] * fleet.size, [0.0] * fleet.size
+    fitting = fleet.fitting(number)
+    if fitting is not None and fitting.is_late:
+        reading = getattr(simulation.reading[fleet.name], fleet.sensor_names[number])
+        return np.asarray(reading.fresh).tolist(), np.asarray(reading.time_of_reading).tolist()
+    tick: Any = simulation.tick
+    dt, sensor = simulation.world.time_step, fleet.sensors[number]
+    time = float(sensor.time_of_reading(tick, dt)) * dt
+    return [bool(sensor.fresh(tick, dt))] * fleet.size, [time] * fleet.size
+
+
+def leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
     """Yield the column and the leaf of all that is known of the vehicles of a fleet, and whose reading it is."""
     for column, leaf in _known(fleet, state):
         yield column, leaf, None

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,15 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS, SECONDS
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.apps.autopilot.shared import check, check_rate, fresh_folder, recorded, report, say
+from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
     from qrsim.links.autopilot.flight import Flight
-    from qrsim.runs.recorder import Pace
+    from qrsim.links.autopilot.json_flight import JsonFlight
     from qrsim.simulation.simulation import Simulation
 
-MODELS = ("hummingbird", "x500", "crazyflie")
-SLOWEST_HZ, FASTEST_HZ = 200.0, 2000.0
 LAST_PORT = 65_000
 
 
@@ -79,38 +76,25 @@ class Betaflight:
 
     def run(self) -> None:
         """Check, start and arm the firmware, fly, summarise."""
-        _check(self)
+        check_rate(self.rate)
+        check(self)
         from qrsim.links.autopilot.firmware import binary, configured
         from qrsim.links.autopilot.fleet import prepared
         from qrsim.links.autopilot.flight import Flight
-        from qrsim.runs.recorder import fly
         from qrsim.scenarios.scenario import load_scenario
 
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         program = binary(self.binary)
-        folder = _folder(self.out, "betaflight", scenario.name, self.seed)
+        folder = fresh_folder(self.out, "betaflight", scenario.name, self.seed)
         eeprom = configured(program, self.cli)
-        flights: list[Flight] = []
+        lost = say if self.fly_on else None
 
         def flown_by(simulation: Simulation) -> Flight:
-            flights.append(Flight(simulation, fleets, program, eeprom, lost=_say if self.fly_on else None))
-            return flights[0]
+            return Flight(simulation, fleets, program, eeprom, lost=lost)
 
-        streams = ("truth", "measurements", "commands", "wind") if self.every > 1 else ()
-        try:
-            pace = fly(
-                scenario,
-                folder,
-                seed=self.seed,
-                precision="float32",
-                flown_by=flown_by,
-                every=dict.fromkeys(streams, self.every),
-            )
-        finally:
-            for flight in flights:
-                flight.close()
-        _report(self, "Betaflight", folder, fleets, pace)
+        _, pace = recorded(self, folder, scenario, flown_by)
+        report(self, "Betaflight", folder, fleets, pace)
 
 
 @dataclass(frozen=True)
@@ -167,107 +151,27 @@ class Ardupilot:
 
     def run(self) -> None:
         """Check, open the ports, fly, summarise."""
-        _check(self)
+        check_rate(self.rate)
+        check(self)
         if not 1024 <= self.port <= LAST_PORT:
             raise UsageError(f"--port {self.port}: expected 1024 to {LAST_PORT}")
         if not (math.isfinite(self.wait) and self.wait > 0):
             raise UsageError(f"--wait {self.wait:g}: expected a positive number of seconds")
         from qrsim.links.autopilot.json_flight import JsonFlight, prepared
-        from qrsim.runs.recorder import fly
         from qrsim.scenarios.scenario import load_scenario
 
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
-        folder = _folder(self.out, "ardupilot", scenario.name, self.seed)
-        flights: list[JsonFlight] = []
+        folder = fresh_folder(self.out, "ardupilot", scenario.name, self.seed)
 
         def flown_by(simulation: Simulation) -> JsonFlight:
-            lost = _say if self.fly_on else None
-            flight = JsonFlight(simulation, fleets, self.port, self.wait, _say, lost)
-            flights.append(flight)
+            flight = JsonFlight(simulation, fleets, self.port, self.wait, say, say if self.fly_on else None)
             for link in flight.links:
-                _say(f"{link.name} waits for ArduPilot on UDP {link.port}")
+                say(f"{link.name} waits for ArduPilot on UDP {link.port}")
             return flight
 
-        streams = ("truth", "measurements", "commands", "wind") if self.every > 1 else ()
-        try:
-            pace = fly(
-                scenario,
-                folder,
-                seed=self.seed,
-                precision="float32",
-                flown_by=flown_by,
-                every=dict.fromkeys(streams, self.every),
-            )
-        finally:
-            for flight in flights:
-                flight.close()
-        for link in flights[0].links:
+        flight, pace = recorded(self, folder, scenario, flown_by)
+        for link in flight.links:
             if link.lost or link.foreign or link.repeated:
-                _say(f"{link.name}: {link.lost} packets lost, {link.repeated} repeated, {link.foreign} of others")
-        _report(self, "ArduPilot", folder, fleets, pace)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
-def _check(options: Betaflight | Ardupilot) -> None:
-    if not (math.isfinite(options.rate) and SLOWEST_HZ <= options.rate <= FASTEST_HZ):
-        raise UsageError(f"--rate {options.rate:g}: expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz")
-    if not 0 <= options.seed < 2**63:
-        raise UsageError(f"--seed {options.seed}: expected an integer from 0 to 2**63 - 1")
-    if options.duration is not None and not (math.isfinite(options.duration) and options.duration > 0):
-        raise UsageError(f"--duration {options.duration:g}: expected a positive number of seconds")
-    if options.every < 1:
-        raise UsageError(f"--every {options.every}: expected an integer from 1")
-    if options.model not in MODELS:
-        raise UsageError(
-            f"--model {options.model}: expected {' or '.join(MODELS)}{did_you_mean(options.model, MODELS)}"
-        )
-
-
-def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
-    from qrsim.runs import open_run
-    from qrsim.runs.separation import smallest_separation
-    from qrsim.runs.summary import summarise
-
-    recorded = open_run(folder)
-    nearest = smallest_separation(recorded)
-    stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
-    rows: list[dict[str, object]] = [
-        {
-            "vehicle": row.vehicle,
-            "distance_m": row.distance_m,
-            "tracking_rms_m": row.tracking_error_rms_m,
-            "waypoints": row.waypoints,
-            "stopped": stopped.get(row.vehicle),
-        }
-        for row in summarise(recorded)
-    ]
-    if options.json:
-        result = {"run": str(folder), "fleets": fleets, "simulated_s": pace.simulated_s, "wall_s": pace.wall_s}
-        separation = None if nearest is None else nearest.to_json()
-        print(json.dumps(result | {"separation": separation, "vehicles": rows}, indent=2))
-        return
-    print(f"{recorded.info.scenario}, seed {options.seed}, flown by {who}: {', '.join(fleets)}")
-    for row in rows:
-        ends = f"; {row['stopped']}" if row["stopped"] else ""
-        print(
-            f"{row['vehicle']}: {row['distance_m']:.1f} m flown, {row['tracking_rms_m']:.2f} m RMS from its legs, "
-            f"{row['waypoints']} waypoints{ends}"
-        )
-    if nearest is not None:
-        print(nearest.text)
-    print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({pace.real_time_factor:.1f} times real time)")
-    print(f"run folder: {folder}")
-
-
-def _folder(out: Path | None, who: str, name: str, seed: int) -> Path:
-    """Return the run folder to write; raises UsageError if it exists."""
-    from datetime import datetime
-
-    folder = out or Path("runs") / f"{who}-{name}-seed{seed}-{datetime.now().strftime('%Y%m%d-%H%M%S')}"
-    if folder.exists():
-        raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
-    return folder
+                say(f"{link.name}: {link.lost} packets lost, {link.repeated} repeated, {link.foreign} of others")
+        report(self, "ArduPilot", folder, fleets, pace)

@@ -1,0 +1,1 @@
+"""``qrsim autopilot``: vehicles flown by the firmware of an autopilot."""

@@ -1,0 +1,127 @@
+"""What the commands of all autopilots share: checks, the recording, the summary."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from qrsim.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from qrsim.links.autopilot.lockstep import LockstepFlight
+    from qrsim.runs.recorder import Pace
+    from qrsim.scenarios.scenario import Scenario
+    from qrsim.simulation.simulation import Simulation
+
+MODELS = ("hummingbird", "x500", "crazyflie")
+SLOWEST_HZ, FASTEST_HZ = 200.0, 2000.0
+Flown = TypeVar("Flown", bound="LockstepFlight")
+
+
+# Options of a command: seed, duration, every, model, out and json.
+Options = Any
+
+
+def say(line: str) -> None:
+    """Print a line for whoever starts a flight."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def check(options: Options) -> None:
+    """Raise a UsageError for numbers and names out of range that all autopilots share."""
+    if not 0 <= options.seed < 2**63:
+        raise UsageError(f"--seed {options.seed}: expected an integer from 0 to 2**63 - 1")
+    if options.duration is not None and not (math.isfinite(options.duration) and options.duration > 0):
+        raise UsageError(f"--duration {options.duration:g}: expected a positive number of seconds")
+    if options.every < 1:
+        raise UsageError(f"--every {options.every}: expected an integer from 1")
+    if options.model not in MODELS:
+        raise UsageError(
+            f"--model {options.model}: expected {' or '.join(MODELS)}{did_you_mean(options.model, MODELS)}"
+        )
+
+
+def check_rate(rate: float) -> None:
+    """Raise a UsageError for a rate [Hz] out of range."""
+    if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
+        raise UsageError(f"--rate {rate:g}: expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz")
+
+
+def recorded(
+    options: Options, folder: Path, scenario: Scenario, flown_by: Callable[[Simulation], Flown]
+) -> tuple[Flown, Pace]:
+    """Fly a scenario and record it; return the flight, which is closed, and its pace.
+
+    Args:
+        options: of the command.
+        folder: the run folder to write.
+        scenario: to fly.
+        flown_by: opens the flight of a simulation.
+    """
+    from qrsim.runs.recorder import fly
+
+    flights: list[Flown] = []
+
+    def opened(simulation: Simulation) -> Flown:
+        flights.append(flown_by(simulation))
+        return flights[0]
+
+    streams = ("truth", "measurements", "commands", "wind") if options.every > 1 else ()
+    every = dict.fromkeys(streams, options.every)
+    try:
+        pace = fly(scenario, folder, seed=options.seed, precision="float32", flown_by=opened, every=every)
+    finally:
+        for flight in flights:
+            flight.close()
+    return flights[0], pace
+
+
+def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
+    """Print how a flight went."""
+    from qrsim.runs import open_run
+    from qrsim.runs.separation import smallest_separation
+    from qrsim.runs.summary import summarise
+
+    recorded = open_run(folder)
+    nearest = smallest_separation(recorded)
+    stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
+    rows: list[dict[str, object]] = [
+        {
+            "vehicle": row.vehicle,
+            "distance_m": row.distance_m,
+            "tracking_rms_m": row.tracking_error_rms_m,
+            "waypoints": row.waypoints,
+            "stopped": stopped.get(row.vehicle),
+        }
+        for row in summarise(recorded)
+    ]
+    if options.json:
+        result = {"run": str(folder), "fleets": fleets, "simulated_s": pace.simulated_s, "wall_s": pace.wall_s}
+        separation = None if nearest is None else nearest.to_json()
+        print(json.dumps(result | {"separation": separation, "vehicles": rows}, indent=2))
+        return
+    print(f"{recorded.info.scenario}, seed {options.seed}, flown by {who}: {', '.join(fleets)}")
+    for row in rows:
+        ends = f"; {row['stopped']}" if row["stopped"] else ""
+        print(
+            f"{row['vehicle']}: {row['distance_m']:.1f} m flown, {row['tracking_rms_m']:.2f} m RMS from its legs, "
+            f"{row['waypoints']} waypoints{ends}"
+        )
+    if nearest is not None:
+        print(nearest.text)
+    print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({pace.real_time_factor:.1f} times real time)")
+    print(f"run folder: {folder}")
+
+
+def fresh_folder(out: Path | None, who: str, name: str, seed: int) -> Path:
+    """Return the run folder to write; raises UsageError if it exists."""
+    from datetime import datetime
+
+    folder = out or Path("runs") / f"{who}-{name}-seed{seed}-{datetime.now().strftime('%Y%m%d-%H%M%S')}"
+    if folder.exists():
+        raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
+    return folder

@@ -1,0 +1,193 @@
+"""What the PX4s of a fleet are sent at a tick: readings of its sensors, in the units of the interface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, warn_user
+from qrsim.links.autopilot import px4_messages as messages
+from qrsim.links.autopilot.px4_truth import TrueStates
+from qrsim.links.autopilot.sensing import FleetSight, pressure_of
+from qrsim.links.mavlink.frames import frame
+from qrsim.links.shared import sight as s
+from qrsim.links.shared.sight import delivery
+from qrsim.models.atmosphere.standard import LAPSE, TEMPERATURE
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet
+
+# As gazebo-classic's plugin sends them; PX4 looks at neither.
+SYSTEM, COMPONENT = 1, 200
+FRAME_USEC, START_USEC = 4000, 1_000_000
+# Accuracy of a receiver that gives dilution of precision only: that times 1 m, and no less than this [m].
+LEAST_ACCURACY = 0.3
+
+
+def time_usec(number: int) -> int:
+    """Return the time [us] of frame ``number``, counted from 0; PX4 takes 0 us for no time."""
+    return START_USEC + FRAME_USEC * number
+
+
+class Px4Feed:
+    """The frames that the PX4s (n,) of a fleet are sent.
+
+    Args:
+        simulation: reset.
+        fleet: of it.
+        sight: of the fleet.
+        start_usec: when the scenario starts [us since 1970, UTC].
+        truth: whether the true state is sent as well, which PX4 logs.
+
+    Raises:
+        UsageError: the fleet has no GNSS receiver.
+    """
+
+    def __init__(self, simulation: Simulation, fleet: Fleet, sight: FleetSight, start_usec: int, truth: bool = False):
+        self._simulation, self._fleet, self._sight = simulation, fleet, sight
+        self._start_usec = start_usec
+        if s.FIX_POSITION not in sight.sensors:
+            raise UsageError(
+                f"fleet '{fleet.name}' has no GNSS receiver, and PX4 does not take off without one; "
+                f"--set 'fleets.{fleet.name}.sensors.gnss={{type: gnss_receiver}}' adds it"
+            )
+        if s.FIELD not in sight.sensors:
+            warn_user(
+                f"fleet '{fleet.name}' has no magnetometer, and PX4 knows no heading before it moves; "
+                f"--set 'fleets.{fleet.name}.sensors.magnetometer={{type: magnetometer}}' adds one"
+            )
+        ideal = [kind.removeprefix("Ideal").lower() for kind in map(_kind, fleet.sensors) if kind.startswith("Ideal")]
+        if ideal:
+            warn_user(
+                f"fleet '{fleet.name}': ideal sensors ({', '.join(ideal)}) repeat themselves at rest, which "
+                "PX4 takes for a failure; take sensors with noise"
+            )
+        number = [each.name for each in simulation.world.fleets].index(fleet.name)
+        self._truth = TrueStates(simulation, number) if truth else None
+        # By column: when each vehicle's reading, sent last, was true [s].
+        self._sent: dict[int, list[float]] = {}
+        self._sequence = [0] * fleet.size
+
+    def frames(self, number: int) -> tuple[list[bytes], list[bool]]:
+        """Return for each vehicle the bytes of frame ``number``, HIL_SENSOR last, and whether it has rates."""
+        usec = time_usec(number)
+        rows = self._sight.read()
+        news = {column: self._news(column) for column in _COLUMNS if column in self._sight.sensors}
+        fixes = self._fixes(news.get(s.FIX_POSITION), rows)
+        truth = None if self._truth is None else self._truth.payloads(usec)
+        found, turning = [], []
+        for i, row in enumerate(rows):
+            parts: list[tuple[int, bytes]] = []
+            fix = None if fixes is None else fixes[i]
+            if fix is not None:
+                parts.append((messages.GPS, fix))
+            parts += self._ranging(usec, i, row, news)
+            if truth is not None:
+                parts.append((messages.TRUTH, truth[i]))
+            rates = self._vector(i, row, s.RATES, news)
+            parts.append((messages.SENSOR, self._inertial(usec, i, row, rates, news)))
+            found.append(b"".join(self._frame(i, *part) for part in parts))
+            turning.append(rates is not None)
+        return found, turning
+
+    def _frame(self, i: int, number: int, payload: bytes) -> bytes:
+        self._sequence[i] = (self._sequence[i] + 1) & 0xFF
+        return frame(number, payload, self._sequence[i], SYSTEM, COMPONENT)
+
+    def _news(self, column: int) -> list[bool]:
+        """Return which vehicles have a reading that was not sent yet."""
+        sensor = self._sight.sensors[column]
+        if sensor is None:
+            return [True] * self._fleet.size
+        _, times = delivery(self._simulation, self._fleet, sensor)
+        before = self._sent.get(column)
+        self._sent[column] = times
+        return [True] * len(times) if before is None else [now != old for now, old in zip(times, before, strict=True)]
+
+    def _vector(self, i: int, row: list[float], column: int, news: dict[int, list[bool]]) -> list[float] | None:
+        """Return the three numbers of a new reading from a column on; None: there is none."""
+        if column not in news or not (news[column][i] or self._sight.stopped[i]):
+            return None
+        axes = row[column : column + 3]
+        return axes if axes == axes and all(axis == axis for axis in axes) else None
+
+    def _inertial(
+        self, usec: int, i: int, row: list[float], rates: list[float] | None, news: dict[int, list[bool]]
+    ) -> bytes:
+        air = differential = None
+        column = s.PRESSURE if s.PRESSURE in news else s.HEIGHT
+        if column in news and news[column][i] and row[column] == row[column]:
+            height = self._sight.origin[2] + row[s.HEIGHT]
+            warmth = row[s.TEMPERATURE]
+            warmth = warmth if warmth == warmth else TEMPERATURE - LAPSE * height
+            air = (pressure_of(row, self._sight.origin[2]), warmth, height)
+        if s.DIFFERENTIAL in news and news[s.DIFFERENTIAL][i] and row[s.DIFFERENTIAL] == row[s.DIFFERENTIAL]:
+            differential = row[s.DIFFERENTIAL]
+        force, field = (self._vector(i, row, column, news) for column in (s.FORCE, s.FIELD))
+        return messages.hil_sensor(usec, rates, force, field, air, differential)
+
+    def _fixes(self, new: list[bool] | None, rows: list[list[float]]) -> list[bytes | None] | None:
+        """Return for each vehicle the payload of its new fix; None without any."""
+        if new is None or not any(new):
+            return None
+        places = np.array([row[s.FIX_POSITION : s.FIX_POSITION + 3] for row in rows])
+        latitude, longitude, height = self._simulation.site.ned_to_geodetic(places)
+        found: list[bytes | None] = []
+        for i, (row, fresh) in enumerate(zip(rows, new, strict=True)):
+            if not fresh:
+                found.append(None)
+                continue
+            fix = None
+            if row[s.FIX_POSITION] == row[s.FIX_POSITION]:
+                place = (float(np.degrees(latitude[i])), float(np.degrees(longitude[i])), float(height[i]))
+                fix = _fix(row, place)
+            unix = self._start_usec + round(1e6 * self._sent[s.FIX_POSITION][i])
+            found.append(messages.hil_gps(unix, fix))
+        return found
+
+    def _ranging(self, usec: int, i: int, row: list[float], news: dict[int, list[bool]]) -> list[tuple[int, bytes]]:
+        found = []
+        if s.RANGE in news and news[s.RANGE][i]:
+            sensor = self._sensor(s.RANGE)
+            low, high = (_number(sensor, name, usual, i) for name, usual in (("range_min", 0.0), ("range_max", 600.0)))
+            found.append((messages.DISTANCE, messages.distance_sensor(usec, row[s.RANGE], low, high, sensor.axis)))
+        if s.FLOW in news and news[s.FLOW][i]:
+            period = round(1e6 * self._sensor(s.FLOW).period)
+            flow, turned = row[s.FLOW : s.FLOW + 2], row[s.FLOW_TURN : s.FLOW_TURN + 3]
+            down = row[s.RANGE] if s.RANGE in news and self._sensor(s.RANGE).axis == "down" else float("nan")
+            flown = messages.optical_flow(usec, period, flow, turned, row[s.FLOW_QUALITY], down)
+            found.append((messages.FLOW, flown))
+        return found
+
+    def _sensor(self, column: int) -> Any:
+        number = self._sight.sensors[column]
+        assert number is not None
+        return self._fleet.sensors[number]
+
+
+# Whose deliveries are followed: a barometer by the pressure that it reads, or else by its height.
+_COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.DIFFERENTIAL, s.RANGE, s.FLOW)
+
+
+def _kind(sensor: object) -> str:
+    return type(sensor).__name__
+
+
+def _number(sensor: Any, name: str, usual: float, i: int) -> float:
+    """Return a parameter of a sensor, which may be one for each vehicle."""
+    found = np.ravel(np.asarray(getattr(sensor, name, usual), np.float64))
+    return float(found[i if len(found) > 1 else 0])
+
+
+def _fix(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:
+    horizontal, vertical = row[s.HORIZONTAL], row[s.VERTICAL]
+    if horizontal != horizontal:
+        horizontal, vertical = (max(row[at], LEAST_ACCURACY) for at in (s.HDOP, s.VDOP))
+    kind, satellites = row[s.FIX_TYPE], row[s.SATELLITES]
+    velocity = [axis if axis == axis else 0.0 for axis in row[s.FIX_VELOCITY : s.FIX_VELOCITY + 3]]
+    return messages.Fix(
+        int(kind) if kind == kind else 3, *place, horizontal if horizontal == horizontal else LEAST_ACCURACY,
+        vertical if vertical == vertical else LEAST_ACCURACY, velocity,
+        int(satellites) if satellites == satellites else 12,
+    )  # fmt: skip

@@ -1,0 +1,191 @@
+"""A simulation whose multirotors are flown by PX4's SITL firmware, each by one of its own, in lock-step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from functools import partial
+
+from qrsim.errors import RunError, UsageError
+from qrsim.links.autopilot import fleet
+from qrsim.links.autopilot.json_flight import last_port
+from qrsim.links.autopilot.lockstep import FlownFleet, LockstepFlight, chosen
+from qrsim.links.autopilot.losses import Losses
+from qrsim.links.autopilot.px4_feed import Px4Feed, time_usec
+from qrsim.links.autopilot.px4_link import LOOPBACK, Px4Link
+from qrsim.links.autopilot.px4_parameters import MOST_MOTORS, Number, parameters
+from qrsim.links.pacing import Pacer
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet, Piloted
+
+# Of HIL_SENSOR, whatever the rate of the world [Hz].
+FRAME_HZ = 250.0
+prepared = partial(fleet.prepared, who="PX4", on_ground=True, inertial_rate=FRAME_HZ)
+
+
+def motor_order(flown: Fleet) -> tuple[int, ...]:
+    """Return for each rotor of the vehicles the number of its motor at PX4, from 0.
+
+    Four rotors in an X have the order of PX4's own quadrotors; all others have the order of the vehicle's rotors, which
+    PX4 learns from the parameters of its geometry.
+
+    Raises:
+        UsageError: more rotors than PX4 has motors.
+    """
+    rotors = getattr(flown.vehicle, "rotors", ())
+    if len(rotors) > MOST_MOTORS:
+        raise UsageError(f"fleet '{flown.name}': {len(rotors)} rotors, and PX4 has at most {MOST_MOTORS} motors")
+    order = fleet.motor_order(flown, fleet.CORNER_DEG) if len(rotors) == 4 else None
+    return order or tuple(range(len(rotors)))
+
+
+class Px4Fleet(FlownFleet):
+    """The vehicles of a fleet and the ports of their PX4s."""
+
+    # At rest the truth does not change, and PX4 takes 100 equal readings for a sensor that has failed.
+    fed_with_truth = False
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        flown: Fleet,
+        links: Sequence[Px4Link],
+        losses: Losses,
+        start_usec: int,
+        truth: bool,
+    ):
+        super().__init__(simulation, flown, motor_order(flown), losses)
+        self.links = links
+        self._feed = Px4Feed(simulation, flown, self.sight, start_usec, truth)
+        self._stride = round(1.0 / (FRAME_HZ * simulation.world.time_step))
+        self._begin = 0.0
+        self._answers: list[bool] = []
+        self._held: Piloted | None = None
+
+    @property
+    def is_iris(self) -> bool:
+        """Whether rotors are where, and turn as, those of the airframe none_iris."""
+        return len(self.order) == 4 and fleet.motor_order(self.fleet, fleet.CORNER_DEG) is not None
+
+    def parameters(self) -> list[dict[str, Number]]:
+        """Return the parameters of each vehicle."""
+        return [parameters(self.fleet, self.order, self.sight, number) for number in range(self.fleet.size)]
+
+    def connect(self, until: float | None) -> None:
+        """Wait for PX4s that are not connected, each until a time of ``time.perf_counter`` [s]; None: of its own."""
+        for i in self.losses.left(self.fleet.size):
+            with self.losses.watched(i):
+                self.links[i].connect(self.links[i].reconnects_until if until is None else until)
+
+    def tell(self) -> None:
+        """Send a frame to all, where one is due."""
+        if self.simulation.tick % self._stride:
+            return
+        self._held = None
+        self.connect(None)
+        number = self.simulation.tick // self._stride
+        frames, self._answers = self._feed.frames(number)
+        for i in self.losses.left(self.fleet.size):
+            self.links[i].send(frames[i], time_usec(number))
+        self._begin = time.perf_counter()
+
+    def speeds(self, number: int) -> Sequence[float]:
+        """Return the speeds of a vehicle's motors, once its PX4 has answered the last frame."""
+        self.links[number].settle(self._begin, self._answers[number])
+        return self.links[number].speeds(len(self.order))
+
+    def piloted(self) -> Piloted:
+        """Return what the motors do, which holds until the next frame."""
+        if self._held is None:
+            self._held = super().piloted()
+        return self._held
+
+
+class Px4Flight(LockstepFlight):
+    """Flies a simulation by PX4s that connect to its ports.
+
+    The end of one PX4 ends the flight of its vehicle only, whose motors stop.
+
+    Args:
+        simulation: reset, at tick 0, with 250 ticks a second or a multiple of that.
+        fleets: names of those that are flown so; the others fly as ever.
+        start_usec: when the scenario starts [us since 1970, UTC].
+        port: TCP, of the first vehicle; each other one further on.
+        first_instance: of PX4 (-i), for the first vehicle.
+        wait: for all to connect, and for the first answer of each [s].
+        realtime: simulated seconds per second of the wall clock at most; 0: as fast as it goes.
+        truth: whether the true state is sent as well.
+        host: address that is listened on.
+        say: told lines.
+
+    Raises:
+        UsageError: a fleet cannot be flown, or a port is taken.
+
+    Attributes:
+        links: of all vehicles that are flown so.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        fleets: Sequence[str],
+        start_usec: int,
+        port: int,
+        first_instance: int = 0,
+        wait: float = 120.0,
+        realtime: float = 0.0,
+        truth: bool = False,
+        host: str = LOOPBACK,
+        say: Callable[[str], None] = lambda line: None,
+    ):
+        super().__init__(simulation)
+        flown = chosen(simulation, fleets)
+        last_port(f"--port {port}", port, 1, sum(each.size for each in flown), "TCP")
+        self.links: list[Px4Link] = []
+        self._wait, self._pacer = wait, Pacer(realtime, simulation.time)
+        self._all_here = False
+
+        # The only vehicle of a flight ends it by its own words.
+        lost = say if sum(each.size for each in flown) > 1 else None
+
+        def build() -> None:
+            for each in flown:
+                own = []
+                for name in each.vehicle_names:
+                    number = len(self.links)
+                    link = Px4Link(name, first_instance + number, port + number, host, wait, say)
+                    self.closing.enter_context(closing(link))
+                    self.links.append(link)
+                    own.append(link)
+                self.fleets.append(Px4Fleet(simulation, each, own, Losses(lost), start_usec, truth))
+
+        self.opened(build)
+
+    def parameters(self) -> list[dict[str, Number]]:
+        """Return PX4's parameters for each vehicle, in the order of the links."""
+        return [found for fleet in self.fleets for found in fleet.parameters()]
+
+    @property
+    def lost(self) -> list[str]:
+        """The vehicles whose PX4 has ended."""
+        return [
+            name
+            for fleet in self.fleets
+            for number, name in enumerate(fleet.fleet.vehicle_names)
+            if number not in fleet.losses.left(fleet.fleet.size)
+        ]
+
+    def advance(self, ticks: int = 1) -> None:
+        """Fly so many ticks, each when all PX4s have answered; raises RunError once none is left."""
+        for _ in range(ticks):
+            if not self._all_here:
+                self._all_here, until = True, time.perf_counter() + self._wait
+                for fleet in self.fleets:
+                    fleet.connect(until)
+            super().advance()
+            if len(self.lost) == len(self.links):
+                raise RunError("no PX4 is left to fly a vehicle")
+            pause = self._pacer.wait_s(self.simulation.time)
+            if pause > 0.0:
+                time.sleep(pause)

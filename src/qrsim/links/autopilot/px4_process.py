@@ -1,0 +1,130 @@
+"""PX4's SITL firmware as processes that are started and ended here."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from qrsim.errors import RunError, UsageError
+from qrsim.links.autopilot.px4_flight import Px4Flight
+from qrsim.links.autopilot.px4_parameters import MODEL, Number, environment
+
+AIRFRAMES = "etc/init.d-posix/airframes"
+END_S, LAST_LINES = 2.0, 5
+
+
+class Build:
+    """A build folder of PX4.
+
+    Args:
+        folder: such as PX4-Autopilot/build/px4_sitl_default.
+
+    Raises:
+        UsageError: it lacks the firmware, the module that connects to a simulator, or the airframe.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder.expanduser().absolute()
+        self.program = self.folder / "bin" / "px4"
+        found = self.folder / "build" / "px4_sitl_default"
+        hint = f"; did you mean '{folder / 'build' / 'px4_sitl_default'}'?" if found.is_dir() else ""
+        if not self.folder.is_dir():
+            raise UsageError(f"--px4 {folder}: there is no such folder; it is PX4's build/px4_sitl_default")
+        if not self.program.is_file() or not os.access(self.program, os.X_OK):
+            raise UsageError(f"--px4 {folder}: has no program bin/px4; make px4_sitl_default builds it{hint}")
+        module = self.folder / "bin" / "px4-simulator_mavlink"
+        if not (module.is_symlink() or module.exists()):
+            raise UsageError(f"--px4 {folder}: this build has no module simulator_mavlink (bin/px4-simulator_mavlink)")
+        if not list((self.folder / AIRFRAMES).glob(f"*_{MODEL}")):
+            raise UsageError(f"--px4 {folder}: has no airframe *_{MODEL} in {AIRFRAMES}")
+
+
+class Process:
+    """A running PX4 in a folder of its own, so that no parameters of earlier runs are there.
+
+    Args:
+        build: where it is.
+        instance: its number (-i).
+        environment: variables for it, besides those of this process.
+        folder: new; it keeps what PX4 prints (px4.log), its parameters and its ULogs (log/).
+
+    Raises:
+        UsageError: the folder exists.
+        RunError: it does not start.
+    """
+
+    def __init__(self, build: Build, instance: int, environment: Mapping[str, str], folder: Path):
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            raise UsageError(
+                f"folder {folder} for PX4's logs exists and is never overwritten; choose another --out"
+            ) from None
+        except OSError as error:
+            raise RunError(f"{folder}: {error.strerror or error}") from None
+        self._log = folder / "px4.log"
+        words = [str(build.program), "-i", str(instance), "-d", str(build.folder / "etc")]
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
+        try:
+            with open(self._log, "wb") as log:
+                self._process = subprocess.Popen(
+                    words,
+                    cwd=folder,
+                    env={**inherited, **environment},
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                )
+        except OSError as error:
+            raise RunError(f"{build.program}: {error.strerror or error}") from None
+
+    def ended(self) -> str:
+        """Return how it has ended and its last lines, in one line; "" while it runs."""
+        # What it was connected by is closed a moment before it has ended.
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(0.05)
+        code = self._process.poll()
+        if code is None:
+            return ""
+        names = {each.value: each.name for each in signal.Signals}
+        how = f"was killed by {names.get(-code, -code)}" if code < 0 else f"has ended with code {code}"
+        lines = [line for line in self._log.read_text("utf-8", "replace").splitlines() if line.strip()]
+        return f"PX4 {how}" + (f"; its last lines: {' | '.join(lines[-LAST_LINES:])}" if lines else "")
+
+    def close(self) -> None:
+        """End it."""
+        self._process.terminate()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> Process:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def started(build: Build, flight: Px4Flight, own: Mapping[str, Number], logs: Path) -> None:
+    """Start a PX4 for each vehicle of a flight, which ends them when it is closed.
+
+    Args:
+        build: of PX4.
+        flight: not begun.
+        own: parameters of the user's, after those of the vehicles.
+        logs: folder with one for each vehicle, by name.
+
+    Raises:
+        RunError: one does not start.
+    """
+    for link, found in zip(flight.links, flight.parameters(), strict=True):
+        begun = Process(build, link.instance, environment({**found, **own}), logs / link.name)
+        process = flight.closing.enter_context(begun)
+        link.ended = process.ended
