@@ -185,7 +185,8 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
         part = f"sensors: [{target}]" if target in there and target != "battery" else "battery: true"
         part = "rotors: all" if target.startswith("rotor") else part
         return UsageError(
-            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the scenario"
+            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the "
+            "scenario, or give the command --injectable"
         )
     return UsageError(f"target: there is no '{target}'{did_you_mean(target, known or there)}")
 
