@@ -195,6 +195,30 @@ def test_what_cannot_be_injected(target: str, kind: str, numbers: dict[str, Any]
     assert "\n" not in str(caught.value)
 
 
+def test_fields_have_numbers_of_their_own() -> None:
+    numbers = {"bias": {"position_ned.x": 3.0, "velocity_ned": -1.0}, "scale": {"position_ned.y": 0.5}}
+    world, _ = injected(WORLD, "gnss", "wrong", ["uav_1"], (5, 10), numbers)
+    slot = world.fleets[0].fault_slots[0]
+    added = {name: float(amount[1]) for name, amount in zip(slot.fields, slot.numbers.amounts, strict=True)}
+    times = {name: float(scale[1]) for name, scale in zip(slot.fields, slot.numbers.scales, strict=True)}
+    velocity = {f"velocity_ned.{axis}": -1.0 for axis in "xyz"}
+    assert {name: value for name, value in added.items() if value} == {"position_ned.x": 3.0} | velocity
+    assert {name: value for name, value in times.items() if value != 1.0} == {"position_ned.y": 0.5}
+    # Vehicle 0 has no fault.
+    assert not any(float(amount[0]) for amount in slot.numbers.amounts)
+    for wrong, message in (
+        ({"bias": {"position.x": 1.0}}, "field: the sensor does not report 'position.x'"),
+        ({"bias": {3: 1.0}}, "field: the sensor does not report '3'"),
+        ({"bias": {"position_ned.x": "1"}}, "bias: '1'; allowed: a number"),
+        ({"bias": {"position_ned.x": float("nan")}}, "bias: nan; allowed: a finite number"),
+        ({"bias": {}}, "bias: {}; allowed: a number"),
+        ({"bias": {"position_ned.x": 1.0}, "field": "position_ned"}, "field: bias already names fields"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            injected(WORLD, "gnss", "wrong", None, (5, 10), wrong)
+        assert message in str(caught.value)
+
+
 def test_requests_at_a_bad_time_or_too_many() -> None:
     simulation = qrsim.Simulation(WORLD)
     for words, message in (

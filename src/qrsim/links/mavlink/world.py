@@ -15,6 +15,7 @@ from qrsim.links.mavlink.failures import Failures
 from qrsim.links.mavlink.fleet import systems_of
 from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
+from qrsim.links.mavlink.simulated import SimParameters, SimWind
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
 from qrsim.links.mavlink.stack.flight import Flight
@@ -80,6 +81,10 @@ class FlownWorld:
             self.systems.append(System(stack, facts.name, facts.system, unix, log))
             self._rows.append(row)
         self._warm()
+        self._air = SimWind(self.simulation)
+        for system in self.systems:
+            if isinstance(system.stack, Flight) and system.stack.flavour.name == "ardupilot":
+                system.booted = SimParameters(self.simulation, system.stack.craft, self._air).again
         self._sight = StackSight(self.simulation)
         around = Around(self.simulation, self._sight)
         for row, system in zip(self._rows, self.systems, strict=True):
@@ -107,6 +112,7 @@ class FlownWorld:
         """
         begin = time.perf_counter()
         self._restarts.look()
+        self._air.tick()
         self.simulation.advance(self._latches.actions())
         self._command()
         for system in self.systems:
@@ -121,6 +127,8 @@ class FlownWorld:
             system.stack.reset()
             self._latches.clear(system.name)
             system.view.order = None
+            system.booted()
+        self._air.again()
         self._sight, self._restarts = StackSight(self.simulation), self._fresh_restarts()
         self._command()
 
