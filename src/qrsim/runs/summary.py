@@ -33,6 +33,8 @@ NOT_A_STOP = (
     "fix_lost",
     "fix_found",
     "wind_changed",
+    "injected",
+    "cleared",
     "person_found",
     "leg_timeout",
     "mission_finished",

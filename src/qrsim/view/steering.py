@@ -9,11 +9,15 @@ from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.simulation.injecting import wind_limit, with_wind
+from qrsim.simulation.requests import OK, WIND_NUMBERS, Request, apply
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
 
-# Of the events that say so: their kind, and the fields of the two of a change.
-WIND_CHANGED = "wind_changed"
+# Of the events that say so: their kinds, and the fields of the two of a change of the wind.
+INJECTED, CLEARED, WIND_CHANGED = "injected", "cleared", "wind_changed"
+WHEN = "wind changed at {:.2f} s"
+# Who asks, in records.
+PAGE = "page"
 SPEED, BEARING = "world.wind.speed_20ft", "world.wind.wind_from_deg"
 
 
@@ -44,15 +48,32 @@ def wind_of(world: World) -> Wind | None:
     return Wind(speed, bearing, min(limit, max(20.0, math.ceil(speed))))
 
 
-def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, object]]:
-    """Change the wind from the next tick on; return the change as events of a run."""
-    asked = {SPEED: wind.speed, BEARING: wind.from_deg}
-    simulation.change_world(with_asked(simulation.world, asked))
-    where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None, "kind": WIND_CHANGED}
-    said = (f"{wind.speed:g} m/s at 20 ft", f"from {wind.from_deg:g} degrees")
-    return [
-        {**where, "field": field, "value": value, "message": f"wind changed at {simulation.time:.2f} s: {what}"}
-        for (field, value), what in zip(asked.items(), said, strict=True)
+def steered(simulation: Simulation, request: Request) -> tuple[str, list[dict[str, object]]]:
+    """Do what is asked on the page from the next tick on; return a line that says so, and the events of the run.
+
+    Raises:
+        UsageError: it cannot be done; nothing has changed.
+    """
+    line = apply(simulation, request, PAGE)
+    where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None}
+    if not request.of_world:
+        kind = CLEARED if request.kind == OK else INJECTED
+        message = f"{line[0].lower()}{line[1:]}, at {simulation.time:.2f} s"
+        vehicles = request.vehicles or (None,)
+        return line, [
+            {**where, "vehicle": name, "kind": kind, "field": request.target, "message": message} for name in vehicles
+        ]
+    speed, bearing = (request.numbers[name] for name in WIND_NUMBERS)
+    said = ((SPEED, speed, f"{speed:g} m/s at 20 ft"), (BEARING, bearing, f"from {bearing:g} degrees"))
+    return line, [
+        {
+            **where,
+            "kind": WIND_CHANGED,
+            "field": field,
+            "value": value,
+            "message": f"{WHEN.format(where['time'])}: {what}",
+        }
+        for field, value, what in said
     ]
 
 
