@@ -27,6 +27,8 @@ from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.injections import targets_of
 from qrsim.simulation.simulation import Simulation
 
+# How often a receiver without a fix reports that [s], and the least GPS_FIX_TYPE of one.
+NO_FIX_EVERY_S, LEAST_FIX = 0.2, 2
 # A stack for a vehicle at a site.
 MakeStack = Callable[[Facts, Site], Stack]
 
@@ -138,11 +140,14 @@ class FlownWorld:
         seen = sight.see()
         load = int(min(1000.0, 1e3 * self._busy))
         true = self._true_states() if self._truth else None
+        # A receiver without a fix says so.
+        tells = self.simulation.tick % max(1, round(NO_FIX_EVERY_S / self.simulation.world.time_step)) == 0
         for row, system in zip(self._rows, self.systems, strict=True):
             view = system.view
             view.seen = seen[row]
             view.look(sight.values[row])
-            view.fresh, view.fix_time, view.load = sight.fresh[row], sight.fix_time[row], load
+            view.fresh = sight.fresh[row] or (tells and seen[row].fix_type < LEAST_FIX)
+            view.fix_time, view.load = sight.fix_time[row], load
             if true is not None:
                 view.truth = tuple(true[row])
             order = system.stack.tick(seen[row])
