@@ -360,6 +360,39 @@ class Client {
     ask(request, pb::Message::ACK);
   }
 
+  // Lets something fail from the next tick on, and returns what the server says of it. target: an injectable sensor,
+  // "rotor N", "battery", or "world" for its wind; numbers: how large it is; vehicles: by default all that have it, in a
+  // shared world those that one has claimed; at, duration: simulated time [s].
+  std::string inject(const std::string& target, const std::string& kind, const std::map<std::string, double>& numbers = {},
+                     const std::vector<std::string>& vehicles = {}, std::optional<std::string> field = std::nullopt,
+                     std::optional<double> at = std::nullopt, std::optional<double> duration = std::nullopt) {
+    pb::Message request;
+    request.set_type(pb::Message::INJECT);
+    auto* content = request.mutable_inject();
+    content->set_target(target);
+    content->set_kind(kind);
+    for (const auto& name : vehicles) content->add_vehicle(name);
+    for (const auto& [name, value] : numbers) {
+      auto* added = content->add_number();
+      added->set_name(name);
+      added->set_value(value);
+    }
+    if (field) content->set_field(*field);
+    if (at) content->set_at(*at);
+    if (duration) content->set_duration(*duration);
+    return ask(request, pb::Message::ACK).ack().msg();
+  }
+
+  // Ends injected faults of a target, by default of all, and returns what the server says.
+  std::string clear(std::optional<std::string> target = std::nullopt, const std::vector<std::string>& vehicles = {}) {
+    pb::Message request;
+    request.set_type(pb::Message::CLEAR);
+    auto* content = request.mutable_clear();
+    if (target) content->set_target(*target);
+    for (const auto& name : vehicles) content->add_vehicle(name);
+    return ask(request, pb::Message::ACK).ack().msg();
+  }
+
   // What each vehicle has heard over the radio, the newest message of each sender, the newest first.
   std::map<std::string, std::vector<Heard>> inbox() {
     pb::Message request;

@@ -6,6 +6,8 @@ import pickle
 from functools import cache
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -87,3 +89,29 @@ def test_without_ranges_there_is_none() -> None:
 def test_an_option_that_nobody_knows_is_named() -> None:
     with pytest.raises(UsageError, match=r"reset: options has no 'dificulty'; did you mean 'difficulty'\?"):
         SingleTask("keep_spot").reset(seed=1, options={"dificulty": 0.5})
+
+
+@pytest.mark.long
+def test_times_and_sizes_of_faults_grow_as_other_numbers() -> None:
+    """A receiver of a task drifts from 8 s on; times are drawn in ticks of 0.02 s."""
+    drift = {"sensor": "gnss", "kind": "drift", "field": "position_ned.x", "rate": 0.0, "start": 8.0}
+    ranges = [("start", 2.0, 10.0), ("rate", 0.0, 3.0)]
+    env = Functional.of(
+        {
+            "extends": "keep_spot",
+            "name": "failing",
+            "fleets": {"pelicans": {"faults": [drift]}},
+            "ranges": [
+                {"path": f"fleets.pelicans.faults.0.{name}", "low": low, "high": high} for name, low, high in ranges
+            ],
+        }
+    )
+    for difficulty, starts, rates in ((0.0, (400, 400), (0.0, 0.0)), (0.5, (250, 450), (0.0, 1.5))):
+        harder = env.at_difficulty(difficulty)
+        drawn = jax.jit(jax.vmap(lambda seed, env=harder: env.reset(seed)[0].state.drawn))(
+            jnp.arange(100, dtype=jnp.uint32)
+        )
+        for found, (low, high) in zip(drawn, (starts, rates), strict=True):
+            edge = 0.06 * (high - low)
+            assert low <= float(found.min()) <= low + edge
+            assert high - edge <= float(found.max()) <= high

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 import qrsim
+from qrsim.engine import by_llvm
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.injections import injected, without_faults
@@ -197,21 +199,30 @@ def test_a_weak_battery_has_less_capacity_and_voltage() -> None:
 
 
 @pytest.mark.long
-def test_every_episode_draws_when_a_sensor_fails() -> None:
-    """By one compiled program: the times are those that are drawn, rounded down to a tick."""
+def test_every_episode_draws_when_a_sensor_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one compiled program: uniform times, rounded down to a tick; the same seeds draw the same ones."""
+    made: list[object] = []
+    build = by_llvm.build
+    monkeypatch.setattr(by_llvm, "build", lambda *parts, **named: made.append(parts) or build(*parts, **named))
     content = scenario(None, {"sensor": "baro", "kind": "off", "start": 1.0, "vehicles": ["uav_0"]})
     content["ranges"] = [{"path": "fleets.uav.faults.0.start", "low": 0.2, "high": 1.8}]
     look = lambda state: state.fleets[0].readings[1].height  # noqa: E731
-    heights = np.asarray(qrsim.rollout(content, seeds=range(40), ticks=100, record=look, record_every=1).recorded)
+
+    def flown() -> np.ndarray:
+        rolled = qrsim.rollout(content, seeds=range(200), ticks=100, record=look, record_every=1)
+        heights = np.asarray(rolled.recorded)
+        assert heights.shape == (200, 101, 3)
+        return heights
+
+    heights = flown()
     failed = np.isnan(heights[..., 0])
-    first = failed.argmax(axis=1) if failed.shape[0] == 40 else failed.argmax(axis=0)
-    assert failed.any(axis=1 if failed.shape[0] == 40 else 0).all()
-    # Uniform from 10 to 90 ticks: 40 of them, three standard errors.
-    assert abs((first + 1).mean() - 50.0) < 3.0 * 23.1 / np.sqrt(40)
-    assert len(set(first.tolist())) > 20
-    assert first.min() >= 9
-    assert first.max() <= 90
+    assert failed.any(axis=1).all()
+    first = failed.argmax(axis=1)
+    assert (first.min() >= 10, first.max() < 90) == (True, True)
+    assert kstest(first, "uniform", (10.0, 80.0)).pvalue > 0.01
     assert not np.isnan(heights[..., 1:]).any()
+    np.testing.assert_array_equal(flown(), heights)
+    assert len(made) <= 1
 
 
 WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "delay_max": 0.4})).world()
@@ -249,6 +260,30 @@ def test_what_cannot_be_injected(target: str, kind: str, numbers: dict[str, Any]
         injected(WORLD, target, kind, None, (5, 10), numbers)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_fields_have_numbers_of_their_own() -> None:
+    numbers = {"bias": {"position_ned.x": 3.0, "velocity_ned": -1.0}, "scale": {"position_ned.y": 0.5}}
+    world, _ = injected(WORLD, "gnss", "wrong", ["uav_1"], (5, 10), numbers)
+    slot = world.fleets[0].fault_slots[0]
+    added = {name: float(amount[1]) for name, amount in zip(slot.fields, slot.numbers.amounts, strict=True)}
+    times = {name: float(scale[1]) for name, scale in zip(slot.fields, slot.numbers.scales, strict=True)}
+    velocity = {f"velocity_ned.{axis}": -1.0 for axis in "xyz"}
+    assert {name: value for name, value in added.items() if value} == {"position_ned.x": 3.0} | velocity
+    assert {name: value for name, value in times.items() if value != 1.0} == {"position_ned.y": 0.5}
+    # Vehicle 0 has no fault.
+    assert not any(float(amount[0]) for amount in slot.numbers.amounts)
+    for wrong, message in (
+        ({"bias": {"position.x": 1.0}}, "field: the sensor does not report 'position.x'"),
+        ({"bias": {3: 1.0}}, "field: the sensor does not report '3'"),
+        ({"bias": {"position_ned.x": "1"}}, "bias: '1'; allowed: a number"),
+        ({"bias": {"position_ned.x": float("nan")}}, "bias: nan; allowed: a finite number"),
+        ({"bias": {}}, "bias: {}; allowed: a number"),
+        ({"bias": {"position_ned.x": 1.0}, "field": "position_ned"}, "field: bias already names fields"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            injected(WORLD, "gnss", "wrong", None, (5, 10), wrong)
+        assert message in str(caught.value)
 
 
 def test_requests_at_a_bad_time_or_too_many() -> None:

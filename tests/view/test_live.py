@@ -11,16 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.small_worlds import bare_pair
+from tests.small_worlds import bare_pair, pair
 from tests.view.fetching import fetching
 
+from qrsim.links.shared.injectable import with_injectable
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.live_requests import Request
+from qrsim.simulation.live_requests import wind as blowing
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 from qrsim.view.server import free_port
+from qrsim.view.timeline import marks
 
 WIND = {"wind": {"type": "log_shear", "speed_20ft": 2.0, "wind_from_deg": 270.0}}
 
@@ -71,9 +75,7 @@ def test_a_page_changes_nothing_in_a_run(view: LiveView, scenario: Scenario, tmp
 
 
 def test_a_wind_that_is_changed_blows_and_is_recorded(view: LiveView, scenario: Scenario, tmp_path: Path):
-    from qrsim.view.steering import Wind
-
-    view._wished = Wind(8.0, 180.0)
+    view.ask(blowing(8.0, 180.0))
     fly(scenario, tmp_path / "run", seed=1, precision="float32", view=view)
     run = open_run(tmp_path / "run")
     changed = [event for event in run.events if event.kind == "wind_changed"]
@@ -86,6 +88,34 @@ def test_a_wind_that_is_changed_blows_and_is_recorded(view: LiveView, scenario: 
     assert (wind["mean_ned.x"][after] > 5.0).all()
     assert (np.abs(wind["mean_ned.x"][before]) < 1e-3).all()
     assert (wind["mean_ned.y"][before][1:] > 1.0).all()
+
+
+@pytest.mark.long
+def test_a_fault_that_is_injected_acts_and_is_recorded(view: LiveView, tmp_path: Path):
+    failing = with_injectable(pair(duration=4.0), ["gnss"])
+    for request in (
+        Request("gnss", "off", ("vehicles_1",), duration=2.0),
+        Request("gnss", "of", ("vehicles_1",)),
+        Request("gnss", "wrong", ("vehicles_0",), numbers={"field": "position_ned.x", "bias": 7.0}),
+        Request("gnss", "ok", ("vehicles_0",)),
+    ):
+        view.ask(request)
+    fly(failing, tmp_path / "run", seed=1, precision="float32", view=view)
+    assert view._page is not None
+    run = open_run(tmp_path / "run")
+    said = [(event.kind, event.vehicle, event.field) for event in run.events if event.kind in ("injected", "cleared")]
+    assert said == [
+        ("injected", "vehicles_1", "gnss"), ("injected", "vehicles_0", "gnss"), ("cleared", "vehicles_0", "gnss")
+    ]  # fmt: skip
+    first = next(event for event in run.events if event.kind == "injected")
+    assert first.message.startswith("injected: gnss off of vehicles_1 for 2 s, at 0.")
+    # Two seconds without a position, in the readings of the vehicle alone.
+    north = run["measurements"]["gnss.position_ned.x"]
+    lost = np.isnan(north[:, 1])
+    assert 90 <= lost.sum() <= 110
+    assert not np.isnan(north[:, 0]).any()
+    # They are marks of the timeline, and no reason to stop.
+    assert "injected: gnss off" in "".join(words for _, words in marks(run.events))
 
 
 def test_the_panel_offers_the_wind_that_blows():

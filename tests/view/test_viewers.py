@@ -11,7 +11,11 @@ import pytest
 from tests.apps.test_view_life import CAMERA
 from tests.view.fetching import fetching
 
+from qrsim.models.sensors.faults import KINDS
+from qrsim.simulation.injections import BATTERY_KINDS, ROTOR_KINDS
+from qrsim.simulation.live_requests import Request
 from qrsim.view.clock import Clock
+from qrsim.view.failing import FailingControls, Target
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.page import Page
 from qrsim.view.server import address, start_server
@@ -63,6 +67,53 @@ def test_each_browser_has_its_own_choice_and_plots(page: Page):
         assert page.chosen == {0}
     eventually(lambda: not page.viewers)
     assert page.chosen == frozenset()
+
+
+def test_what_can_fail_of_the_chosen_vehicle(page: Page):
+    """Target, kind and numbers to begin with; a vehicle that has nothing has no controls."""
+    gnss, barometer = (
+        Target("gnss", KINDS, ("position_ned.x", "position_ned.y")),
+        Target("barometer", KINDS, ("height",)),
+    )
+    targets = [[gnss, barometer, Target("rotor 0", ROTOR_KINDS)], [Target("battery", BATTERY_KINDS)], []]
+    asked: list[Request] = []
+    said: list[str] = []
+    page.failing = lambda gui: FailingControls(gui, targets, page.scene.cast.names, asked.append, said.append)
+    with fetching(address(page.server)) as browser:
+        browser.send(CAMERA)
+        eventually(lambda: bool(page.viewers))
+        [viewer] = page.viewers.values()
+        controls = viewer.failing
+        assert controls is not None
+        assert not controls.inject.visible
+        controls.ask_inject()
+        assert asked == []
+        viewer.choose(0)
+        assert controls.inject.visible
+        assert (controls.target.options, controls.kind.value) == (("gnss", "barometer", "rotor 0"), "off")
+        controls.target.value = "barometer"
+        controls.kind.value = "drift"
+        assert controls.numbers.value == "field=height rate=0.5"
+        controls.seconds.value = 12.0
+        controls.ask_inject()
+        controls.ask_clear()
+        controls.target.value = "rotor 0"
+        assert controls.kind.options == ("off", "weak")
+        controls.kind.value = "weak"
+        controls.seconds.value = 0.0
+        controls.ask_inject()
+        controls.numbers.value = "health 0.5"
+        controls.ask_inject()
+        viewer.choose(1)
+        assert (controls.target.value, controls.kind.options) == ("battery", ("drop",))
+        viewer.choose(2)
+        assert not controls.inject.visible
+    assert asked == [
+        Request("barometer", "drift", ("a",), None, 12.0, {"field": "height", "rate": 0.5}),
+        Request("barometer", "ok", ("a",)),
+        Request("rotor 0", "weak", ("a",), None, None, {"health": 0.7}),
+    ]
+    assert said == ["Not injected: 'health': expected NAME=VALUE, such as bias=2"]
 
 
 def test_later_browsers_see_what_was_chosen_for_all(page: Page):

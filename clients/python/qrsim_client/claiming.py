@@ -1,5 +1,5 @@
 # Written by generate.py from src/qrsim/links/reference/claiming.py: change that.
-"""Calls of a client: those for a world that it shares with others, and the radio; for Python 3.8 and later, as
+"""Calls of a client: for a world that it shares with others, the radio, and faults; for Python 3.8 and later, as
 ``client``.
 """
 
@@ -150,6 +150,54 @@ class SharedCalls(ABC):
         found = self._ask(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {vehicle.name: heard_of(vehicle.heard) for vehicle in found.vehicle}
 
+    def inject(
+        self,
+        target: str,
+        kind: str,
+        vehicles: object = None,
+        at: float | None = None,
+        duration: float | None = None,
+        **numbers: Any,
+    ) -> str:
+        """Let something fail from the next tick on, and return what the server says of it.
+
+        Args:
+            target: name of a sensor, ``rotor N`` or ``battery``, which is injectable; or ``world``, for its wind.
+            kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
+                ``intermittent``; of a rotor ``off`` or ``weak``; of a battery ``drop``; of the world ``wind``.
+            vehicles: name or names; None: all that have the target, in a shared world those that one has claimed.
+            at: simulated time [s]; None: from the next tick on.
+            duration: how long [s]; None: for good.
+            numbers: how large it is, as in ``Simulation.inject``.
+        """
+        request = pb.Inject(target=target, kind=kind, vehicle=_names(vehicles), at=at, duration=duration)
+        for name, value in numbers.items():
+            if name == "field":
+                request.field = str(value)
+                continue
+            try:
+                request.number.add(name=name, value=float(value))
+            except (TypeError, ValueError, OverflowError):
+                raise UsageError(f"{name}: {value!r:.100}; expected a number") from None
+        return str(self._ask(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
+
+    def clear(self, target: str | None = None, vehicles: object = None) -> str:
+        """End injected faults of a target, None: of all, and return what the server says.
+
+        Args:
+            target: as in ``inject``.
+            vehicles: name or names; None: all, in a shared world those that one has claimed.
+        """
+        request = pb.Clear(target=target, vehicle=_names(vehicles))
+        return str(self._ask(Message(type=Message.CLEAR, clear=request), Message.ACK).ack.msg)
+
+    def set_wind(self, speed: float, from_deg: float) -> str:
+        """Change the mean wind: speed [m/s] at 20 ft, and bearing it comes from [degrees].
+
+        In a shared world the server has to allow it (``--allow-inject``).
+        """
+        return self.inject("world", "wind", speed_20ft=speed, wind_from_deg=from_deg)
+
     def status(self) -> Status:
         """Return who flies what, how old the orders are, and how the pace is kept."""
         found = self._ask(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
@@ -219,6 +267,10 @@ def _vehicle(found: Any) -> SensedVehicle:
     }
     state = np.array(found.X.value) if found.HasField("X") else None
     return SensedVehicle(found.valid, found.reason, sensors, state, heard_of(found.heard))
+
+
+def _names(vehicles: Any) -> list[str]:
+    return [] if vehicles is None else [vehicles] if isinstance(vehicles, str) else list(vehicles)
 
 
 def _given(found: Any, name: str) -> Any:

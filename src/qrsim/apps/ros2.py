@@ -46,6 +46,7 @@ class Ros2:
       qrsim ros2 my_scenario.yaml --domain 7 --realtime 2
       qrsim ros2 --transport zenoh
       qrsim ros2 outdoor_patrol --truth --set world.wind.speed_20ft=6
+      qrsim ros2 --injectable gnss --injectable battery
     """
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
@@ -86,6 +87,11 @@ class Ros2:
     """Publish sensors with reliable QoS, for nodes that require it."""
     hold: Annotated[float, SECONDS] = 0.5
     """Time without a velocity or an attitude until a vehicle flown by them holds its position."""
+    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
+        default_factory=list
+    )
+    """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, or all; can be given several
+    times."""
     paused: bool = False
     """Begin paused, until 'resume' or 'step N' arrives on /qrsim/control."""
     duration: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: until Ctrl-C)")] = (
@@ -103,10 +109,11 @@ class Ros2:
         from qrsim.links.printing import Log
         from qrsim.links.ros2.participant import checked_domain
         from qrsim.links.ros2.server import Options, Server
+        from qrsim.links.shared.injectable import with_injectable
         from qrsim.scenarios.scenario import load_scenario
 
         checked_domain(domain)
-        scenario = load_scenario(self.scenario, self.set)
+        scenario = with_injectable(load_scenario(self.scenario, self.set), self.injectable)
         log = Log()
         options = Options(self.realtime, self.truth, self.hold, self.paused, self.rate, self.pace)
         try:

@@ -41,6 +41,7 @@ class Serve:
       qrsim serve keep_spot --realtime 1 --view
       qrsim serve my_scenario.yaml --sessions --record runs/served
       qrsim serve cats_and_mouse/1A --pace free
+      qrsim serve keep_spot --injectable gnss --injectable battery
     """
 
     scenario: Annotated[
@@ -81,6 +82,12 @@ class Serve:
         default_factory=list
     )
     """Change one value of SCENARIO; can be given several times."""
+    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
+        default_factory=list
+    )
+    """Let clients inject faults: name of a sensor of SCENARIO, rotors, battery, or all; can be given several times."""
+    allow_inject: bool = False
+    """Let the clients of a shared world change its wind."""
     allow_quit: bool = False
     """Let clients end the server."""
     max_clients: Annotated[int, tyro.conf.arg(metavar="N")] = 32
@@ -105,7 +112,7 @@ class Serve:
         from qrsim.links.reference.server import Server
         from qrsim.links.reference.tasks import Tasks
 
-        tasks = Tasks(scenario, self.scenario)
+        tasks = Tasks(scenario, self.scenario, self.injectable)
         if scenario is not None and options.pace == "owner":
             _prepare(tasks, options)
 
@@ -164,6 +171,7 @@ class Serve:
             self.episodes,
             self.idle_timeout,
             self._page(),
+            allow_inject=self.allow_inject,
             **shared,
         )
 
@@ -179,6 +187,8 @@ class Serve:
         if not (math.isfinite(self.timeout) and self.timeout >= 0.0):
             raise UsageError(f"--timeout {self.timeout:g}: expected a number of seconds, or 0 for ever")
         if self.pace == "owner":
+            if self.allow_inject:
+                raise UsageError("--allow-inject: it is for --pace barrier and free; a session's wind is its client's")
             return {}
         if self.scenario is None:
             raise UsageError(f"--pace {self.pace}: name the SCENARIO whose vehicles the clients share")
@@ -220,6 +230,11 @@ class Serve:
         if self.scenario is None:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")
+            from qrsim.links.shared.injectable import PARTS
+
+            for name in self.injectable:
+                if name not in PARTS:
+                    raise UsageError(f"--injectable {name}: there is no SCENARIO with such a sensor; give one, or all")
             return None
         from qrsim.links.reference.tasks import REFERENCE_TASKS, ours
         from qrsim.scenarios.scenario import load_scenario

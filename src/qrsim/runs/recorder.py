@@ -5,11 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from qrsim.errors import RunError, warn_user
 from qrsim.interface.crowds import warn_of_overfull
@@ -73,8 +73,8 @@ class Watcher(Protocol):
     def offer(self, history: History) -> None:
         """Receive the states flown since the last call."""
 
-    def changes(self, simulation: Simulation) -> Iterable[dict[str, Any]]:
-        """Apply the changes requested since the last call, and return them as events."""
+    def change(self, simulation: Simulation) -> None:
+        """Apply the changes requested since the last call."""
 
     def wait(self, ticks: int) -> int:
         """Wait until ticks are due, and return their number."""
@@ -192,8 +192,7 @@ def fly(
                 referee.watch(history)
             if view is not None:
                 view.offer(history)
-                for event in view.changes(simulation):
-                    writer.append_event(**event)
+                view.change(simulation)
 
         keep(beginning)
         keep(first)

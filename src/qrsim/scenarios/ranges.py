@@ -186,9 +186,10 @@ def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
     return None
 
 
-def _is_time_of_fault(path: str) -> bool:
+def is_time_of_fault(path: str) -> bool:
+    """Return whether a path of a scenario is a time of a fault, which a World has in ticks."""
     parts = path.split(".")
-    return parts[0] == "fleets" and parts[2] == "faults" and parts[-1] in TIMES
+    return len(parts) == 5 and parts[0] == "fleets" and parts[2] == "faults" and parts[-1] in TIMES
 
 
 def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
@@ -198,7 +199,7 @@ def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
         path, low, high = in_radians(item)
         where = world_path(scenario, path)
         assert where is not None
-        if _is_time_of_fault(path):
+        if is_time_of_fault(path):
             low, high = low / scenario.time_step, high / scenario.time_step
         paths = (where, *_heirs(scenario, path))
         found.append(Range(low, high, path, paths))  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -183,7 +183,6 @@ class Injecting(Alone):
             found.append(dataclasses.replace(one, tick=self.tick, id=count if fault else 0))
         self._make(found)
 
-    @alone
     def set_wind(self, speed: float, from_deg: float, over: float = 0.0, asked_by: str = "python") -> None:
         """Change the mean wind from the next tick on.
 
@@ -196,9 +195,8 @@ class Injecting(Alone):
         Raises:
             UsageError: the wind has no one speed and direction, an episode draws it, or a number out of range.
         """
-        self._change(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
+        self.change_weather(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
 
-    @alone
     def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
         """Change the strength of random gusts from the next tick on; ``world.injectable`` of the scenario has gusts.
 
@@ -210,9 +208,8 @@ class Injecting(Alone):
         Raises:
             UsageError: it cannot be changed, or a number is out of range.
         """
-        self._change(GUSTS, {"times": times, "over": over}, asked_by)
+        self.change_weather(GUSTS, {"times": times, "over": over}, asked_by)
 
-    @alone
     def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
         """Change the power of a jammer from the next tick on; ``world.injectable`` of the scenario has jam.
 
@@ -225,13 +222,24 @@ class Injecting(Alone):
         Raises:
             UsageError: it cannot be changed, or a number is out of range.
         """
-        self._change(JAM, {"jammer": jammer, "power_w": power_w, "over": over}, asked_by)
+        self.change_weather(JAM, {"jammer": jammer, "power_w": power_w, "over": over}, asked_by)
 
-    # ---- for resets and saved states ----
+    @alone
+    def change_weather(self, kind: str, numbers: Mapping[str, Any], asked_by: str = "python") -> None:
+        """Change the wind, the gusts or a jammer from the next tick on, as ``set_wind`` and the like do.
 
-    def _change(self, kind: str, numbers: dict[str, Any], asked_by: str) -> None:
+        Args:
+            kind: ``wind``, ``gusts`` or ``jam``.
+            numbers: by the names that files of injections have.
+            asked_by: who asks, for records.
+
+        Raises:
+            UsageError: it cannot be changed, or a number is missing or out of range.
+        """
         given = {name: plain(value) for name, value in numbers.items() if not (name == "over" and value == 0.0)}
         self._make([Injection(0, WORLD, kind, (), self.tick, LAST_TICK, given, asked_by, self.tick)])
+
+    # ---- for resets and saved states ----
 
     def _make(self, requests: Sequence[Injection]) -> None:
         """Change the world by some requests at once, and keep them."""
@@ -311,4 +319,6 @@ class Injecting(Alone):
 
 def plain(value: Any) -> Any:
     """Return a number of NumPy as one of Python's own, which saved states and files can have."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(number) for name, number in value.items()}
     return value.item() if isinstance(value, np.generic) else value

@@ -22,7 +22,7 @@ from qrsim.models.sensors.fault_numbers import (
     kind_of,
     number_problems,
 )
-from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultSlot
+from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultNumbers, FaultSlot
 from qrsim.models.vehicles.fault_numbers import number_of
 from qrsim.models.vehicles.faults import FREE, BatteryFault, RotorFault
 from qrsim.world.state import Fleet, World
@@ -208,7 +208,8 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
         part = f"{target}: true" if target in ("battery", "radio") else f"sensors: [{target}]"
         part = "rotors: all" if target.startswith("rotor") else part
         return UsageError(
-            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the scenario"
+            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the "
+            "scenario, or give the command --injectable"
         )
     return UsageError(f"target: there is no '{target}'{did_you_mean(target, known or there)}")
 
@@ -257,6 +258,44 @@ def _sensor_fault(
         return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, empty)
     if kind not in KINDS and kind not in OLD_NAMES:
         raise UsageError(f"kind: '{kind}' is not known{did_you_mean(kind, KINDS)}")
+    asked = _of_fields(slot, kind, numbers, dt, white)
+    return replace(
+        slot,
+        start_tick=_put(slot.start_tick, chosen, ticks[0]),
+        end_tick=_put(slot.end_tick, chosen, ticks[1]),
+        affected=slot.affected | chosen,
+        kinds=_put(slot.kinds, chosen, KINDS.index(kind_of(kind))),
+        numbers=map_tree(lambda old, new: _put(old, chosen, new), slot.numbers, asked),
+    )
+
+
+def _of_fields(
+    slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
+) -> FaultNumbers:
+    """Return the numbers of a fault, of which each may be one, or one for each of some fields by name."""
+    apart = {name: value for name, value in numbers.items() if isinstance(value, Mapping)}
+    names = list(dict.fromkeys(str(name) for value in apart.values() for name in value))
+    if not names:
+        return _checked(slot, kind, numbers, dt, white)
+    if "field" in numbers:
+        raise UsageError(f"field: {', '.join(apart)} already names fields")
+    common = {name: value for name, value in numbers.items() if name not in apart}
+    found = []
+    for one in names:
+        own = {name: number for name, value in apart.items() for key, number in value.items() if str(key) == one}
+        found.append(_checked(slot, kind, {**common, **own, "field": one}, dt, white))
+    amounts, scales = list(found[0].amounts), list(found[0].scales)
+    for one, part in zip(names[1:], found[1:], strict=True):
+        for chosen in chosen_fields(one, slot.fields):
+            place = slot.fields.index(chosen)
+            amounts[place], scales[place] = part.amounts[place], part.scales[place]
+    return replace(found[0], amounts=tuple(amounts), scales=tuple(scales))
+
+
+def _checked(
+    slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
+) -> FaultNumbers:
+    """Return the numbers of a fault, each of them one."""
     for name in numbers:
         if name not in (*NAMES, "field"):
             raise UsageError(f"{name}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")
@@ -273,15 +312,7 @@ def _sensor_fault(
             f"by: {late:g} s; allowed: at most {slot.remembered * slot.ticks * dt:g} s, "
             "injectable.delay_max of the scenario"
         )
-    asked = fault_numbers(kind, given, chosen_fields(part, slot.fields), slot.fields, dt, slot.ticks, white)
-    return replace(
-        slot,
-        start_tick=_put(slot.start_tick, chosen, ticks[0]),
-        end_tick=_put(slot.end_tick, chosen, ticks[1]),
-        affected=slot.affected | chosen,
-        kinds=_put(slot.kinds, chosen, KINDS.index(kind_of(kind))),
-        numbers=map_tree(lambda old, new: _put(old, chosen, new), slot.numbers, asked),
-    )
+    return fault_numbers(kind, given, chosen_fields(part, slot.fields), slot.fields, dt, slot.ticks, white)
 
 
 def _rotor_fault(

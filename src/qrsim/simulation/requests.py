@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+from qrsim.core.arrays import is_number
 from qrsim.files import Content
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.changing import GUSTS, JAM, WIND, changed
@@ -83,7 +84,7 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
                 "vehicle": vehicle,
                 "kind": kind,
                 "field": request.target if part is None else f"{request.target}.{part}",
-                "value": float(values[0]) if values else None,
+                "value": float(values[0]) if values and is_number(values[0]) else None,
                 "message": f"{vehicle}: {words}",
             }
 

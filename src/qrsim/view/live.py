@@ -14,10 +14,13 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.core.tree import walk
+from qrsim.errors import UsageError
 from qrsim.simulation.history import History
+from qrsim.simulation.live_requests import Request, wind
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks.places import Places
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
+from qrsim.view.failing import FailingControls, targets_of_all
 from qrsim.view.frame import Frame, cast_of, frame_of
 from qrsim.view.page import PLOT_FRAMES, WIND, Page
 from qrsim.view.recording import Recording
@@ -25,12 +28,14 @@ from qrsim.view.replay import Replay
 from qrsim.view.script import run_script
 from qrsim.view.server import LOOPBACK, address, start_server
 from qrsim.view.sky import Satellite, of_satellites, sky_of_state
-from qrsim.view.steering import Wind, change_wind, wind_of
+from qrsim.view.steering import steered, wind_of
 from qrsim.view.truth import true_values
 from qrsim.world.state import State, World
 
 # What a plot keeps: a minute of simulated time, in so many values.
 PLOT_S, MOST_VALUES = 60.0, 900
+# What waits to be done at the next tick; of more, the oldest is dropped.
+MOST_ASKED = 64
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class LiveView:
         self._page: Page | None = None
         self._thread: threading.Thread | None = None
         self._overtaken = 0
-        self._wished: Wind | None = None
+        self._asked: deque[Request] = deque(maxlen=MOST_ASKED)
         # Of each vehicle that a browser has chosen.
         self._values: dict[int, deque[tuple[float, dict[str, float], dict[str, float]]]] = {}
         self._skies: dict[int, list[Satellite]] = {}
@@ -108,6 +113,9 @@ class LiveView:
         page = Page(self._server, cast_of(world, simulation.truth.position_ned, places), world, heading, self.clock)
         page.dropped = lambda: self._overtaken
         page.plotted, page.sky = self._plotted, lambda vehicle: self._skies.get(vehicle, [])
+        targets = targets_of_all(world)
+        if any(targets):
+            page.failing = lambda gui: FailingControls(gui, targets, page.scene.cast.names, self.ask, self.note)
         page.add_plots(list(_measured(simulation.state, world, 0)))
         self._add_wind(page, world)
         self._page, self._world, self._step_s = page, world, world.time_step
@@ -159,14 +167,22 @@ class LiveView:
             self._newest = _Offered(look, count, time.perf_counter())
             self._there.notify()
 
-    def changes(self, simulation: Simulation) -> list[dict[str, object]]:
-        """Apply the changes made on the page, and return them as events of a run."""
-        wished, self._wished = self._wished, None
-        if wished is None:
-            return []
-        events = change_wind(simulation, wished)
-        self._world = simulation.world
-        return events
+    def change(self, simulation: Simulation) -> None:
+        """Apply the changes made on the page."""
+        while self._asked:
+            try:
+                line = steered(simulation, self._asked.popleft())
+            except UsageError as error:
+                self.note(f"Not done: {error}")
+                continue
+            self.note(f"{line}, at {simulation.time:.2f} s")
+            self._world = simulation.world
+
+    def ask(self, request: Request) -> None:
+        """Have something done at the next tick; returns at once."""
+        self._asked.append(request)
+        if self.clock is not None and not self.clock.playing:
+            self.note("Asked for; it acts from the next tick on.")
 
     def close(self) -> None:
         """Draw the last offered states, then close the page."""
@@ -257,18 +273,18 @@ class LiveView:
         return times, np.array([row[1][quantity] for row in rows]), true_values(quantity, truth)
 
     def _add_wind(self, page: Page, world: World) -> None:
-        wind = wind_of(world)
-        if wind is None:
+        blows = wind_of(world)
+        if blows is None:
             return
         gui = self._server.gui
         with gui.add_folder("Change the wind", order=WIND):
-            speed = gui.add_slider("Speed [m/s]", 0.0, wind.fastest, 0.5, wind.speed)
-            bearing = gui.add_slider("From [deg]", 0.0, 360.0, 5.0, wind.from_deg)
+            speed = gui.add_slider("Speed [m/s]", 0.0, blows.fastest, 0.5, blows.speed)
+            bearing = gui.add_slider("From [deg]", 0.0, 360.0, 5.0, blows.from_deg)
             button = gui.add_button("Change")
 
         @button.on_click
         def _(_: object) -> None:
-            self._wished = Wind(speed.value, bearing.value)
+            self.ask(wind(speed.value, bearing.value))
 
 
 def _row(state: State, row: int) -> State:

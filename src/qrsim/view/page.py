@@ -15,6 +15,7 @@ from viser import ClientHandle, ViserServer
 from qrsim.core.arrays import Floats
 from qrsim.view.air import REACHES
 from qrsim.view.clock import Clock
+from qrsim.view.failing import FailingControls
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
 from qrsim.view.markdown import plain
@@ -50,6 +51,7 @@ class Page:
         note: what the panel says about the run as a whole, one line; "": nothing.
         sky: returns the satellites of a vehicle as its receiver last said.
         plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
+        failing: adds to a browser's panel what lets parts of its chosen vehicle fail; None: nothing can.
     """
 
     def __init__(self, server: ViserServer, cast: Cast, world: World | None, heading: str, clock: Clock | None):
@@ -61,6 +63,7 @@ class Page:
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None
         self.sky: Callable[[int], list[Satellite]] = lambda vehicle: []
+        self.failing: Callable[[Any], FailingControls] | None = None
         self.viewers: dict[int, Viewer] = {}
         self.drawn = 0
         self.note = ""
@@ -96,7 +99,14 @@ class Page:
                 return
             choice = self._choices.pop(client.client_id, self._choice)
             self.viewers[client.client_id] = Viewer(
-                client, self.scene, choice, self._quantities, self._plotted_now, self._chosen_now, self._sky_now
+                client,
+                self.scene,
+                choice,
+                self._quantities,
+                self._plotted_now,
+                self._chosen_now,
+                self._sky_now,
+                self.failing,
             )
         self._chosen_now()
 

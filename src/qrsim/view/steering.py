@@ -9,11 +9,14 @@ from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.simulation.changing import wind_limit, with_wind
+from qrsim.simulation.live_requests import Request, apply
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
 
-# Of the events that say so: their kind, and the fields of the two of a change.
+# Kind of the events that tell of another wind, and the fields of the two of a change of the wind.
 WIND_CHANGED = "wind_changed"
+# Who asks, in records.
+PAGE = "page"
 SPEED, BEARING = "world.wind.speed_20ft", "world.wind.wind_from_deg"
 
 
@@ -44,10 +47,13 @@ def wind_of(world: World) -> Wind | None:
     return Wind(speed, bearing, min(limit, max(20.0, math.ceil(speed))))
 
 
-def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, object]]:
-    """Change the wind from the next tick on; return no events, because the simulation keeps the request."""
-    simulation.set_wind(wind.speed, wind.from_deg, asked_by="page")
-    return []
+def steered(simulation: Simulation, request: Request) -> str:
+    """Do what is asked on the page from the next tick on; return a line that says so.
+
+    Raises:
+        UsageError: it cannot be done; nothing has changed.
+    """
+    return apply(simulation, request, PAGE)
 
 
 def with_asked(world: World, asked: Mapping[Any, Any]) -> World:

@@ -11,6 +11,7 @@ import numpy as np
 from viser import ClientHandle
 
 from qrsim.core.arrays import Floats
+from qrsim.view.failing import FailingControls
 from qrsim.view.scene import Scene
 from qrsim.view.sky import Satellite, told
 
@@ -45,6 +46,7 @@ class Viewer:
         plotted: returns for a vehicle and a quantity its (times, measured, true), each (K,); None: nothing is.
         chosen: called after the choice has changed.
         sky: returns the satellites of a vehicle, none where nothing is known of them.
+        failing: adds controls that let parts of the chosen vehicle fail, where there are any.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Viewer:
         plotted: Plotted | None,
         chosen: Callable[[], None],
         sky: Callable[[int], list[Satellite]] = lambda vehicle: [],
+        failing: Callable[[Any], FailingControls] | None = None,
     ):
         self.choice = Choice(choice.vehicle, choice.follow)
         self._client, self._scene, self._plotted, self._changed = client, scene, plotted, chosen
@@ -70,6 +73,7 @@ class Viewer:
             )
             self.follows: Any = gui.add_checkbox("Follow", choice.follow, visible=choice.vehicle is not None)
             self.plots = [self._add_plot(gui, quantities, i) for i in range(min(PLOTS, len(quantities)))]
+            self.failing = None if failing is None else failing(gui)
         self.who.on_update(lambda _: self._named())
         self.follows.on_update(lambda _: self.follow(self.follows.value))
         self._show()
@@ -127,6 +131,8 @@ class Viewer:
         for choice, plot in self.plots:
             choice.visible = plot.visible = vehicle is not None
             plot.series = self._series()
+        if self.failing is not None:
+            self.failing.show(vehicle)
         self.plot()
         self.send_sky()
 

@@ -383,6 +383,44 @@ class Flight:
         await drone.param.set_param_int("SYS_FAILURE_EN", 0)
         await self.home_again()
 
+    async def failures(self) -> None:
+        """A receiver that is off has no fix, forbids to arm, and comes back."""
+        module, drone = part("failure"), self.drone
+        gps, off, ok = module.FailureUnit.SENSOR_GPS, module.FailureType.OFF, module.FailureType.OK
+        # MAVSDK 3 and 4 read it when the plug-in is first used, and not again.
+        await drone.param.set_param_int("SYS_FAILURE_EN", 1)
+        assert await self.answer(module.FailureUnit.SYSTEM_SERVO, off) == "UNSUPPORTED"
+        await first(drone.telemetry.gps_info(), lambda now: str(now.fix_type) == "FIX_3D")
+        assert await self.answer(gps, off) == "SUCCESS"
+        await first(drone.telemetry.gps_info(), lambda now: str(now.fix_type) in ("NO_GPS", "NO_FIX"))
+        try:
+            await drone.action.arm()
+        except part("action").ActionError as error:
+            print(f"arming: {error}")
+        else:
+            raise AssertionError("armed without a fix")
+        assert await self.answer(gps, ok) == "SUCCESS"
+        await first(drone.telemetry.gps_info(), lambda now: str(now.fix_type) == "FIX_3D")
+        await drone.param.set_param_int("SYS_FAILURE_EN", 0)
+
+    async def no_failures(self) -> None:
+        """Without SYS_FAILURE_EN the plug-in says DISABLED; before it has read that, the vehicle DENIED."""
+        module = part("failure")
+        gps, off = module.FailureUnit.SENSOR_GPS, module.FailureType.OFF
+        await self.drone.param.set_param_int("SYS_FAILURE_EN", 0)
+        assert await self.answer(gps, off) in ("DENIED", "DISABLED")
+        await asyncio.sleep(2.0)
+        assert await self.answer(gps, off) == "DISABLED"
+        assert str((await first(self.drone.telemetry.gps_info())).fix_type) == "FIX_3D"
+
+    async def answer(self, unit: Any, kind: Any) -> str:
+        """Inject a failure, and return the result."""
+        try:
+            await self.drone.failure.inject(unit, kind, instance=0)
+        except part("failure").FailureError as error:
+            return str(error._result.result)
+        return "SUCCESS"
+
     async def telemetry(self) -> None:
         """Every stream of the telemetry examples says something that makes sense."""
         found = self.drone.telemetry

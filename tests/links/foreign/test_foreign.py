@@ -41,12 +41,14 @@ class Suite(NamedTuple):
         scripts: their names.
         clients: environments that fly them, on one vehicle after the other; "" is this Python.
         flavour: of the vehicles that they fly.
+        options: more of ``qrsim mavlink``.
     """
 
     file: str
     scripts: tuple[str, ...]
     clients: tuple[str, ...] = ("",)
     flavour: str = "px4"
+    options: tuple[str, ...] = ()
 
 
 SUITES = (
@@ -59,6 +61,7 @@ SUITES = (
         ),
         MAVSDK,
     ),
+    Suite("mavsdk_scripts.py", ("no_failures", "failures"), MAVSDK, options=("--injectable", "all")),
     Suite(
         "dronekit_scripts.py",
         (
@@ -133,7 +136,7 @@ def flown(suite: Suite, script: str, rounds: int) -> tuple[list[str], str]:
     """Fly a script by all vehicles, several times in a row; return what failed, and what the server printed."""
     for client in suite.clients:
         python_of(client)
-    field = clients.Field(str(HERE / "wide_field.yaml"), "--flavour", suite.flavour, factor=FACTOR)
+    field = clients.Field(str(HERE / "wide_field.yaml"), "--flavour", suite.flavour, *suite.options, factor=FACTOR)
     try:
         said = [line for number in range(rounds) for line in fly(suite, script, field.port, number)]
     finally:

@@ -15,7 +15,7 @@ from qrsim.links.mavlink.link import Link
 from qrsim.links.mavlink.stack.contracts import NAN, Command
 from qrsim.links.mavlink.stack.instances import instances_of
 from qrsim.links.mavlink.stack.stacks import stack_of
-from qrsim.links.mavlink.streams import Streams
+from qrsim.links.mavlink.streams import EACH_FIX, Streams
 from qrsim.links.mavlink.world import FlownWorld
 from qrsim.links.ros2.apis.modes import name_of
 from qrsim.scenarios.scenario import load_scenario
@@ -62,7 +62,14 @@ def test_a_receiver_that_is_switched_off_has_no_fix_and_nobody_else_notices(fiel
     field.allow()
     assert field.command(0, 420, GPS, OFF, 0) == ACCEPTED
     assert field.said[-1] == "Injected: gps off, instance all"
+    sent = list[bytes]()
+    link = Link(1, Streams({"GPS_RAW_INT": EACH_FIX}, 0.02), sent.append)
+    field.world.systems[0].links.append(link)
     field.run(0.3)
+    field.world.systems[0].links.clear()
+    told = [frame.message().fix_type for data in sent for frame in Reader().datagram(data)]
+    assert told, "a receiver without a fix says so"
+    assert max(told) < 2
     fixes = [system.view.seen.fix_type for system in field.world.systems]
     assert fixes[0] < 2
     assert min(fixes[1:]) >= 3

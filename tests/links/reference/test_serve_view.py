@@ -14,8 +14,8 @@ from qrsim.links.reference.client import Client
 from qrsim.links.reference.tasks import Tasks
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.live_requests import wind
 from qrsim.view.live import LiveView
-from qrsim.view.steering import Wind
 
 HOLD = [[*HERE, 0.0]]
 
@@ -41,7 +41,7 @@ def test_what_a_client_flies_is_drawn(tmp_path: Path):
             client.init(TASK)
             client.step_waypoint(1.0, HOLD)
             eventually(lambda: shown() == pytest.approx(1.0))
-            view._wished = Wind(6.0, 180.0)
+            view.ask(wind(6.0, 180.0))
             time.sleep(0.05)
             client.step_waypoint(0.5, HOLD)
             time.sleep(0.05)

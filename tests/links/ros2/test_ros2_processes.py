@@ -32,6 +32,7 @@ DOMAIN = 100 + os.getpid() % 100
 SCENARIO = """
 name: trio
 duration: 600
+world: {wind: {type: log_shear, speed_20ft: 0.0, wind_from_deg: 0.0}}
 fleets:
   uav:
     controller: {type: cascade, feed: truth}
@@ -49,6 +50,7 @@ def server(tmp_path_factory):
         patch.setenv("CYCLONEDDS_URI", ALONE)
         code = "import sys; from qrsim.cli import main; sys.exit(main())"
         words = ["ros2", str(folder / "trio.yaml"), "--domain", str(DOMAIN), "--realtime", "4", "--truth"]
+        words += ["--injectable", "gnss"]
         with (folder / "lines").open("w") as lines:
             process = subprocess.Popen([sys.executable, "-c", code, *words], stdout=lines, stderr=lines)
         try:
@@ -179,6 +181,38 @@ def test_another_process_flies_three_vehicles(server):
         # 2 m/s for 3 s, from rest.
         assert 3.0 < float(line.split()[1]) < 9.0, line
     assert len(lines) == 5
+
+
+def test_faults_and_wind_by_the_topic_of_control(server):
+    participant = Participant(TYPES, DOMAIN, "saboteur")
+    reader, writer = participant.reader(STATUS), participant.writer(CONTROL)
+    fixes = participant.reader(Topic("/uav_0/fix", "sensor_msgs/msg/NavSatFix", "sensor"))
+    wind = participant.reader(Topic("/uav_1/ground_truth/wind", "geometry_msgs/msg/Vector3Stamped", "reliable"))
+
+    def say(text):
+        writer.write(TYPES.encode(TYPES["std_msgs/msg/String"](text)))
+
+    assert status(reader)["injected"] == []
+    until(lambda: writer.entity.get_matched_subscriptions())
+    until(fixes.take)
+    say("inject gnss off uav_0 for 200")
+    (fault,) = until(lambda: status(reader)["injected"])
+    assert (fault["target"], fault["kind"], fault["vehicles"]) == ("gnss", "off", ["uav_0"])
+    assert fault["end"] - fault["start"] == pytest.approx(200.0)
+    # What does not exist is not sent: two simulated seconds without a fix.
+    fixes.take()
+    time.sleep(0.5)
+    assert not fixes.take()
+    say("clear gnss /uav_0")
+    until(lambda: status(reader)["injected"] == [])
+    until(fixes.take)
+    say("wind 6 270")
+    # At 20 ft, and more above: from the west, so to the east.
+    until(lambda: any(each.vector.x > 6.0 for each in wind.take()))
+    say("inject gns off")
+    say("inject imu off")
+    text = "/qrsim/control inject: target: there is no 'gns'; did you mean 'gnss'?"
+    until(lambda: text in server.read_text() and "'imu' is not injectable; write" in server.read_text())
 
 
 def test_pause_step_and_reset(server):

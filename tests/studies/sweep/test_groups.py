@@ -10,8 +10,17 @@ import numpy as np
 import pytest
 from tests.studies.sweep.conftest import planned
 
+from qrsim.errors import ScenarioError
+
 WINDY = {"world.wind": {"type": "log_shear", "speed_20ft": 1.0, "wind_from_deg": 90.0}}
 GUSTY = WINDY | {"world.turbulence": {"type": "dryden"}}
+# A range of times is one of whole ticks of 0.02 s.
+FAILING = {
+    "fleets.pelicans.faults": [
+        {"sensor": "barometer", "kind": "drift", "field": "height", "rate": 1.0, "start": 0.1},
+        {"sensor": "gnss", "kind": "off", "start": 0.1, "end": 0.5},
+    ]
+}
 TWO = {
     "fleets.pelicans.vehicles": [
         {"position_ned": [0.0, 0.0, -10.0]},
@@ -27,6 +36,8 @@ TWO = {
         (GUSTY, {"world.wind.wind_from_deg": (0.0, 350.0), "world.wind.speed_20ft": (0.5, 9.0)}),
         (TWO, {"fleets.pelicans.vehicles.1.waypoints_ned.0.0": (10.0, 30.0), "fleets.pelicans.vehicle.mass": (1.5, 2)}),
         (TWO, {"fleets.pelicans.vehicles.0.position_ned.2": (-12.0, -9.0), "world.collision_distance": (0.5, 3.0)}),
+        (FAILING, {"fleets.pelicans.faults.0.start": (0.113, 0.891), "fleets.pelicans.faults.0.rate": (0.5, 2.0)}),
+        (FAILING, {"fleets.pelicans.faults.1.start": (0.0, 0.4), "fleets.pelicans.faults.1.end": (0.5, 0.95)}),
         (TWO | {"world.sky.errors": {"type": "ou"}}, {"world.sky.errors.std": (0.0, 9.0), "ranges": None}),
     ],
 )
@@ -51,6 +62,21 @@ def test_worlds_are_those_of_their_scenarios_to_the_bit(
         for one, another in zip(mine, theirs, strict=True):
             assert np.asarray(one).dtype == np.asarray(another).dtype
             assert np.asarray(one).tobytes() == np.asarray(another).tobytes()
+
+
+def test_times_of_faults_are_rounded_down_to_ticks(tmp_path: Path) -> None:
+    path, sampling = "fleets.pelicans.faults.0.start", {"type": "latin_hypercube", "points": 100}
+    changes: dict[str, Any] = {"set": {"duration": 1.0} | FAILING, "seeds": 1, "batch": 100}
+    plan = planned(tmp_path, vary={path: {"low": 0.113, "high": 0.891}}, sampling=sampling, **changes)
+    times = plan.batch(0).numbers[path]
+    np.testing.assert_allclose(times / 0.02, np.round(times / 0.02), atol=1e-6)
+    # Between the ends, 0.10 and 0.88 s, are 39 ticks.
+    assert (times.min(), times.max(), len(set(times.tolist()))) == (0.1, 0.86, 39)
+    spaced = planned(tmp_path, vary={path: {"low": 0.1, "high": 0.9, "count": 4}}, **changes)
+    np.testing.assert_allclose(spaced.batch(0).numbers[path], [0.1, 0.36, 0.62, 0.9])
+    assert spaced.groups[()].places is not None
+    with pytest.raises(ScenarioError, match=r"0\.113 s is not a multiple of the time step 0\.02 s"):
+        planned(tmp_path, vary={path: {"values": [0.113, 0.5]}}, **changes)
 
 
 def test_what_is_not_simply_a_number_of_the_world_is_loaded(tmp_path: Path) -> None:

@@ -70,6 +70,11 @@ class Run:
     inject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Faults to inject: a YAML list of entries with target, kind and at, such as
     {target: gnss, kind: 'off', at: 20, end: 30}."""
+    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
+        default_factory=list
+    )
+    """Let faults be injected on the page of --view: name of a sensor, rotors, battery, or all; can be given several
+    times."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/SCENARIO-seedSEED-TIME)"),
@@ -133,6 +138,10 @@ class Run:
             overrides.append(f"duration={self.duration!r}")
         scenario = load_scenario(self.scenario, overrides)
         injections: tuple[Injection, ...] = ()
+        if self.injectable:
+            from qrsim.links.shared.injectable import with_injectable
+
+            scenario = with_injectable(scenario, self.injectable)
         if self.inject is not None:
             from qrsim.scenarios.injection_file import read_injections
 

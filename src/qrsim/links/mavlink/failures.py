@@ -83,7 +83,7 @@ class Failures:
             asked = ("weak", {"health": WEAK}) if word == "wrong" else (word, {})
             targets, what = _motors(fleet), "motor"
         else:
-            targets, what = [slot.sensor for slot in _slots(fleet, UNITS[unit].field)], UNITS[unit].name
+            targets, what = [slot.sensor for slot in slots_of(fleet, UNITS[unit].field)], UNITS[unit].name
             asked = _numbers(word, UNITS[unit])
         return self._inject(targets, what, instances, word, asked)
 
@@ -104,7 +104,7 @@ class Failures:
         return Result.ACCEPTED, f"Cleared: {what}" if word == "ok" else f"Injected: {what} {word}, instance {which}"
 
 
-def _slots(fleet: Fleet, field: str) -> Iterator[FaultSlot]:
+def slots_of(fleet: Fleet, field: str) -> Iterator[FaultSlot]:
     """Yield the slots of the sensors that report a field."""
     for slot in fleet.fault_slots:
         if any(name == field or name.startswith(f"{field}.") for name in slot.fields):

@@ -17,11 +17,12 @@ from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.control.tracks import FixedWingGuidance
-from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
 from qrsim.links.mavlink.stack.parameters import TABLE
 from qrsim.links.shared.grounding import put_down, standing
+from qrsim.links.shared.injectable import may_fail
 from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.vehicles.contracts import Vehicle, handling_of
@@ -29,7 +30,7 @@ from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.models.vehicles.rover.planar import Drives
-from qrsim.scenarios.catalogue import BATTERIES, CONTROLLERS, VEHICLES
+from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
 
@@ -37,40 +38,6 @@ from qrsim.world.state import Fleet, World
 LAST_SYSTEM = 240
 # MAV_TYPE by the number of rotors; another number is told as a quadrotor.
 _BY_ROTORS = {4: QUADROTOR, 6: HEXAROTOR, 8: OCTOROTOR}
-
-
-# Longest delay of readings [s] that may be injected where all may be.
-DELAY_MAX = 0.5
-
-
-def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
-    """Have parts of all fleets of a scenario's content fail where clients ask for it, in place.
-
-    Args:
-        content: of the scenario.
-        names: sensors, ``rotors``, ``battery``, or ``all``.
-
-    Raises:
-        UsageError: no fleet has a sensor of that name.
-    """
-    known = {"all", "rotors", "battery"}.union(*(fleet["sensors"] for fleet in content["fleets"].values()))
-    for name in names:
-        if name not in known:
-            raise UsageError(f"--injectable {name}: there is no such sensor{did_you_mean(name, sorted(known))}")
-    for fleet in content["fleets"].values():
-        if "all" in names:
-            fleet["injectable"] = {"sensors": "all", "rotors": "all", "battery": True, "delay_max": DELAY_MAX}
-            continue
-        spec = fleet["injectable"] or {}
-        before = spec.get("sensors", [])
-        sensors = [name for name in fleet["sensors"] if before == ["all"] or name in {*names, *before}]
-        more: dict[str, Any] = {"sensors": sensors}
-        # Of what a fleet does not have nothing can fail.
-        if "rotors" in names and issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor):
-            more["rotors"] = "all"
-        if "battery" in names and BATTERIES[fleet["battery"]["type"]].drains:
-            more["battery"] = True
-        fleet["injectable"] = spec | more
 
 
 def prepared(scenario: Scenario, injectable: Sequence[str] = ()) -> Scenario:

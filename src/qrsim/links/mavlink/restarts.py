@@ -46,6 +46,7 @@ class Restarts:
                 system.restart()
                 # What was injected ends with the boot, as in PX4.
                 self._simulation.clear(vehicles=system.name)
+                system.booted()
             elif asked:
                 system.text(Text(Severity.WARNING, why))
             else:

@@ -58,6 +58,8 @@ class System:
         self._text = 0
         self.told: set[str] = set()
         self.reboots = self.muted = False
+        # Does again what ends with a boot, but is meant to last.
+        self.booted: Callable[[], None] = lambda: None
 
     def restart(self) -> None:
         """Begin again as after a boot; an upload that is on its way is broken off."""

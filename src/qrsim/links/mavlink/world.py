@@ -15,6 +15,7 @@ from qrsim.links.mavlink.failures import Failures
 from qrsim.links.mavlink.fleet import start_parameters, systems_of
 from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
+from qrsim.links.mavlink.simulated import SimParameters, SimWind
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
 from qrsim.links.mavlink.stack.flight import Flight
@@ -26,6 +27,8 @@ from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.injections import targets_of
 from qrsim.simulation.simulation import Simulation
 
+# How often a receiver without a fix reports that [s], and the least GPS_FIX_TYPE of one.
+NO_FIX_EVERY_S, LEAST_FIX = 0.2, 2
 # A stack for a vehicle at a site.
 MakeStack = Callable[[Facts, Site], Stack]
 
@@ -82,6 +85,10 @@ class FlownWorld:
             self.systems.append(System(stack, facts.name, facts.system, unix, log))
             self._rows.append(row)
         self._warm()
+        self._air = SimWind(self.simulation)
+        for system in self.systems:
+            if isinstance(system.stack, Flight) and system.stack.flavour.name == "ardupilot":
+                system.booted = SimParameters(self.simulation, system.stack.craft, self._air).again
         self._sight = StackSight(self.simulation)
         around = Around(self.simulation, self._sight)
         for row, system in zip(self._rows, self.systems, strict=True):
@@ -117,6 +124,7 @@ class FlownWorld:
         """
         begin = time.perf_counter()
         self._restarts.look()
+        self._air.tick()
         self.simulation.advance(self._latches.actions())
         self._command()
         unlinked = self.simulation.unlinked
@@ -133,6 +141,8 @@ class FlownWorld:
             system.stack.reset()
             self._latches.clear(system.name)
             system.view.order = None
+            system.booted()
+        self._air.again()
         self._sight, self._restarts = StackSight(self.simulation), self._fresh_restarts()
         self._command()
 
@@ -142,11 +152,14 @@ class FlownWorld:
         seen = sight.see()
         load = int(min(1000.0, 1e3 * self._busy))
         true = self._true_states() if self._truth else None
+        # A receiver without a fix says so.
+        tells = self.simulation.tick % max(1, round(NO_FIX_EVERY_S / self.simulation.world.time_step)) == 0
         for row, system in zip(self._rows, self.systems, strict=True):
             view = system.view
             view.seen = seen[row]
             view.look(sight.values[row])
-            view.fresh, view.fix_time, view.load = sight.fresh[row], sight.fix_time[row], load
+            view.fresh = sight.fresh[row] or (tells and seen[row].fix_type < LEAST_FIX)
+            view.fix_time, view.load = sight.fix_time[row], load
             if true is not None:
                 view.truth = tuple(true[row])
             order = system.stack.tick(seen[row])

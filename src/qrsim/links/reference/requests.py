@@ -12,6 +12,7 @@ from qrsim.links.pacing import checked_factor
 from qrsim.links.reference import shared_requests as shared
 from qrsim.links.reference.describing import description
 from qrsim.links.reference.episode_session import EpisodeSession
+from qrsim.links.reference.injecting import clear, inject
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import LARGEST_REQUEST
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
@@ -20,11 +21,11 @@ from qrsim.links.reference.roles import Client
 from qrsim.links.reference.sensors import sensor_readings
 from qrsim.links.reference.session import SHORT_S, Session, SessionOptions
 from qrsim.links.reference.shared_session import SharedSession
-from qrsim.links.reference.tasks import offboard, uploaded
+from qrsim.links.reference.tasks import uploaded
 
 CAPABILITIES = (
     "seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes", "setpoints", "describe",
-    "claims", "radio",
+    "claims", "inject", "radio",
 )  # fmt: skip
 # What clients of the reference implementation look for.
 INVALID = "invalid uav state"
@@ -52,7 +53,7 @@ def _session_options(
     if not isinstance(task, str) or not isinstance(scenario, str | None):
         raise UsageError("message: a text is not UTF-8")
     if scenario is not None:
-        found = offboard(uploaded(scenario)) if flown else uploaded(scenario)
+        found = server.tasks.flown(uploaded(scenario)) if flown else uploaded(scenario)
     else:
         found = server.tasks.offboard(task) if flown else server.tasks.scenario(task)
     return SessionOptions(found, **{"seeds": server.seeds, "record": server.options.record, **others})
@@ -377,9 +378,13 @@ HANDLERS: dict[int, Handler] = {
     Message.GET_STATUS: shared.get_status,
     Message.DESCRIBE: describe,
     Message.SAY: say,
+    Message.INJECT: inject,
+    Message.CLEAR: clear,
 }
 # What only a world that clients share has, and what it has not.
 SHARED = {Message.CLAIM, Message.RELEASE, Message.COMMAND, Message.SUBSCRIBE, Message.GET_STATUS}
 OWNED = {Message.INIT, Message.RESET, Message.SETSTATE, Message.OPEN, Message.PLAY, Message.ACT}
-# The part of a message that a request of the reference protocol needs.
-NEEDED = {Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect"}
+# The part of a message that a request needs.
+NEEDED = {
+    Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect", Message.INJECT: "inject",
+}  # fmt: skip

@@ -40,6 +40,7 @@ class Options:
     pace: Pace = "owner"
     silence: Silence = field(default_factory=Silence)
     barrier_timeout: float = 0.0
+    allow_inject: bool = False
 
 
 class Host(Protocol):

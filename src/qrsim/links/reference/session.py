@@ -248,7 +248,7 @@ class Session:
         self._advance(command, ticks)
         if self._view is not None:
             self._view.show(self.simulation)
-            self.keep_events(self._view.changes(self.simulation))
+            self._view.change(self.simulation)
         # The first call compiles, which says nothing about the next one.
         known = _kind(command) in self._seconds
         self._seconds[_kind(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)

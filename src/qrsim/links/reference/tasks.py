@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
 
 import yaml
 
 from qrsim.control.controllers import OffboardController
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.links.shared.injectable import of_those, with_injectable
 from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
 from qrsim.scenarios.in_rows import count_of
 from qrsim.scenarios.providing import outside_problems
@@ -69,10 +70,15 @@ class Tasks:
     Args:
         own: the operator's scenario, which an empty name means too; None: there is none.
         asked: what the operator calls it, where that is not its own name.
+        injectable: what clients may let fail, where a scenario has it; see ``may_fail``.
+
+    Raises:
+        UsageError: the operator's scenario has no sensor that is ``injectable``.
     """
 
-    def __init__(self, own: Scenario | None = None, asked: str | None = None):
-        self.own = own
+    def __init__(self, own: Scenario | None = None, asked: str | None = None, injectable: Sequence[str] = ()):
+        self.own = None if own is None else with_injectable(own, injectable)
+        self._injectable = injectable
         self._own_names = {"", own.name} if own else set()
         if own and asked and ours(asked) in built_in_names():
             self._own_names.add(ours(asked))
@@ -92,8 +98,12 @@ class Tasks:
         """
         known = self._known(name)
         if known not in self._loaded:
-            self._loaded[known] = offboard(self.scenario(name))
+            self._loaded[known] = self.flown(self.scenario(name))
         return self._loaded[known]
+
+    def flown(self, scenario: Scenario) -> Scenario:
+        """Return a scenario that accepts commands of every kind, and whose parts clients may let fail."""
+        return offboard(with_injectable(scenario, of_those(scenario, self._injectable)))
 
     def scenario(self, name: str) -> Scenario:
         """Return the scenario of a task as written.

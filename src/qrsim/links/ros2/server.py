@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.pacing import Metronome, PaceReport
@@ -18,9 +18,10 @@ from qrsim.links.ros2.node import Node, Reader
 from qrsim.links.ros2.pilots import Pilots
 from qrsim.links.ros2.radio import hand_over, said_topic
 from qrsim.links.ros2.typestore import Types
+from qrsim.simulation.live_requests import VERBS, apply, injected_rows, parsed
 from qrsim.simulation.simulation import Simulation
 
-CONTROLS = ("pause", "resume", "reset", "step")
+CONTROLS = ("pause", "resume", "reset", "step", *VERBS)
 MOST_STEPS = 1_000_000
 BARRIER_EVERY_S = 2e-4
 # While the world stands, others are listened to so often; its status is told so often [s] of the wall clock.
@@ -222,11 +223,23 @@ class Server:
         elif what == "step":
             self.paused = True
             self._steps = _integer("step", rest, 1, 1, MOST_STEPS)
+        elif what in VERBS:
+            self._inject(words)
         else:
             if rest:
                 raise UsageError(f"/qrsim/control {what}: '{rest[0][:60]}' is too much")
             self.paused = what == "pause"
             self._pacer = self._started()
+
+    def _inject(self, words: list[str]) -> None:
+        """Let something fail, or change the wind; vehicles go by their names or their namespaces."""
+        names = dict(zip(self.messages.namespaces, self.simulation.vehicle_names, strict=True))
+        try:
+            request = parsed(" ".join(words))
+            vehicles = request.vehicles and tuple(names.get(name.strip("/"), name) for name in request.vehicles)
+            self._say(apply(self.simulation, replace(request, vehicles=vehicles), "ros2"))
+        except UsageError as error:
+            raise UsageError(f"/qrsim/control {words[0]}: {error}") from None
 
     def _reset(self, seed: int) -> None:
         if self._flown is None:
@@ -253,6 +266,7 @@ class Server:
             "factor": self._options.factor,
             "late": report.overruns,
             "lost": sum(writer.lost for writer in (*self._writers, *self._api_writers)),
+            "injected": injected_rows(simulation),
         }
         self._status.write(text_message(self._types, json.dumps(status)))
 

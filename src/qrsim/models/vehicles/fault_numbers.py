@@ -13,7 +13,7 @@ ROTOR: dict[str, str | None] = {"off": None, "weak": "health", "stuck": "speed"}
 BATTERY: dict[str, str | None] = {"drop": "charge", "weak": "health"}
 RADIO: dict[str, str | None] = {"off": None, "weak": "share"}
 LINK: dict[str, str | None] = {"off": None}
-_OF = {"rotor": ROTOR, "battery": BATTERY, "radio": RADIO, "link": LINK}
+PARTS = {"rotor": ROTOR, "battery": BATTERY, "radio": RADIO, "link": LINK}
 # Less of its voltage and capacity no battery has that is weak.
 WEAKEST_BATTERY = 0.05
 
@@ -29,7 +29,7 @@ def number_of(what: str, kind: object, numbers: Mapping[str, Any]) -> float:
     Raises:
         UsageError: the kind does not suit, or its number is missing, out of range, or not one that it takes.
     """
-    kinds = _OF[what]
+    kinds = PARTS[what]
     if not isinstance(kind, str) or kind not in kinds:
         raise UsageError(f"kind: '{kind}' does not suit a {what}; allowed: {', '.join(kinds)}, ok")
     taken = kinds[kind]

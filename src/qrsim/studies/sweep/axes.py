@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files import Content
+from qrsim.scenarios.ranges import is_time_of_fault
 from qrsim.scenarios.reading import apply_override
 from qrsim.studies.sweep.study import StudySpec
 from qrsim.studies.sweep.varying import Condition, assignment
@@ -29,6 +30,7 @@ class Axis:
         unit: as the study says, "" where it does not.
         values: what it goes through; None where it is sampled between ``low`` and ``high``.
         log: whether it is sampled evenly in its logarithm.
+        step: of times of faults [s], which are rounded down to whole ticks; else 0.
     """
 
     path: str
@@ -38,6 +40,7 @@ class Axis:
     low: float = 0.0
     high: float = 0.0
     log: bool = False
+    step: float = 0.0
 
     @property
     def numeric(self) -> bool:
@@ -64,24 +67,37 @@ class Axis:
     def scaled(self, unit: NumpyArray) -> NumpyArray:
         """Return the values of numbers in [0, 1)."""
         if self.log:
-            return np.exp(np.log(self.low) + unit * (np.log(self.high) - np.log(self.low)))
-        return self.low + unit * (self.high - self.low)
+            found = np.exp(np.log(self.low) + unit * (np.log(self.high) - np.log(self.low)))
+        else:
+            found = self.low + unit * (self.high - self.low)
+        return in_ticks(found, self.step)
 
 
-def axes_of(spec: StudySpec) -> tuple[Axis, ...]:
-    """Return the axes of a study in its order."""
+def in_ticks(values: NumpyArray, step: float) -> NumpyArray:
+    """Return times [s] rounded down to whole ticks of a step [s]; as they are where it is 0."""
+    return np.round(np.floor(values / step + 1e-6) * step, 9) if step else values
+
+
+def axes_of(spec: StudySpec, time_step: float = 0.0) -> tuple[Axis, ...]:
+    """Return the axes of a study in its order.
+
+    Args:
+        spec: of the study.
+        time_step: to whose multiples [s] times of faults are rounded down; 0: they are not.
+    """
     found = []
     for path, item in spec.vary.items():
         name, unit = item.name or path, item.unit or ""
+        step = time_step if is_time_of_fault(path) else 0.0
         if item.listed is not None:
-            found.append(Axis(path, name, unit, tuple(item.listed)))
+            found.append(Axis(path, name, unit, tuple(item.listed), step=step))
             continue
-        low, high = float(item.low or 0.0), float(item.high or 0.0)
+        low, high = in_ticks(np.array([item.low or 0.0, item.high or 0.0]), step).tolist()
         if item.count is None:
-            found.append(Axis(path, name, unit, None, low, high, item.scale == "log"))
+            found.append(Axis(path, name, unit, None, low, high, item.scale == "log", step))
             continue
-        spaced = np.geomspace if item.scale == "log" else np.linspace
-        found.append(Axis(path, name, unit, tuple(float(value) for value in spaced(low, high, item.count))))
+        spaced = in_ticks((np.geomspace if item.scale == "log" else np.linspace)(low, high, item.count), step)
+        found.append(Axis(path, name, unit, tuple(spaced.tolist()), step=step))
     return tuple(found)
 
 

@@ -16,7 +16,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.files import Content
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.studies.sweep.axes import Axis, apply
+from qrsim.studies.sweep.axes import Axis, apply, in_ticks
 from qrsim.world.state import World
 
 
@@ -26,17 +26,19 @@ class Place:
 
     Attributes:
         path: of the number.
+        step: what the World has it in multiples of: a time step [s], of times that it has in ticks; 0: nothing.
         in_degrees: whether the scenario has it in degrees, and the World in radians.
         parts: leaves of the World, by their number, and which of their elements are this number.
     """
 
     path: str
+    step: float
     in_degrees: bool
     parts: tuple[tuple[int, NumpyArray], ...]
 
     def values(self, given: NumpyArray) -> NumpyArray:
         """Convert scenario values to the World's units, in double precision."""
-        return np.array([math.radians(value) for value in given]) if self.in_degrees else np.asarray(given, np.float64)
+        return np.array([_in_world(value, self.step, self.in_degrees) for value in given], np.float64)
 
 
 @dataclass(frozen=True)
@@ -204,16 +206,22 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
     leaves = [[np.asarray(leaf) for leaf in jax.tree.leaves(item)] for item in worlds]
-    for in_degrees in (False, True):
-        parts = _parts(leaves, [math.radians(value) if in_degrees else value for value in values])
+    for step, in_degrees in ((axis.step, False), (0.0, True)):
+        parts = _parts(leaves, [_in_world(value, step, in_degrees) for value in values])
         if parts:
-            return Place(axis.path, in_degrees, parts)
+            return Place(axis.path, step, in_degrees, parts)
     return None
+
+
+def _in_world(value: Any, step: float, in_degrees: bool) -> Any:
+    if in_degrees:
+        return math.radians(value)
+    return round(value / step) if step else value
 
 
 def _middle(axis: Axis) -> object:
     if axis.values is None:
-        return 0.5 * (axis.low + axis.high)
+        return float(in_ticks(np.array(0.5 * (axis.low + axis.high)), axis.step))
     return sorted(axis.values)[len(axis.values) // 2]
 
 

@@ -33,6 +33,8 @@ def plan_of(study: Study) -> Plan:
     """
     axes = axes_of(study.spec)
     _refuse_unknown(study, axes)
+    if all(axis.path != "time_step" for axis in axes):
+        axes = axes_of(study.spec, scenario_at(study.content, {}).spec.time_step)
     _refuse_outside(study, axes)
     _warn_of_fixed_gust(study, axes)
     structural = tuple(axis for axis in axes if _is_structural(study, axis, axes))

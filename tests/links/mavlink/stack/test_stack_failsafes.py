@@ -13,6 +13,7 @@ from qrsim.links.mavlink.stack.codes import Breach, PlanKind
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import LocalTarget
 from qrsim.links.mavlink.stack.parameters import INT32, REAL32, TABLE, Outcome, Parameters
+from qrsim.links.mavlink.stack.sim_parameters import SIM_TABLE
 
 FENCE = ((-30.0, -30.0), (-30.0, 30.0), (30.0, 30.0), (30.0, -30.0))
 OFFBOARD = 0x00060000
@@ -315,7 +316,7 @@ def test_the_docs_list_all_parameters():
     rows = [line for line in page.read_text(encoding="utf-8").splitlines() if "INT32 |" in line or "REAL32 |" in line]
     names = {INT32: "INT32", REAL32: "REAL32"}
     expected = []
-    for one in TABLE:
+    for one in TABLE + SIM_TABLE:
         span = f"{one.default:g} | {one.low:g} to {one.high:g}"
         expected.append(f"| `{one.name}` | {names[one.type]} | {span} | {one.unit or '-'} | {one.doc} |")
     assert rows == expected

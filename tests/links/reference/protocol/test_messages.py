@@ -71,7 +71,7 @@ def test_kinds_of_steps_and_required_fields_are_those_of_the_reference():
     labels = {f"{message.name}.{field.name}": field.label for message in file.message_type for field in message.field}
     required = {name for name, label in labels.items() if label == FieldDescriptorProto.LABEL_REQUIRED}
     own = {"Server", "Session", "Event", "Events", "Pacing", "Readings", "Values", "Episode", "Outcome"}
-    own |= {"Claimed", "Order", "Commanded", "Status", "World"}
+    own |= {"Claimed", "Order", "Commanded", "Status", "World", "Inject"}
     assert {name for name in required if name.partition(".")[0] not in own} == {
         "Size.value",
         "Init.task",

@@ -20,8 +20,9 @@ from qrsim.links.mavlink.stack.landing import LANDED_AFTER, Descent
 from qrsim.links.mavlink.stack.mission import Mission
 from qrsim.links.mavlink.stack.modes import BY_SETPOINTS, BY_STICKS, FLAVOURS, FLIES_AGAIN, Flavour, Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
-from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.parameters import TABLE, Parameters
 from qrsim.links.mavlink.stack.returning import Return
+from qrsim.links.mavlink.stack.sim_parameters import SIM_TABLE
 from qrsim.links.mavlink.stack.sticks import Sticks
 from qrsim.models.site import Site
 
@@ -69,7 +70,7 @@ class Flight:
                 start["COM_OF_LOSS_T"] = GUIDED_TIMEOUT
             if facts.loiter_radius:
                 start["NAV_LOITER_RAD"] = facts.loiter_radius
-            parameters = Parameters(start)
+            parameters = Parameters(start, TABLE + SIM_TABLE * (flavour == "ardupilot"))
         self.parameters, self.flavour = parameters, self._flavours[flavour]
         self.craft = Craft(facts, self.parameters, Geodesy(site))
         self.plan: Mission = self._plan(flavour)

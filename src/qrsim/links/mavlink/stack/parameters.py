@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -41,6 +41,7 @@ class Outcome(Enum):
     WRONG_TYPE = "wrong_type"
     READ_ONLY = "read_only"
     NOT_FINITE = "not_finite"
+    REFUSED = "refused"
 
 
 def _real(name: str, default: float, low: float, high: float, unit: str, doc: str) -> Parameter:
@@ -115,13 +116,20 @@ class Parameters:
 
     Args:
         start: values that differ from the defaults, by name.
+        table: of all parameters, in their order.
 
     Raises:
         KeyError: there is no such parameter.
+
+    Attributes:
+        changed: called with the name of a parameter of a simulator, SIM_..., that has a new value; returns whether that
+            can be, else it is the one of before.
     """
 
-    def __init__(self, start: Mapping[str, float] | None = None):
-        self._table = {parameter.name: parameter for parameter in TABLE}
+    def __init__(self, start: Mapping[str, float] | None = None, table: Sequence[Parameter] = TABLE):
+        self.changed: Callable[[str], bool] | None = None
+        self._rows = table
+        self._table = {parameter.name: parameter for parameter in table}
         self._index = {name: number for number, name in enumerate(self._table)}
         self.values = {name: parameter.default for name, parameter in self._table.items()}
         for name, value in (start or {}).items():
@@ -143,7 +151,7 @@ class Parameters:
 
     def at(self, index: int) -> Parameter | None:
         """Return the parameter of a number in the list, None where there is none."""
-        return TABLE[index] if 0 <= index < len(TABLE) else None
+        return self._rows[index] if 0 <= index < len(self._rows) else None
 
     def index(self, name: str) -> int:
         """Return the number of a parameter in the list; raises KeyError."""
@@ -170,7 +178,10 @@ class Parameters:
             return Outcome.NOT_FINITE
         if name in READ_ONLY:
             return Outcome.READ_ONLY
-        self.values[name] = _within(known, value)
+        before, self.values[name] = self.values[name], _within(known, value)
+        if name.startswith("SIM_") and self.changed is not None and not self.changed(name):
+            self.values[name] = before
+            return Outcome.REFUSED
         return Outcome.SET if known.low <= value <= known.high else Outcome.CLAMPED
 
 

@@ -613,8 +613,41 @@ class Say(_message.Message):
     words: _containers.RepeatedCompositeFieldContainer[Say.Words]
     def __init__(self, words: _Optional[_Iterable[_Union[Say.Words, _Mapping]]] = ...) -> None: ...
 
+class Inject(_message.Message):
+    __slots__ = ("target", "kind", "vehicle", "number", "field", "at", "duration")
+    class Number(_message.Message):
+        __slots__ = ("name", "value")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        value: float
+        def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    TARGET_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    FIELD_FIELD_NUMBER: _ClassVar[int]
+    AT_FIELD_NUMBER: _ClassVar[int]
+    DURATION_FIELD_NUMBER: _ClassVar[int]
+    target: str
+    kind: str
+    vehicle: _containers.RepeatedScalarFieldContainer[str]
+    number: _containers.RepeatedCompositeFieldContainer[Inject.Number]
+    field: str
+    at: float
+    duration: float
+    def __init__(self, target: _Optional[str] = ..., kind: _Optional[str] = ..., vehicle: _Optional[_Iterable[str]] = ..., number: _Optional[_Iterable[_Union[Inject.Number, _Mapping]]] = ..., field: _Optional[str] = ..., at: _Optional[float] = ..., duration: _Optional[float] = ...) -> None: ...
+
+class Clear(_message.Message):
+    __slots__ = ("target", "vehicle")
+    TARGET_FIELD_NUMBER: _ClassVar[int]
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    target: str
+    vehicle: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, target: _Optional[str] = ..., vehicle: _Optional[_Iterable[str]] = ...) -> None: ...
+
 class Message(_message.Message):
-    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome", "claim", "claimed", "release", "command", "commanded", "subscribe", "sensed", "get_status", "status", "describe", "world", "say")
+    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome", "claim", "claimed", "release", "command", "commanded", "subscribe", "sensed", "get_status", "status", "describe", "world", "say", "inject", "clear")
     class Type(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NONE: _ClassVar[Message.Type]
@@ -654,6 +687,8 @@ class Message(_message.Message):
         DESCRIBE: _ClassVar[Message.Type]
         WORLD: _ClassVar[Message.Type]
         SAY: _ClassVar[Message.Type]
+        INJECT: _ClassVar[Message.Type]
+        CLEAR: _ClassVar[Message.Type]
     NONE: Message.Type
     INIT: Message.Type
     RESET: Message.Type
@@ -691,6 +726,8 @@ class Message(_message.Message):
     DESCRIBE: Message.Type
     WORLD: Message.Type
     SAY: Message.Type
+    INJECT: Message.Type
+    CLEAR: Message.Type
     TYPE_FIELD_NUMBER: _ClassVar[int]
     INIT_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
@@ -728,6 +765,8 @@ class Message(_message.Message):
     DESCRIBE_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     SAY_FIELD_NUMBER: _ClassVar[int]
+    INJECT_FIELD_NUMBER: _ClassVar[int]
+    CLEAR_FIELD_NUMBER: _ClassVar[int]
     type: Message.Type
     init: Init
     reset: Reset
@@ -765,4 +804,6 @@ class Message(_message.Message):
     describe: Describe
     world: World
     say: Say
-    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ..., claim: _Optional[_Union[Claim, _Mapping]] = ..., claimed: _Optional[_Union[Claimed, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., command: _Optional[_Union[Command, _Mapping]] = ..., commanded: _Optional[_Union[Commanded, _Mapping]] = ..., subscribe: _Optional[_Union[Subscribe, _Mapping]] = ..., sensed: _Optional[_Union[Readings, _Mapping]] = ..., get_status: _Optional[_Union[GetStatus, _Mapping]] = ..., status: _Optional[_Union[Status, _Mapping]] = ..., describe: _Optional[_Union[Describe, _Mapping]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., say: _Optional[_Union[Say, _Mapping]] = ...) -> None: ...
+    inject: Inject
+    clear: Clear
+    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ..., claim: _Optional[_Union[Claim, _Mapping]] = ..., claimed: _Optional[_Union[Claimed, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., command: _Optional[_Union[Command, _Mapping]] = ..., commanded: _Optional[_Union[Commanded, _Mapping]] = ..., subscribe: _Optional[_Union[Subscribe, _Mapping]] = ..., sensed: _Optional[_Union[Readings, _Mapping]] = ..., get_status: _Optional[_Union[GetStatus, _Mapping]] = ..., status: _Optional[_Union[Status, _Mapping]] = ..., describe: _Optional[_Union[Describe, _Mapping]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., say: _Optional[_Union[Say, _Mapping]] = ..., inject: _Optional[_Union[Inject, _Mapping]] = ..., clear: _Optional[_Union[Clear, _Mapping]] = ...) -> None: ...

@@ -1,0 +1,295 @@
+"""Faults and wind that clients set by ArduPilot's parameters SIM_...; see ``stack/sim_parameters.py``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.arrays import NumpyArray
+from qrsim.errors import UsageError
+from qrsim.links.mavlink.failures import UNITS, slots_of
+from qrsim.links.mavlink.stack.codes import Severity
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.geodesy import Geodesy
+from qrsim.links.mavlink.stack.sim_parameters import AXES
+from qrsim.models.vehicles.multirotor import Multirotor
+from qrsim.simulation.changing import wind_limit
+from qrsim.simulation.injections import OK, targets_of
+from qrsim.simulation.live_requests import Request, apply, wind
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet
+
+GYRO, ACCEL, MAG, BARO, GPS, SONAR, AIRSPEED = 0, 1, 2, 3, 4, 7, 8
+# Least satellites of a fix; within what positions of a jammed receiver are drawn [m]; microtesla in a milligauss.
+LEAST_SATELLITES, JAM_RANGE_M, UT_PER_MGAUSS = 4, 200.0, 0.1
+# While a wind changes, it is set so often [s]; nearer than this [m/s, degrees] it is there. Least time constant [s].
+EVERY_S, NEAR_SPEED, NEAR_BEARING, LEAST_TC_S = 0.2, 1e-3, 1e-2, 0.1
+# AP_MotorsMatrix.cpp, frames of type X: degrees clockwise from the nose of each motor's arm, in the order of the bits.
+ANGLES: dict[int, tuple[float, ...]] = {
+    4: (45.0, -135.0, -45.0, 135.0),
+    6: (90.0, -90.0, -30.0, 150.0, 30.0, -150.0),
+    8: (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5),
+}
+MOST_OFF_DEG = 20.0
+CHARGES = np.linspace(0.0, 1.0, 1001)
+Fault = tuple[str, dict[str, Any]]
+Values = Mapping[str, float]
+
+
+class SimWind:
+    """The mean wind of a world as parameters set it: it follows a change as ArduPilot's does, by a low-pass filter.
+
+    Args:
+        simulation: reset.
+
+    Attributes:
+        tables: values of the parameters of all vehicles, which show it.
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._by = simulation, ""
+        self._target: tuple[float, float] | None = None
+        self._rate = self._next = 0.0
+        self.tables: list[dict[str, float]] = []
+
+    @property
+    def now(self) -> tuple[float, float] | None:
+        """Present speed [m/s] and bearing [degrees]; None: the wind has no such numbers."""
+        found: Any = self._simulation.world.wind
+        if not hasattr(found, "speed_20ft"):
+            return None
+        return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
+
+    def ask(self, speed: float, bearing: float, constant: float, asked_by: str) -> None:
+        """Let the wind change; raises UsageError where it cannot be like that, and nothing has changed."""
+        most = wind_limit(self._simulation.world)
+        if speed > most:
+            raise UsageError(f"{speed:g} m/s; allowed: 0 to {most:g} m/s")
+        self._target, self._by = (speed, bearing), asked_by
+        # calc_lowpass_alpha_dt takes 1 / SIM_WIND_TC as its cut-off frequency.
+        self._rate = 2.0 * math.pi / max(constant, LEAST_TC_S)
+        self._next = self._simulation.time
+        for table in self.tables:
+            table["SIM_WIND_SPD"], table["SIM_WIND_DIR"] = speed, bearing
+
+    def again(self) -> None:
+        """Let it be what the parameters say, after a reset."""
+        if self._by:
+            table = self.tables[0]
+            self.ask(table["SIM_WIND_SPD"], table["SIM_WIND_DIR"], table["SIM_WIND_TC"], self._by)
+
+    def tick(self) -> None:
+        """Let it follow; to be called before every tick."""
+        time, now = self._simulation.time, self.now
+        if self._target is None or now is None or time < self._next - 1e-9:
+            return
+        self._next = time + EVERY_S
+        (speed, bearing), share = self._target, 1.0 - math.exp(-EVERY_S * self._rate)
+        turn = math.remainder(bearing - now[1], 360.0)
+        if abs(speed - now[0]) < NEAR_SPEED and abs(turn) < NEAR_BEARING:
+            self._target = None
+        else:
+            speed, bearing = now[0] + share * (speed - now[0]), now[1] + share * turn
+        apply(self._simulation, wind(speed, bearing), self._by)
+
+
+class SimParameters:
+    """The parameters SIM_... of one vehicle.
+
+    Args:
+        simulation: that it flies in.
+        craft: the vehicle; what is set in its table of parameters is done from here on.
+        air: the wind of all vehicles.
+    """
+
+    def __init__(self, simulation: Simulation, craft: Craft, air: SimWind):
+        self._simulation, self._craft, self._air = simulation, craft, air
+        self._name, self._by = craft.facts.name, f"mavlink:{craft.facts.system}"
+        self._fleet = next(fleet for fleet in simulation.world.fleets if self._name in fleet.vehicle_names)
+        self._faults: dict[str, Fault] = {}
+        self._values = craft.parameters.values
+        self._volts = _volts(self._fleet, self._fleet.vehicle_names.index(self._name))
+        if self._volts is not None:
+            self._values["SIM_BATT_VOLTAGE"] = self._full = float(self._volts[-1])
+        if air.now is not None:
+            self._values["SIM_WIND_SPD"], self._values["SIM_WIND_DIR"] = air.now
+        air.tables.append(self._values)
+        craft.parameters.changed = self._changed
+
+    def _changed(self, name: str) -> bool:
+        """Do what a parameter says now; return whether that can be done, and say why not."""
+        values, family = self._values, name.split("_")[1]
+        try:
+            if family == "WIND":
+                self._air.ask(values["SIM_WIND_SPD"], values["SIM_WIND_DIR"], values["SIM_WIND_TC"], self._by)
+            elif family == "BATT":
+                self._drop(values[name])
+            elif name.startswith("SIM_"):
+                self._set(*PARTS[family])
+        except UsageError as error:
+            self._craft.say(Severity.WARNING, f"{name}: {error}")
+            return False
+        return True
+
+    def again(self) -> None:
+        """Do again what the parameters say, after a reboot or a reset, which end faults."""
+        self._faults.clear()
+        for part in dict.fromkeys(PARTS.values()):
+            self._set(*part)
+        if self._volts is not None and self._values["SIM_BATT_VOLTAGE"] < self._full:
+            self._drop(self._values["SIM_BATT_VOLTAGE"])
+
+    def _set(self, what: str, faults: Callable[[Values, Fleet, Geodesy], dict[str, Fault | None]]) -> None:
+        """Put the faults of a part, by target, in place of those that it has."""
+        wanted = faults(self._values, self._fleet, self._craft.geodesy)
+        for target, fault in wanted.items():
+            if fault is not None and target not in targets_of(self._fleet):
+                raise UsageError(f"not injectable: {what}; start qrsim mavlink with --injectable all")
+        for target, fault in wanted.items():
+            if fault == self._faults.get(target):
+                continue
+            kind, numbers = (OK, {}) if fault is None else fault
+            line = apply(self._simulation, Request(target, kind, (self._name,), numbers=numbers), self._by)
+            self._craft.say(Severity.INFO, line)
+            self._faults.pop(target, None)
+            self._faults.update({} if fault is None else {target: fault})
+
+    def _drop(self, volts: float) -> None:
+        if self._volts is None:
+            raise UsageError("there is no battery that could lose charge")
+        numbers = {"charge": float(np.interp(volts, self._volts, CHARGES))}
+        line = apply(self._simulation, Request("battery", "drop", (self._name,), numbers=numbers), self._by)
+        self._craft.say(Severity.INFO, line)
+
+
+def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
+    """Return the voltages [V] of a vehicle's battery without a load at ``CHARGES``; None: it does not drain."""
+    battery: Any = fleet.battery
+    if not battery.drains:
+        return None
+
+    def own(value: object) -> Any:
+        return np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number]
+
+    if hasattr(battery, "open_circuit"):
+        cells = own(battery.cells) / own(np.asarray(battery.cells).flat[0])
+        return np.asarray(battery.open_circuit(CHARGES), np.float64) * cells
+    full, empty = own(battery.voltage_full), own(battery.voltage_empty)
+    return np.asarray(empty + (full - empty) * CHARGES)
+
+
+# ---- what the parameters of a part say, by target; None: there is no fault ----
+
+
+def _target(fleet: Fleet, unit: int) -> str:
+    """Return the first sensor of a FAILURE_UNIT that may fail; "" for none."""
+    return next((slot.sensor for slot in slots_of(fleet, UNITS[unit].field)), "")
+
+
+def _nonzero(values: Values, name: str, field: str, factor: float = 1.0) -> dict[str, float]:
+    """Return numbers of the axes of a field, where one of them is not 0."""
+    found = {f"{field}.{axis.lower()}": factor * values[f"SIM_{name}_{axis}"] for axis in AXES}
+    return found if any(found.values()) else {}
+
+
+def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    place = UNITS[GPS].field
+    rates = _nonzero(values, "GPS1_GLTV", place)
+    north, east, up = (values[f"SIM_GPS1_GLTCH_{axis}"] + values[f"SIM_GPS_GLITCH_{axis}"] for axis in AXES)
+    fault: Fault | None = None
+    if not values["SIM_GPS1_ENABLE"] or values["SIM_GPS_DISABLE"] or values["SIM_GPS1_NUMSATS"] < LEAST_SATELLITES:
+        fault = ("off", {})
+    elif values["SIM_GPS1_JAM"]:
+        fault = ("garbage", {"field": place, "range": JAM_RANGE_M})
+    elif rates:
+        fault = ("drift", {"rate": rates})
+    elif north or east or up:
+        latitude, longitude, altitude = geodesy.to_geodetic((0.0, 0.0, 0.0))
+        moved = geodesy.to_ned(latitude + north, longitude + east, altitude + up)
+        fault = ("wrong", {"bias": {f"{place}.{axis.lower()}": by for axis, by in zip(AXES, moved, strict=True)}})
+    return {_target(fleet, GPS): fault}
+
+
+def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    height = UNITS[BARO].field
+    fault: Fault | None = None
+    if values["SIM_BARO_DISABLE"]:
+        fault = ("off", {})
+    elif values["SIM_BARO_FREEZE"]:
+        fault = ("stuck", {})
+    elif values["SIM_BARO_DELAY"]:
+        fault = ("delayed", {"by": 1e-3 * values["SIM_BARO_DELAY"]})
+    elif values["SIM_BARO_DRIFT"]:
+        fault = ("drift", {"field": height, "rate": values["SIM_BARO_DRIFT"]})
+    elif values["SIM_BARO_GLITCH"]:
+        fault = ("wrong", {"field": height, "bias": values["SIM_BARO_GLITCH"]})
+    elif values["SIM_BARO_RND"]:
+        fault = ("noisy", {"field": height, "std": values["SIM_BARO_RND"]})
+    return {_target(fleet, BARO): fault}
+
+
+def _magnetometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    # SIM_Compass.cpp subtracts the offsets.
+    bias = _nonzero(values, "MAG1_OFS", UNITS[MAG].field, -UT_PER_MGAUSS)
+    fault: Fault | None = ("wrong", {"bias": bias}) if bias else None
+    if values["SIM_MAG1_FAIL"]:
+        fault = ("off" if values["SIM_MAG1_FAIL"] < 1.5 else "stuck", {})
+    return {_target(fleet, MAG): fault}
+
+
+def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the faults of gyroscope and accelerometer, which may be one sensor."""
+    force, stuck = UNITS[ACCEL].field, values["SIM_ACCEL1_FAIL"]
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    of_accelerometer = _nonzero(values, "ACC1_BIAS", force)
+    scales = {f"{force}.{axis.lower()}": 0.0 for axis in AXES} if stuck else {}
+    of_accelerometer = dict.fromkeys(scales, stuck) or of_accelerometer
+    for unit, bias in ((GYRO, _nonzero(values, "GYR1_BIAS", UNITS[GYRO].field)), (ACCEL, of_accelerometer)):
+        numbers = found.setdefault(_target(fleet, unit), {})
+        if bias:
+            numbers.setdefault("bias", {}).update(bias)
+        if unit == ACCEL and scales:
+            numbers["scale"] = scales
+    return {target: ("wrong", numbers) if numbers else None for target, numbers in found.items()}
+
+
+def _pitot(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    speed = values["SIM_ARSPD_FAIL"]
+    numbers = {"field": UNITS[AIRSPEED].field, "scale": 0.0, "bias": speed}
+    return {_target(fleet, AIRSPEED): ("wrong", numbers) if speed else None}
+
+
+def _sonar(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    share, offset = values["SIM_SONAR_GLITCH"], values["SIM_SONAR_OFFSET"]
+    fault: Fault | None = ("wrong", {"field": UNITS[SONAR].field, "bias": offset}) if offset else None
+    return {_target(fleet, SONAR): ("intermittent", {"share": share}) if share else fault}
+
+
+def _engines(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    mask, health = int(values["SIM_ENGINE_FAIL"]), values["SIM_ENGINE_MUL"]
+    rotors = motor_order(fleet)
+    if mask >> len(rotors):
+        raise UsageError(f"{mask}: the vehicle has {len(rotors)} motors; allowed: 0 to {(1 << len(rotors)) - 1}")
+    weak = ("weak", {"health": health})
+    return {f"rotor {rotor}": weak if mask >> bit & 1 and health < 1.0 else None for bit, rotor in enumerate(rotors)}
+
+
+def motor_order(fleet: Fleet) -> list[int]:
+    """Return the rotors in the order of ArduPilot's motors, in their own where it has no such frame."""
+    rotors = fleet.vehicle.rotors if isinstance(fleet.vehicle, Multirotor) else ()
+    found = []
+    for angle in ANGLES.get(len(rotors), ()):
+        off = [abs(math.remainder(angle - math.degrees(math.atan2(*each.position[1::-1])), 360.0)) for each in rotors]
+        found.append(off.index(min(off)) if min(off) < MOST_OFF_DEG else -1)
+    return found if sorted(found) == list(range(len(rotors))) else list(range(len(rotors)))
+
+
+PARTS: dict[str, tuple[str, Callable[[Values, Fleet, Geodesy], dict[str, Fault | None]]]] = {
+    "GPS": ("gps", _receiver), "GPS1": ("gps", _receiver), "BARO": ("baro", _barometer),
+    "MAG1": ("mag", _magnetometer), "GYR1": ("gyro or accel", _inertial), "ACC1": ("gyro or accel", _inertial),
+    "ACCEL1": ("gyro or accel", _inertial), "ARSPD": ("airspeed", _pitot), "SONAR": ("distance sensor", _sonar),
+    "ENGINE": ("motor", _engines),
+}  # fmt: skip
