@@ -14,10 +14,11 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.studies.slam import team
 from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
-from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, available_bytes, check_memory, state_size
+from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
 from qrsim.studies.slam.example import MEMORY, STATE_PERIOD, base_world
 from qrsim.studies.slam.flight import Flight, ticks_between
 from qrsim.studies.slam.intervals import interval, paired
+from qrsim.studies.slam.memory import available_bytes, check_memory, state_size
 from qrsim.studies.slam.ranging import LANDMARKS
 from qrsim.studies.slam.study import BYTES_PER_TICK
 
