@@ -74,6 +74,6 @@ _OWN: Presets = {
 PRESETS: Presets = {name: {**_COMMON, **own} for name, own in _OWN.items()}
 
 
-def default(name: str) -> Any:
+def default(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return PRESETS[DEFAULT][name]

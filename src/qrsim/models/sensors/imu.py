@@ -47,7 +47,7 @@ def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
-def _structure(name: str, unit: str, doc: str) -> Any:
+def _structure(name: str, unit: str, doc: str) -> float:
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
