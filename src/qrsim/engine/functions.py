@@ -28,7 +28,7 @@ class Function:
 
     name: str
     # Two equal functions may be two objects, such as a partial that is made for each rollout.
-    call: Callable[..., Any] = field(compare=False)
+    call: Callable[..., object] = field(compare=False)
     of: Hashable = ()
     text: tuple[str | tuple[bool, ...], ...] | None = field(default=(), compare=False)
 

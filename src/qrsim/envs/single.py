@@ -16,6 +16,7 @@ from qrsim.envs.batch import Batch, checked_seed, numbers
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 
 def only_one(batch: Batch) -> None:
@@ -71,7 +72,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
     @checked_arguments
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         overrides: Iterable[str] = (),
         precision: str = "float32",
         render_mode: str | None = None,

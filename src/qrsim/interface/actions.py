@@ -119,7 +119,7 @@ class ActionChecker:
             what = "yaw_rad" if np.isfinite(rows[:3]).all() else "position_ned"
             row = int(np.argmin(np.isfinite(rows[3:] if what == "yaw_rad" else rows[:3]).all(axis=0)))
             raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
-        north, east, down, heading = cast(Any, rows)
+        north, east, down, heading = cast(Array, rows)
         return WaypointSetpoint(Vec3(north, east, down), heading)
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:

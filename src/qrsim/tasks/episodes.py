@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -21,13 +21,13 @@ class Begun(NamedTuple):
     """Episodes at their start, arrays (b, ...)."""
 
     placed: Any
-    seen: Any
+    seen: object
     truth: dict[str, NumpyArray]
 
 
 @lru_cache
-def _scored() -> Any:
-    def score(play: Play, episode: Episode, answer: Any) -> jax.Array:
+def _scored() -> Callable[..., jax.Array]:
+    def score(play: Play, episode: Episode, answer: jax.Array) -> jax.Array:
         found = play.task.score(episode.memory, play.world, episode.state, answer)
         return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 

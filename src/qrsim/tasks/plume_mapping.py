@@ -105,7 +105,7 @@ class PlumeMapping(Task):
         _, fleet = fleet_of(world, state, self.fleet)
         return memory, jnp.zeros_like(fleet.vehicle.position_ned.x)
 
-    def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Any]:
+    def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Array]:
         """Return the observation of each vehicle (n,).
 
         ``vehicle`` (n, 10) is what it believes of itself and the last concentration it measured, ``locations``

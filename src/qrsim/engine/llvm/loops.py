@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.operations import Operations
@@ -38,7 +37,7 @@ class Loops(Writer):
         self.turning: str | None = None
 
     @contextmanager
-    def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
+    def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
         """Write loops over some axes of the domain, ``together`` turns of the last but the vector's own at once."""
         if not axes:
             yield

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jax.core import ShapedArray
 
 from qrsim.engine.llvm.graph import Graph, Parameters, Shape, View, squeezed
+from qrsim.engine.llvm.text import DType
 
 
 class Like(NamedTuple):
     """Shape and type of a result."""
 
     shape: Shape
-    dtype: Any
+    dtype: DType
 
 
 class Nodes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr
@@ -19,7 +18,7 @@ from qrsim.engine.llvm.in_state import InState
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 from qrsim.engine.llvm.schedule import Arena, Scheduler, all_nodes, in_place, materialised
 from qrsim.engine.llvm.simplify import live_nodes
-from qrsim.engine.llvm.text import stored_bytes
+from qrsim.engine.llvm.text import DType, stored_bytes
 from qrsim.engine.llvm.tracing import Tracer, trace
 from qrsim.engine.llvm.waiting import ALONE, NESTED
 from qrsim.engine.llvm.writing import Place, Writer
@@ -74,7 +73,7 @@ class Binary:
     text: bytes = b""
 
 
-def trace_tick(function: Callable[..., Any], inputs: Sequence[Input]) -> ClosedJaxpr:
+def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> ClosedJaxpr:
     """Trace a function of trees and the number of the tick, which returns a tree like the last one.
 
     Args:
@@ -86,7 +85,7 @@ def trace_tick(function: Callable[..., Any], inputs: Sequence[Input]) -> ClosedJ
 
 
 def build(
-    function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
+    function: Callable[..., object] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
 ) -> Binary:
     """Compile a function from a state to the next one.
 
@@ -147,7 +146,7 @@ class Draft:
         found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views[: len(closed.jaxpr.invars)])
         self.results = [view.access() for view in found]
 
-    def _input(self, which: int, given: Input, shape: Shape, dtype: Any, part: slice, is_float: bool) -> Node:
+    def _input(self, which: int, given: Input, shape: Shape, dtype: DType, part: slice, is_float: bool) -> Node:
         # As they lie in the buffers; others would be taken for what they are not.
         if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")

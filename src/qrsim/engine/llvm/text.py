@@ -44,7 +44,7 @@ def vector(element: str, lanes: int) -> str:
     return element if lanes == 1 else f"<{lanes} x {element}>"
 
 
-def literal(value: Any, dtype: DType) -> str:
+def literal(value: float | np.float32, dtype: DType) -> str:
     """Return a number as LLVM writes it."""
     if dtype.kind == "b":
         return "true" if value else "false"

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
@@ -18,7 +19,7 @@ from qrsim.models.atmosphere.dryden import Dryden
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, LogShear
 from qrsim.studies.validate.jsbsim_gusts import jsbsim_series
-from qrsim.studies.validate.spectra import DT, Case, Floats, scales
+from qrsim.studies.validate.spectra import DT, Case, scales
 from qrsim.studies.validate.statistics import against, mean_and_error
 
 WIND_FT_S, FROM_DEG = 2.0, 30.0

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.constellations import NominalConstellations
 from qrsim.models.gnss.orbits import dilution_of_precision, elevation_azimuth
 from qrsim.models.site import Site, gps_seconds_from_utc
@@ -18,7 +19,7 @@ from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.studies.validate.published import RECEIVER_CEP_M, SPS_MASK_DEG, SPS_PDOP, SPS_PDOP_SHARE
 from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture
-from qrsim.studies.validate.statistics import CONFIDENCE, Values, widest_z
+from qrsim.studies.validate.statistics import CONFIDENCE, widest_z
 
 DAY = datetime.fromisoformat("2026-06-21T00:00:00+00:00")
 # Of the geometry: rows of latitude and times of a day.
@@ -30,11 +31,11 @@ TICKS = 100
 class Fixes(NamedTuple):
     """Last fixes of a receiver that hovers, in many worlds: errors (n, 3) [m], and what it reported of them (n, 2)."""
 
-    error: Values
-    reported: Values
+    error: Floats
+    reported: Floats
 
 
-def pdops(times: int = TIMES) -> Values:
+def pdops(times: int = TIMES) -> Floats:
     """Return the position dilutions of precision of GPS over a day, (sites, times), infinite without a fix.
 
     Sites are even over the globe: fewer of them where parallels are short.
@@ -53,7 +54,7 @@ def pdops(times: int = TIMES) -> Values:
     return np.array(rows)
 
 
-def _pdop(rays: Values) -> float:
+def _pdop(rays: Floats) -> float:
     return dilution_of_precision(rays)[2] if len(rays) >= 4 else math.inf
 
 
@@ -157,7 +158,7 @@ def _finding(preset: str, found: float) -> Finding:
     )
 
 
-def _picture(found: Mapping[str, Fixes], geometry: Values) -> Picture:
+def _picture(found: Mapping[str, Fixes], geometry: Floats) -> Picture:
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 

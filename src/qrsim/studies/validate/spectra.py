@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
@@ -27,8 +28,6 @@ VEHICLES = 16
 COMPONENTS = ("u", "v", "w", "q", "r")
 # Of third octaves [rad/s], as far as omega T = 1.
 LOWEST_OMEGA, BANDS = 0.25, 23
-
-Floats = np.ndarray[Any, np.dtype[np.floating[Any]]]
 
 
 class Case(NamedTuple):
