@@ -108,7 +108,7 @@ class Metric(Protocol):
     """
 
     @abstractmethod
-    def init(self, world: World, state: State) -> Any:
+    def init(self, world: World, state: State) -> object:
         """Return the memory at the start, a tree of arrays, each (n,) or ()."""
 
     @abstractmethod

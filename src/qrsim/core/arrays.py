@@ -9,3 +9,5 @@ import numpy as np
 NumpyArray = np.ndarray[Any, Any]
 # Arrays of floating-point numbers, of either width.
 Floats = np.ndarray[Any, Any]
+# The type of an array's numbers.
+DType = np.dtype[Any]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
+from qrsim.core.arrays import DType
 from qrsim.engine.settings import FEW_VEHICLES
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ class Extent:
     """
 
     vehicles: int
-    dtype: np.dtype[Any]
+    dtype: DType
     worlds: int | None = None
     devices: int = 1
     mesh: Mesh | None = None

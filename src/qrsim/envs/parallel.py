@@ -41,7 +41,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         answer_space: as of ``SingleTask``, each of one agent.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
@@ -141,8 +141,8 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
         count = len(self.possible_agents)
-        flown: list[Any] = [np.zeros(self.batch.width, self.batch.dtype)] * count
-        said: list[Any] = [np.full(self.batch.functional.play.message, np.nan, self.batch.dtype)] * count
+        flown = [np.zeros(self.batch.width, self.batch.dtype)] * count
+        said = [np.full(self.batch.functional.play.message, np.nan, self.batch.dtype)] * count
         for agent in self.agents:
             who, row = f"action of {agent}", self.possible_agents.index(agent)
             act, said[row] = split_say(self.batch, actions[agent], who)

@@ -67,7 +67,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         answer_space: of what is handed in by ``hand_in``; None for a task without.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
@@ -159,7 +159,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> Any:
+    def _seen(self) -> object:
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)
 
     def _truth(self) -> dict[str, object]:

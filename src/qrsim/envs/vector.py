@@ -47,7 +47,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         UsageError: there is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES), "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
@@ -143,9 +143,9 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> Any:
+    def _seen(self) -> object:
         return jax.tree.map(lambda leaf: leaf[:, 0].copy(), self.batch.seen)
 
-    def _truth(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, Any]:
+    def _truth(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
         values = {name: leaf[:, 0].copy() for name, leaf in truth.items()}
         return values | {f"_{name}": there.copy() for name in values}

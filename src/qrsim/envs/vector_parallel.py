@@ -47,7 +47,7 @@ class VectorParallelTask:
         UsageError: there is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
     @checked_arguments
     def __init__(

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.core.noise import Key
 from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.engine.settings import quick_jit
@@ -62,7 +62,7 @@ class Episodes:
         dtype: of all numbers.
     """
 
-    def __init__(self, play: Play, size: int, dtype: np.dtype[Any]):
+    def __init__(self, play: Play, size: int, dtype: DType):
         self._play = jax.tree.map(np.asarray, play)
         self._size, self._dtype = size, dtype
         extent = Extent(sum(fleet.size for fleet in play.world.fleets), dtype, size)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from jax.core import ShapedArray
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Parameters, Shape, View, squeezed
 from qrsim.engine.llvm.nodes import Like, Nodes
 from qrsim.engine.llvm.refusal import UnsupportedError
-from qrsim.engine.llvm.text import DType
 
 
 class Indexing(Nodes):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.operations import Operations
 from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
@@ -88,7 +89,7 @@ class Loops(Writer):
         self.do(f"call void @llvm.memcpy.p0.p0.i64({begins}, i64 {size}, i1 false)")
         return True
 
-    def _kept(self, to: Place, dtype: object, value: str, lanes: int, keep: str) -> str:
+    def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
         """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)

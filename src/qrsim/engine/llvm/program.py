@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
+from qrsim.core.arrays import DType
 from qrsim.engine.layout import SPARE, Packer, struct
 from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.background import packed
@@ -18,7 +19,7 @@ from qrsim.engine.llvm.in_state import InState
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 from qrsim.engine.llvm.schedule import Arena, Scheduler, all_nodes, in_place, materialised
 from qrsim.engine.llvm.simplify import live_nodes
-from qrsim.engine.llvm.text import DType, stored_bytes
+from qrsim.engine.llvm.text import stored_bytes
 from qrsim.engine.llvm.tracing import Tracer, trace
 from qrsim.engine.llvm.waiting import ALONE, NESTED
 from qrsim.engine.llvm.writing import Place, Writer

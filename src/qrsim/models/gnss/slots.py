@@ -20,9 +20,10 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.base_station import BaseState, BaseStation
 from qrsim.models.gnss.contracts import RangeErrors, Sky
 from qrsim.models.gnss.interference import Interference, Interfering
-from qrsim.models.gnss.orbits import Orbits, elevation_azimuth
+from qrsim.models.gnss.orbits import Ephemeris, Orbits, elevation_azimuth
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, Sight, sight_of
+from qrsim.models.site import Site
 
 # Time between knots [s], and the number of nobody, in a slot that is free.
 KNOT_S = 5.0
@@ -277,7 +278,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
     return jnp.where(kept, places, found), jnp.maximum(wanted - free, 0)
 
 
-def slots_needed(ephemeris: Any, site: Any, start: float, duration_s: float, lowest_sine: float) -> int:
+def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: float, lowest_sine: float) -> int:
     """Return how many slots the satellites of an ephemeris need that are in view at once, over a day or the run."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)

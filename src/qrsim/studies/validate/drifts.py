@@ -18,6 +18,7 @@ from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.attitude import AttitudeEstimator
 from qrsim.models.sensors.barometer import Barometer
+from qrsim.models.sensors.contracts import Sensor
 from qrsim.studies.validate.published import ATTITUDE, BAROMETER
 from qrsim.studies.validate.report import Check, Outcome, Part, Picture
 from qrsim.studies.validate.statistics import CONFIDENCE, mean_and_error, widest_z
@@ -50,7 +51,7 @@ class Process(NamedTuple):
 
 
 @partial(jax.jit, static_argnames=("sensor", "seconds", "vehicles"))
-def _read(sensor: str, model: Any, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
+def _read(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
     like = jnp.zeros((), jnp.float32)
     ids = jnp.arange(vehicles, dtype=jnp.uint32)
     key, zero = Key.root(SEED), jnp.zeros(vehicles, jnp.float32)

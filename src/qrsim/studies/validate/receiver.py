@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,7 +58,7 @@ def recorded_receiver(path: Path) -> Recorded:
     return Recorded(site.geodetic_to_ned(latitude, longitude, height), 0.4, site, (int(used.min()), int(used.max())))
 
 
-def sky_over(path: Path, site: Site, start: Any, duration_s: float, errors: Any) -> SharedSky:
+def sky_over(path: Path, site: Site, start: datetime, duration_s: float, errors: Any) -> SharedSky:
     """Load the sky of an SP3 file over a site from a time on, in single precision as in flights."""
     ephemeris = Sp3Ephemeris(str(path))
     orbits = ephemeris.at(site, gps_seconds_from_utc(start), LIKE, duration_s)

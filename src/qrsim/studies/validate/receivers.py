@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,7 +19,7 @@ from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.studies.validate.published import RECEIVER_CEP_M, SPS_MASK_DEG, SPS_PDOP, SPS_PDOP_SHARE
-from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture
+from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture, Verdict
 from qrsim.studies.validate.statistics import CONFIDENCE, widest_z
 
 DAY = datetime.fromisoformat("2026-06-21T00:00:00+00:00")
@@ -71,7 +72,7 @@ def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
         content = {"name": "receiver", "duration": 10.0, "start_time": start.isoformat(), "fleets": {"one": fleet}}
         world = load_scenario(content, quiet=True).world()
 
-        def last(state: Any) -> Any:
+        def last(state: Any) -> tuple[jax.Array, jax.Array]:
             reading, place = state.fleets[0].readings[0], state.fleets[0].vehicle.position_ned
             error = reading.position_ned.stack() - place.stack()
             return error[0], jnp.stack([reading.horizontal_accuracy[0], reading.vertical_accuracy[0]])
@@ -149,7 +150,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 def _finding(preset: str, found: float) -> Finding:
     stated, source = RECEIVER_CEP_M[preset]
-    verdict: Any = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
+    verdict: Verdict = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
     return Finding(
         f"{preset}: circle that holds half of the fixes",
         f"{found:.2f} m, data sheet {stated:g} m",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from statistics import NormalDist
-from typing import Any
+from typing import SupportsFloat
 
 import numpy as np
 
@@ -17,7 +17,7 @@ CONFIDENCE = 0.999
 Statistic = dict[str, float]
 
 
-def against(value: Any, expected: float, standard_error: float) -> Statistic:
+def against(value: SupportsFloat, expected: float, standard_error: float) -> Statistic:
     """Return a statistic (a number of any type) that is normal about ``expected`` under the hypothesis."""
     z = (float(value) - expected) / standard_error
     return {"value": float(value), "expected": expected, "z": z, "p": math.erfc(abs(z) / math.sqrt(2.0))}
