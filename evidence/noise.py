@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
-from qrsim.studies.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
+from qrsim.studies.validate.statistics import CONFIDENCE, Statistic, against, judge, p_values  # noqa: F401 (tests use p_values)
 
 DOC = "standard normals and Ornstein-Uhlenbeck processes against their theory"
 SEED = 20140914
@@ -36,7 +37,7 @@ def _normals(stream: Stream, ticks: int, count: int) -> jax.Array:
     return jax.vmap(at, out_axes=1)(jnp.arange(ticks, dtype=jnp.uint32))
 
 
-def draw(name: str, shape: tuple[int, int, int], seed: int = SEED, world: int = 0) -> Values:
+def draw(name: str, shape: tuple[int, int, int], seed: int = SEED, world: int = 0) -> Floats:
     """Return float32 standard normals of shape (draws per tick, ticks, vehicles)."""
     count, ticks, vehicles = shape
     return np.asarray(
@@ -44,7 +45,7 @@ def draw(name: str, shape: tuple[int, int, int], seed: int = SEED, world: int = 
     )
 
 
-def moments(x: Values) -> dict[str, Statistic]:
+def moments(x: Floats) -> dict[str, Statistic]:
     """Return the first four moments about zero and the mass beyond 3, which are known for a standard normal."""
     x = x.reshape(-1).astype(np.float64)
     n, square = x.size, x * x
@@ -58,13 +59,13 @@ def moments(x: Values) -> dict[str, Statistic]:
     }
 
 
-def kolmogorov_smirnov(x: Values) -> Statistic:
+def kolmogorov_smirnov(x: Floats) -> Statistic:
     """Return the largest distance of the empirical distribution from N(0, 1), with its asymptotic p-value."""
     found = scipy.stats.kstest(x.reshape(-1).astype(np.float64), "norm", method="asymp")
     return {"value": float(found.statistic), "p": float(found.pvalue)}
 
 
-def correlation(x: Values, y: Values) -> dict[str, Statistic]:
+def correlation(x: Floats, y: Floats) -> dict[str, Statistic]:
     """Return the correlation of two sets of standard normals, and that of their squares.
 
     Squares see a shared magnitude that the plain correlation misses. Mean and variance are known, so that the
@@ -78,7 +79,7 @@ def correlation(x: Values, y: Values) -> dict[str, Statistic]:
     }
 
 
-def _pairs(sets: dict[str, Values]) -> dict[str, dict[str, Statistic]]:
+def _pairs(sets: dict[str, Floats]) -> dict[str, dict[str, Statistic]]:
     return {f"{a}_{b}": correlation(sets[a], sets[b]) for a, b in itertools.combinations(sets, 2)}
 
 
@@ -127,7 +128,7 @@ def allan_variance(std: float, tau: float, window: float) -> float:
     return std**2 / m**2 * (2.0 * m - 3.0 + 4.0 * math.exp(-m) - math.exp(-2.0 * m))
 
 
-def _over_processes(estimates: Values, expected: float) -> Statistic:
+def _over_processes(estimates: Floats, expected: float) -> Statistic:
     """Compare the mean of one estimate per independent process, with the standard error seen between them."""
     return against(np.mean(estimates), expected, float(np.std(estimates, ddof=1)) / math.sqrt(estimates.size))
 
@@ -146,7 +147,7 @@ def ornstein_uhlenbeck(processes: int, steps: int) -> dict[str, Any]:
     released = jnp.full(processes, 2.0 * std, jnp.float32)
     relaxing = np.asarray(_ou_path(key.stream("relaxing", ids), released, 2 * per_tau, dt, std, tau), np.float64)
 
-    def window_estimates(length: int) -> Values:
+    def window_estimates(length: int) -> Floats:
         averages = path[: steps // length * length].reshape(-1, length, processes).mean(axis=1)
         return np.asarray(0.5 * np.mean(np.square(np.diff(averages, axis=0)), axis=0))
 

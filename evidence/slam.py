@@ -32,7 +32,8 @@ PROGRAM = """
 import json, pickle, sys, time
 from pathlib import Path
 from evidence._processes import peak_bytes
-from qrsim.studies.slam.estimate import bytes_needed, estimate
+from qrsim.studies.slam.estimate import estimate
+from qrsim.studies.slam.memory import bytes_needed
 
 flight, ranging = pickle.loads(Path(sys.argv[1]).read_bytes())
 before = peak_bytes()

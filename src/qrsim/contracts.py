@@ -108,11 +108,11 @@ class Metric(Protocol):
     """
 
     @abstractmethod
-    def init(self, world: World, state: State) -> Any:
+    def init(self, world: World, state: State) -> object:
         """Return the memory at the start, a tree of arrays, each (n,) or ()."""
 
     @abstractmethod
-    def update(self, memory: object, world: World, state: State, tick: Array) -> Any:
+    def update(self, memory: object, world: World, state: State, tick: Array) -> object:
         """Return the memory after the state at a tick ()."""
 
     @abstractmethod

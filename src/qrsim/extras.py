@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from importlib.util import find_spec
-from typing import Any
+from types import ModuleType
 
 from qrsim.errors import UsageError
 
@@ -49,7 +49,7 @@ def require(extra: str, purpose: str, *modules: str) -> None:
         raise MissingExtraError(f"{purpose} needs {', '.join(missing)}: python -m pip install 'qrsim[{extra}]'")
 
 
-def load(extra: str, purpose: str, module: str) -> Any:
+def load(extra: str, purpose: str, module: str) -> ModuleType:
     """Return a module of an extra.
 
     Raises:

@@ -10,6 +10,8 @@ import numpy as np
 NumpyArray = np.ndarray[Any, Any]
 # Arrays of floating-point numbers, of either width.
 Floats = np.ndarray[Any, Any]
+# The type of an array's numbers.
+DType = np.dtype[Any]
 
 
 def is_number(value: Any) -> bool:

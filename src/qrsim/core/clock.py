@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from jax import Array
+from jax.typing import DTypeLike
 
 from qrsim.errors import UsageError
 
 
-def split_time(tick: Array, time_step: float, dtype: Any) -> tuple[Array, Array]:
+def split_time(tick: Array, time_step: float, dtype: DTypeLike) -> tuple[Array, Array]:
     """Return the time of a tick as (whole seconds int32, fraction in [0, 1) of ``dtype``), without rounding drift.
 
     Args:

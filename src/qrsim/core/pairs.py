@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
 from qrsim.core.arrays import Floats
@@ -31,7 +32,7 @@ def added(high: Vec3, change: Vec3) -> tuple[Vec3, Vec3]:
     return Vec3(*(total for total, _ in parts)), Vec3(*(rest for _, rest in parts))
 
 
-def parts_of(values: Floats, dtype: Any) -> tuple[Floats, Floats]:
+def parts_of(values: Floats, dtype: npt.DTypeLike) -> tuple[Floats, Floats]:
     """Split an array in double precision into two arrays of a type."""
     with np.errstate(invalid="ignore", over="ignore"):
         high = np.asarray(values, dtype)

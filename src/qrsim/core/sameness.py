@@ -7,11 +7,12 @@ import hashlib
 import types
 import weakref
 from collections.abc import Callable, Hashable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from qrsim.core.arrays import NumpyArray
 
 # So many attributes of attributes are looked at; what lies deeper is told by its identity.
 DEPTH = 4
@@ -37,7 +38,7 @@ class Itself:
     def __init__(self, given: object):
         self._id = id(given)
         try:
-            self._given: Callable[[], Any] = weakref.ref(given)
+            self._given: Callable[[], object] = weakref.ref(given)
         except TypeError:
             self._given = lambda: given
 
@@ -94,5 +95,5 @@ def is_gone(key: Hashable) -> bool:
     return isinstance(key, tuple | frozenset) and any(map(is_gone, key))
 
 
-def _has_numbers(array: Any) -> bool:
+def _has_numbers(array: NumpyArray | np.generic | jax.Array) -> bool:
     return not jnp.issubdtype(array.dtype, jax.dtypes.extended) and array.dtype != object

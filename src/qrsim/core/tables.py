@@ -6,11 +6,11 @@ import dataclasses
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import field_info
 from qrsim.errors import QrsimError
 
@@ -97,7 +97,7 @@ def number_text(value: object, digits: int = 4) -> str:
     return ", ".join([*texts, *more])
 
 
-def cells_of(array: Any, columns: int, digits: int = 4) -> tuple[str, ...]:
+def cells_of(array: NumpyArray | jax.Array, columns: int, digits: int = 4) -> tuple[str, ...]:
     """Return what an array (n, ...) has for each of the first vehicles, and "..." for the others."""
     if isinstance(array, jax.core.Tracer):
         return (number_text(array), *[""] * (columns - 1))

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.engine.cache import GENERATOR, Known, identity, keep, kept, look_up
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned, aligned_copy
@@ -39,14 +39,14 @@ _BYTES: dict[Any, int] = {}
 _VECTOR = 64
 
 
-def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
+def mode_of(vehicles: int, dtype: DType) -> Mode:
     """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
     # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
     most = _VECTOR // dtype.itemsize
     return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
 
 
-def mode_of_many(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
+def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
     """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
     lanes = _VECTOR // dtype.itemsize
     # Lanes without a world of their own would be computed for nothing.

@@ -31,6 +31,7 @@ from qrsim.engine.folders import cache_folder, private, temporary, tidy
 from qrsim.engine.layout import Packer, struct
 from qrsim.engine.llvm.compiler import machine_name
 from qrsim.engine.llvm.program import Binary
+from qrsim.files import Content
 
 # To be counted up where the form of a file changes.
 MAGIC = b"qrsim program 2\n"
@@ -170,7 +171,7 @@ def file_bytes(path: Path) -> bytes | None:
         return file.read(LARGEST_FILE)
 
 
-def opened(data: bytes) -> tuple[dict[str, Any], bytes]:
+def opened(data: bytes) -> tuple[Content, bytes]:
     """Return the header and the code of a file.
 
     Raises:
@@ -188,7 +189,7 @@ def opened(data: bytes) -> tuple[dict[str, Any], bytes]:
     return header, content[end:]
 
 
-def _parsed(header: dict[str, Any], code: bytes, key: str, origin: dict[str, str]) -> Kept | None:
+def _parsed(header: Content, code: bytes, key: str, origin: dict[str, str]) -> Kept | None:
     expected = {"key": key, "origin": origin, "bytes": len(code)}
     if any(header[name] != value for name, value in expected.items()):
         return None
@@ -206,7 +207,7 @@ def _parsed(header: dict[str, Any], code: bytes, key: str, origin: dict[str, str
     return Binary(code[: len(code) - text], scratch, code[len(code) - text :])
 
 
-def _state_of(state: dict[str, Any] | None) -> Packer | None:
+def _state_of(state: Content | None) -> Packer | None:
     if state is None:
         return None
     leaves = iter([struct(tuple(shape), np.dtype(dtype)) for shape, dtype in state["leaves"]])

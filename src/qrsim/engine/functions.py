@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
+from qrsim.core.arrays import DType
 from qrsim.engine.settings import FEW_VEHICLES
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ class Function:
 
     name: str
     # Two equal functions may be two objects, such as a partial that is made for each rollout.
-    call: Callable[..., Any] = field(compare=False)
+    call: Callable[..., object] = field(compare=False)
     of: Hashable = ()
     text: tuple[str | tuple[bool, ...], ...] | None = field(default=(), compare=False)
 
@@ -46,7 +45,7 @@ class Extent:
     """
 
     vehicles: int
-    dtype: np.dtype[Any]
+    dtype: DType
     worlds: int | None = None
     devices: int = 1
     mesh: Mesh | None = None

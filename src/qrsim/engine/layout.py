@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.core.structure import kinds
 
 Buffers = tuple[Any, Any]
@@ -107,7 +107,7 @@ class Packer:
         return jax.tree.unflatten(self.structure, range(len(self.slices)))
 
 
-def struct(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+def struct(shape: tuple[int, ...], dtype: DType) -> jax.ShapeDtypeStruct:
     """Make a placeholder of an array of a shape and type."""
     return jax.ShapeDtypeStruct(shape, dtype)
 
@@ -117,7 +117,7 @@ def layout_of_each(tree: object) -> Packer:
     return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
 
 
-def aligned(size: int, dtype: np.dtype[Any]) -> NumpyArray:
+def aligned(size: int, dtype: DType) -> NumpyArray:
     """Return an array of zeros (size,) that begins where a vector may, with room for one behind its end."""
     raw = np.zeros(size * dtype.itemsize + ALIGNMENT + SPARE * 8, np.uint8)
     begin = -raw.ctypes.data % ALIGNMENT

@@ -15,6 +15,7 @@ from qrsim.engine import cache
 from qrsim.engine.folders import LARGEST_BYTES, cache_folder, private
 from qrsim.engine.llvm.compiler import machine_name
 from qrsim.errors import RunError, UsageError, did_you_mean_file, os_error_as
+from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 
 # Folders of the cache: programs of the package's own code generator, and those that XLA compiled.
@@ -107,7 +108,7 @@ def pack(path: Path) -> int:
     return len(entries)
 
 
-def _whole(path: Path) -> tuple[dict[str, Any], bytes] | None:
+def _whole(path: Path) -> tuple[Content, bytes] | None:
     """Return the header and the content of a file of the cache, None where it is damaged or none of ours."""
     try:
         content = cache.file_bytes(path)
@@ -116,7 +117,7 @@ def _whole(path: Path) -> tuple[dict[str, Any], bytes] | None:
         return None
 
 
-def _checked(name: str, content: bytes) -> dict[str, Any]:
+def _checked(name: str, content: bytes) -> Content:
     """Return the header of a file.
 
     Raises:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import gc
 import logging
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from qrsim.core.sameness import is_gone
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.errors import CompilerWarning
 
+K = TypeVar("K")
+T = TypeVar("T")
 log = logging.getLogger(__name__)
 # By all that they depend on, the last used at the end; in the place of what cannot be made, the reason.
-_MADE: dict[Any, Any] = {}
+_MADE: dict[tuple[Hashable, ...], Any] = {}
 # Limits of what is kept; a policy whose attributes change is another program each time. In memory, code takes about
 # twice its bytes.
 MOST_MADE, MOST_BYTES = 256, 2**27
@@ -23,7 +25,7 @@ MOST_MADE, MOST_BYTES = 256, 2**27
 _TOLD: set[str] = set()
 
 
-def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+def compiled(key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
     """Return a program of this process, made where there is none yet.
 
     Args:
@@ -49,7 +51,7 @@ def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     return found
 
 
-def discard_unused(made: dict[Any, Any]) -> None:
+def discard_unused(made: dict[K, T]) -> None:
     """Make room for an entry: discard those of objects that no longer exist, and the oldest of too many or too large.
 
     Sessions of a server call this in threads, so it works on copies, and an entry may have been discarded already.
@@ -85,7 +87,7 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def _tell(program: str, why: UnsupportedError) -> None:
+def _tell(program: object, why: UnsupportedError) -> None:
     """Warn of a reason once in a process."""
     log.debug("'%s' is compiled by XLA, because of %s", program, why, exc_info=why)
     if str(why) not in _TOLD:

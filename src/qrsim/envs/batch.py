@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
 from qrsim.errors import RunError, UsageError, did_you_mean, shortened
+from qrsim.files import Content
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.episodes import Episodes, score
 from qrsim.tasks.teams import Side, axes_of_agents, part_of
@@ -82,7 +84,7 @@ class Batch:
 
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         size: int,
         overrides: Iterable[str] = (),
         precision: str = "float32",
@@ -106,7 +108,7 @@ class Batch:
         self.gone: Floats | None = None
         self.truth: dict[str, Floats] = {}
 
-    def _precision(self) -> Any:
+    def _precision(self) -> AbstractContextManager[object]:
         return jax.enable_x64(self.dtype == np.float64)
 
     def reset(self, seeds: Iterable[object], rows: Floats | None = None) -> None:
@@ -328,5 +330,5 @@ def _empty(tree: object, size: int) -> Any:
     return jax.tree.map(lambda leaf: np.zeros((size, *leaf.shape[1:]), leaf.dtype), tree)
 
 
-def _set(old: Floats, rows: Any, new: object) -> None:
+def _set(old: Floats, rows: NumpyArray, new: object) -> None:
     old[rows] = new

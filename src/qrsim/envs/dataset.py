@@ -27,8 +27,8 @@ EXTRA, PURPOSE = "datasets", "a dataset of Minari"
 class Recorded:
     """An episode of T steps: T + 1 observations and truths, of everything else T."""
 
-    seen: list[Any]
-    truth: list[Any]
+    seen: list[object]
+    truth: list[object]
     actions: list[Floats] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
     terminated: list[bool] = field(default_factory=list)
@@ -87,7 +87,7 @@ class Recording:
         """Add what was handed in to the last reward of an episode, as environments do."""
         self.episodes[row].rewards[-1] += number
 
-    def _seen(self, row: int) -> Any:
+    def _seen(self, row: int) -> object:
         return jax.tree.map(lambda leaf: np.array(leaf[row, 0]), self._batch.seen)
 
     def _truth(self, row: int) -> object:
@@ -179,5 +179,5 @@ def write(dataset: str, recording: Recording, policy: str, scenario: str, overri
     return place
 
 
-def _stacked(parts: Sequence[object]) -> Any:
+def _stacked(parts: Sequence[object]) -> object:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)

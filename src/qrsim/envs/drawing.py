@@ -16,6 +16,7 @@ from qrsim.models.scene.plume import Sources
 from qrsim.runs.colours import FOUND, GREY, MISSING, PLUME, STOPPED, VEHICLES, share
 from qrsim.runs.picture import new_figure
 from qrsim.tasks.places import places_of
+from qrsim.tasks.play import Episode
 from qrsim.world.episode import surroundings
 
 RENDER_MODES = ("rgb_array",)
@@ -53,7 +54,7 @@ class Drawing:
         self._ways: list[Floats] = []
         self._scene: _Scene | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         # Of another process or copy: figures are drawn anew.
         return self.__dict__ | {"_scene": None}
 
@@ -78,10 +79,10 @@ class Drawing:
             self._scene = _Scene(self._batch, episode, self._ways[0])
         return self._scene.frame(episode, np.stack(self._ways))
 
-    def _episode(self) -> Any:
+    def _episode(self) -> Episode:
         return self._batch.episodes.episode(self._row)
 
-    def _places(self, episode: Any) -> Floats:
+    def _places(self, episode: Episode) -> Floats:
         """Return the true positions of all vehicles, NED (n, 3) [m]."""
         fleets = zip(self._batch.functional.play.world.fleets, episode.state.fleets, strict=True)
         poses = [model.vehicle.pose(fleet.vehicle) for model, fleet in fleets]
@@ -91,7 +92,7 @@ class Drawing:
 class _Scene:
     """A figure with what stands in an episode, in which vehicles move."""
 
-    def __init__(self, batch: Batch, episode: object, start: Floats):
+    def __init__(self, batch: Batch, episode: Episode, start: Floats):
         self._play, self._name, self._dtype = batch.functional.play, batch.functional.name, batch.dtype
         self._figure = new_figure(WIDTH_IN, HEIGHT_IN)
         self._figure.set_dpi(DPI)
@@ -113,7 +114,7 @@ class _Scene:
         if len(start) <= len(VEHICLES):
             self._plan.legend(loc="upper left", fontsize=7, framealpha=0.8)
 
-    def frame(self, episode: Any, ways: Floats) -> Floats:
+    def frame(self, episode: Episode, ways: Floats) -> Floats:
         """Return the picture after ways (T, n, 3)."""
         stopped = np.concatenate([np.asarray(fleet.violation.code) != 0 for fleet in episode.state.fleets])
         for i, (way, now, height) in enumerate(zip(self._lines, self._now, self._levels, strict=True)):
@@ -155,7 +156,7 @@ class _Scene:
             self._plan.plot(*outline.T, color="black", lw=1.2)
             self._shown = np.concatenate([self._shown, outline])
 
-    def _plume(self, episode: Any) -> None:
+    def _plume(self, episode: Episode) -> None:
         """Draw the mean concentration, the highest over all heights, and the sources."""
         field, area = episode.state.contents.plume, self._play.world.area
         if field is None:
@@ -168,7 +169,7 @@ class _Scene:
         look: dict[str, Any] = {"ms": 13, "color": share(PLUME), "mec": "black", "ls": "none", "label": "source"}
         self._plan.plot(east, north, "*", **look)
 
-    def _concentration(self, episode: Any, area: BoxArea) -> None:
+    def _concentration(self, episode: Episode, area: BoxArea) -> None:
         world = self._play.world.with_drawn(episode.state.drawn)
         wind = surroundings(world, episode.state.contents, jnp.int32(0)).carrying_wind(self._dtype)
         edges = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
@@ -183,7 +184,7 @@ class _Scene:
             shown = np.ma.masked_less(np.log10(np.maximum(values / values.max(), 1e-30)), -3.0)
             self._plan.pcolormesh(easts, norths, shown, cmap="PuRd", vmin=-3.5, vmax=0.5, zorder=0)
 
-    def _goals(self, episode: Any) -> None:
+    def _goals(self, episode: Episode) -> None:
         """Draw where the vehicles of a simple task are to be, and where a concentration is asked for."""
         places = places_of(self._play.task, self._play.world, episode.memory, episode.state.contents)
         if len(places.goals):
@@ -203,7 +204,7 @@ class _Scene:
             self._levels += self._heights.plot([], [], "o", color=colour, ms=7, mec="white")
         self._heights.set_xlim(-0.7, len(names) - 0.3)
 
-    def _persons(self, episode: object) -> list[Any]:
+    def _persons(self, episode: Episode) -> list[Any]:
         kinds = (("person not found", MISSING), ("person found", FOUND))
         look: dict[str, Any] = {"ms": 8, "mec": "black", "ls": "none"}
         return [
@@ -212,7 +213,7 @@ class _Scene:
         ]
 
 
-def _people(episode: Any) -> list[tuple[Floats, Floats]]:
+def _people(episode: Episode) -> list[tuple[Floats, Floats]]:
     """Return east and north of the persons who have not been found, and of those who have; nothing without any."""
     persons = episode.state.contents.persons
     if persons is None:

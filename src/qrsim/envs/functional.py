@@ -15,6 +15,7 @@ from qrsim.core.noise import Key
 from qrsim.core.tree import cast
 from qrsim.envs.arguments import checked_arguments
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.arguments import check_precision
 from qrsim.tasks import Episode, Play, Step
@@ -41,9 +42,7 @@ class Functional:
 
     @staticmethod
     @checked_arguments
-    def of(
-        scenario: str | Path | dict[str, Any], overrides: Iterable[str] = (), precision: str = "float32"
-    ) -> Functional:
+    def of(scenario: str | Path | Content, overrides: Iterable[str] = (), precision: str = "float32") -> Functional:
         """Return the environment of a scenario.
 
         Args:

@@ -16,8 +16,9 @@ from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import STATE, Batch
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.single import shaped
-from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
+from qrsim.envs.spaces import Space, action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 
 
 class ParallelTask(ParallelEnv):  # type: ignore[misc]
@@ -40,12 +41,12 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         answer_space: as of ``SingleTask``, each of one agent.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         overrides: Iterable[str] = (),
         precision: str = "float32",
         render_mode: str | None = None,
@@ -59,20 +60,20 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.batch.reset(np.zeros(1, np.int64))
         self.answer_space = answer_space(self.batch)
         self.observation_axes = self.batch.functional.observation_axes
-        self.action_spaces: dict[str, spaces.Space[Any]] = {
+        self.action_spaces: dict[str, Space] = {
             agent: action_space(self.batch, i) for i, agent in enumerate(self.possible_agents)
         }
-        self.observation_spaces: dict[str, spaces.Space[Any]] = {
+        self.observation_spaces: dict[str, Space] = {
             agent: observation_space(self.batch.functional.play, self.batch.seen, i)
             for i, agent in enumerate(self.possible_agents)
         }
         self._seeded = False
 
-    def observation_space(self, agent: str) -> spaces.Space[Any]:
+    def observation_space(self, agent: str) -> Space:
         """Return the observation space of an agent."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> spaces.Space[Any]:
+    def action_space(self, agent: str) -> Space:
         """Return the action space of an agent."""
         return self.action_spaces[agent]
 
@@ -140,8 +141,8 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
         count = len(self.possible_agents)
-        flown: list[Any] = [np.zeros(self.batch.width, self.batch.dtype)] * count
-        said: list[Any] = [np.full(self.batch.functional.play.message, np.nan, self.batch.dtype)] * count
+        flown = [np.zeros(self.batch.width, self.batch.dtype)] * count
+        said = [np.full(self.batch.functional.play.message, np.nan, self.batch.dtype)] * count
         for agent in self.agents:
             who, row = f"action of {agent}", self.possible_agents.index(agent)
             act, said[row] = split_say(self.batch, actions[agent], who)

@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from qrsim.core.arrays import NumpyArray
 from qrsim.envs.vector import VectorTask
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -39,7 +40,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
 
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         num_envs: int = 1,
         overrides: Iterable[str] = (),
         precision: str = "float32",
@@ -128,6 +129,6 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self.tasks.close()
 
 
-def _row(infos: Mapping[str, object], i: int) -> dict[str, Any]:
+def _row(infos: Mapping[str, object], i: int) -> dict[str, object]:
     """Return what is really the case in an environment."""
     return {name: leaf[i] for name, leaf in infos.items() if isinstance(leaf, np.ndarray) and name[0] != "_"}

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.envs.batch import Batch, checked_seed
 from qrsim.envs.drawing import Drawing, checked_mode
 from qrsim.errors import UsageError, did_you_mean
@@ -126,7 +126,7 @@ class Series:
         self._over = ended if self.mode is not AutoresetMode.SAME_STEP else np.zeros_like(ended)
         return Moved(rewards, terminated, truncated, gone, last, ended)
 
-    def frames(self) -> tuple[Any, ...] | None:
+    def frames(self) -> tuple[Floats, ...] | None:
         """Return a picture of each environment; None without a render mode."""
         return tuple(drawing.frame() for drawing in self._drawings) or None
 

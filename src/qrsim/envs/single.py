@@ -16,6 +16,7 @@ from qrsim.envs.batch import Batch, checked_seed, numbers
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 
 def only_one(batch: Batch) -> None:
@@ -66,12 +67,12 @@ class SingleTask(gymnasium.Env[Any, Any]):
         answer_space: of what is handed in by ``hand_in``; None for a task without.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         overrides: Iterable[str] = (),
         precision: str = "float32",
         render_mode: str | None = None,
@@ -158,7 +159,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> Any:
+    def _seen(self) -> object:
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)
 
     def _truth(self) -> dict[str, object]:

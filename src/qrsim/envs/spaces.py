@@ -14,14 +14,17 @@ from qrsim.tasks import Play
 from qrsim.tasks.speaking import ACT, AGE, HEARD, MASK, RSSI, SAY, SEE, SENDER
 from qrsim.tasks.teams import side_of
 
+# Of a sample nothing is known before it is looked at.
+Space = spaces.Space[Any]
 
-def action_space(batch: Batch, agent: int = 0) -> spaces.Space[Any]:
+
+def action_space(batch: Batch, agent: int = 0) -> Space:
     """Return the action space of one agent, by its number: numbers in [-1, 1].
 
     With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
     """
     play = batch.functional.play
-    act: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(batch.axes[agent]),), batch.dtype.type)
+    act: Space = spaces.Box(-1.0, 1.0, (len(batch.axes[agent]),), batch.dtype.type)
     if not play.message:
         return act
     return spaces.Dict({ACT: act, SAY: spaces.Box(-np.inf, np.inf, (play.message,), batch.dtype.type)})
@@ -34,7 +37,7 @@ def answer_space(batch: Batch) -> spaces.Box | None:
     return spaces.Box(0.0, np.inf, batch.answer_shape, batch.dtype.type)
 
 
-def observation_space(play: Play, seen: Any, agent: int = 0) -> spaces.Space[Any]:
+def observation_space(play: Play, seen: Any, agent: int = 0) -> Space:
     """Return the observation space of one agent, by its number, from the observations (B, n, ...) of all."""
     axes, sides = play.task.sees(play.world), play.sides
     if len(sides) > 1:
@@ -89,7 +92,7 @@ def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[Any, 
     return action[ACT], said
 
 
-def _space(seen: Any, axes: Any = None) -> spaces.Space[Any]:
+def _space(seen: Any, axes: Any = None) -> Space:
     """Return the space of what is seen, by what the task says of its numbers (``Task.sees``); None: nothing."""
     if isinstance(seen, dict):
         named = axes or {}

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
@@ -19,6 +19,7 @@ from qrsim.envs.series import Series
 from qrsim.envs.single import only_one, shaped
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 
 class VectorTask(VectorEnv[Any, Any, Any]):
@@ -46,12 +47,12 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         UsageError: there is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES), "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         num_envs: int = 1,
         overrides: Iterable[str] = (),
         precision: str = "float32",
@@ -130,7 +131,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             raise UsageError(f"samples: expected those of {self.num_envs} environments, found shape {array.shape}")
         self.batch.hand_in(array[rows][:, None], rows, np.zeros(1, int))
 
-    def render(self) -> tuple[Any, ...] | None:
+    def render(self) -> tuple[Floats, ...] | None:
         """Return a picture of each environment, as ``SingleTask`` does; None without a render mode."""
         return self._series.frames()
 
@@ -142,9 +143,9 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> Any:
+    def _seen(self) -> object:
         return jax.tree.map(lambda leaf: leaf[:, 0].copy(), self.batch.seen)
 
-    def _truth(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, Any]:
+    def _truth(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
         values = {name: leaf[:, 0].copy() for name, leaf in truth.items()}
         return values | {f"_{name}": there.copy() for name in values}

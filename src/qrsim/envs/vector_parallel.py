@@ -8,19 +8,19 @@ from typing import Any
 
 import jax
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.envs.arguments import checked_arguments
 from qrsim.envs.batch import Batch
 from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.series import Series
 from qrsim.envs.single import shaped
-from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
+from qrsim.envs.spaces import Space, action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 
-Spaces = dict[str, spaces.Space[Any]]
+Spaces = dict[str, Space]
 
 
 class VectorParallelTask:
@@ -47,12 +47,12 @@ class VectorParallelTask:
         UsageError: there is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any],
+        scenario: str | Path | Content,
         num_envs: int = 1,
         overrides: Iterable[str] = (),
         precision: str = "float32",
@@ -82,11 +82,11 @@ class VectorParallelTask:
         """The agents that act now: all."""
         return list(self.possible_agents)
 
-    def observation_space(self, agent: str) -> spaces.Space[Any]:
+    def observation_space(self, agent: str) -> Space:
         """Return the observation space of an agent in one environment."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> spaces.Space[Any]:
+    def action_space(self, agent: str) -> Space:
         """Return the action space of an agent in one environment."""
         return self.action_spaces[agent]
 
@@ -160,7 +160,7 @@ class VectorParallelTask:
             raise UsageError("nothing has begun: call reset()")
         return np.stack([self.batch.state(row) for row in range(self.num_envs)])
 
-    def render(self) -> tuple[Any, ...] | None:
+    def render(self) -> tuple[Floats, ...] | None:
         """Return a picture of each environment, as ``SingleTask`` does; None without a render mode."""
         return self._series.frames()
 

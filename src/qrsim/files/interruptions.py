@@ -75,7 +75,7 @@ def heard() -> Iterator[None]:
     before = _installed(_raise)
     hook = sys.unraisablehook
 
-    def quiet(dropped: Any) -> None:
+    def quiet(dropped: sys.UnraisableHookArgs) -> None:
         # Its destructor sends the signal again, and there is nothing to report.
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
@@ -109,7 +109,7 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
         raise Interruption(came[0])
 
 
-def run_until_signal(main: Coroutine[Any, Any, None]) -> None:
+def run_until_signal(main: Coroutine[object, object, None]) -> None:
     """Run a coroutine as ``asyncio.run`` does. Ctrl-C and SIGTERM cancel it, and raise an Interruption at its end.
 
     An exception in the middle of the event loop could lose the wake-up of a task, which would then wait forever. So a

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -54,7 +54,7 @@ def read_arrays(file: str, data: bytes, most_numbers: int) -> dict[str, np.ndarr
         raise UsageError(f"{file}: is no NumPy archive of numbers, or it is damaged") from None
 
 
-def _header(stream: Any) -> tuple[tuple[int, ...], int]:
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], int]:
     """Return the shape of an array, and the bytes of one of its numbers."""
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

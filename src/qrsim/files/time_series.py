@@ -6,9 +6,9 @@ import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from qrsim.errors import UsageError, nearest
 from qrsim.files.csv_file import CsvFile, open_csv
@@ -29,7 +29,7 @@ def read_series(
     max_gap: float,
     optional: Mapping[str, str] = MappingProxyType({}),
     instead: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[np.ndarray[Any, Any], dict[str, np.ndarray[Any, Any]]]:
+) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
     """Return times (K,) [s] and columns (K,) by name of a CSV file, K at least 2.
 
     Columns are found by name, alone or with its unit: ``north`` or ``north [m/s]``. Others are ignored.
@@ -64,7 +64,7 @@ def read_series(
     return table[:, 0], {name: table[:, i] for i, name in enumerate(names) if i}
 
 
-def check_covers(what: str, times: np.ndarray[Any, Any], duration: float) -> None:
+def check_covers(what: str, times: npt.NDArray[np.float64], duration: float) -> None:
     """Refuse a series that does not reach from 0 s to the end of a run.
 
     Args:

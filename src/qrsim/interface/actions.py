@@ -21,7 +21,7 @@ from qrsim.control import (
     VelocityHeightSetpoint,
     WaypointSetpoint,
 )
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import DType, Floats
 from qrsim.core.tree import map_tree, walk
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
@@ -39,7 +39,7 @@ _NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
 class CommandKind:
     """A command record of a fleet: its fields, and their limits as the commands are rounded."""
 
-    def __init__(self, kind: type, dtype: np.dtype[Any]):
+    def __init__(self, kind: type, dtype: DType):
         self.kind, self.fields, self.limits = kind, fields_of(kind), limits_of(kind)
         # Rounded as the commands are, so that 0.9 is in its own range in single precision too.
         rows = np.array(list(self.limits.values()), dtype).reshape(-1, 2)
@@ -56,7 +56,7 @@ class ActionChecker:
             it; "traced" is for a program that is being compiled, where kinds and shapes can be seen but no values.
     """
 
-    def __init__(self, world: World, dtype: np.dtype[Any], values: Literal["checked", "finite", "traced"] = "checked"):
+    def __init__(self, world: World, dtype: DType, values: Literal["checked", "finite", "traced"] = "checked"):
         self.fleets, self.dtype, self.values = world.fleets, dtype, values
         self._world = world
         self.traced = values == "traced"
@@ -119,7 +119,7 @@ class ActionChecker:
             what = "yaw_rad" if np.isfinite(rows[:3]).all() else "position_ned"
             row = int(np.argmin(np.isfinite(rows[3:] if what == "yaw_rad" else rows[:3]).all(axis=0)))
             raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
-        north, east, down, heading = cast(Any, rows)
+        north, east, down, heading = cast(Array, rows)
         return WaypointSetpoint(Vec3(north, east, down), heading)
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:

@@ -29,7 +29,9 @@ class FixErrors:
     vertical_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared vertical error")
     without_fix: Array = quantity(doc="int32 ticks without a fix")
     loss: Extreme = quantity(doc="the first loss of the fix; its value is 1")
-    past: Any = quantity(doc="of each fleet its true positions at the last epochs, as many as its fixes are late")
+    past: tuple[tuple[tuple[Vec3, Vec3 | None], ...], ...] = quantity(
+        doc="of each fleet its true positions at the last epochs, as many as its fixes are late"
+    )
 
     @staticmethod
     def none(world: World, state: State, like: Array) -> FixErrors:
@@ -68,7 +70,7 @@ class FixErrors:
             ),
         )
 
-    def finish(self, dt: float) -> dict[str, Any]:
+    def finish(self, dt: float) -> dict[str, NumpyArray]:
         """Return the metrics by name, each (W, n), of W worlds."""
         count = np.asarray(self.fixes)
 

@@ -25,7 +25,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol, TypeVar, cast
+from typing import Protocol, TypeVar, cast
 
 import jax
 
@@ -63,7 +63,7 @@ class Compiled(Protocol):
     """A function under ``jax.jit``."""
 
     @property
-    def __wrapped__(self) -> Callable[[Any], object]:
+    def __wrapped__(self) -> Callable[..., object]:
         """The function itself."""
         ...
 
@@ -86,8 +86,8 @@ class UserFunction:
     name: str
     identity: Hashable
     compiled: bool = field(compare=False)
-    init: Callable[[Any], object] = field(compare=False)
-    step: Callable[[Any, Any], object] = field(compare=False)
+    init: Callable[..., object] = field(compare=False)
+    step: Callable[..., object] = field(compare=False)
     given: object = field(compare=False)
 
     @contextmanager
@@ -172,7 +172,7 @@ def _of_class(what: str, name: str, given: type) -> UserFunction:
     return UserFunction(what, name, Itself(given), False, lambda reading: given(), step, given)
 
 
-def _of_teams(what: str, given: Mapping[Any, object]) -> UserFunction:
+def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
     """Wrap a policy for each of some fleets or vehicles, by name."""
     if what != "policy":
         raise UsageError(f"{what}: a dict by fleet is for policies alone; an {what} speaks for all vehicles")

@@ -8,10 +8,9 @@ installed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -109,7 +108,7 @@ class Site:
 
 
 def _apply(
-    function: Callable[..., Any], name: str, points: npt.ArrayLike, *origin: float
+    function: Callable[..., Sequence[npt.ArrayLike]], name: str, points: npt.ArrayLike, *origin: float
 ) -> tuple[Float64, Float64, Float64]:
     """Call a pymap3d function on points (..., 3); returns its three results, each (...)."""
     array = np.asarray(points, np.float64)

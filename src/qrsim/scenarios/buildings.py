@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError, UsageError, warn_user
-from qrsim.models.scene.contracts import down_at
+from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.models.site import Site
 from qrsim.scenarios.build import ground_if_any
@@ -95,7 +94,7 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
         warn_user(f"{file}: of its features are left out: {', '.join(reasons)}{trees_left_out(found)}")
 
 
-def _prism(building: Building, height: float, ground: Any) -> object:
+def _prism(building: Building, height: float, ground: Ground | None) -> object:
     """Return a building as a scenario has it; its ground is the lowest at its corners."""
     outline, *holes = building.rings
     down = 0.0

@@ -272,7 +272,7 @@ def _pairs(points: Any) -> NumpyArray:
     return pairs
 
 
-def _in_metres(corners: Any, frame: str, site: Site) -> Ring:
+def _in_metres(corners: NumpyArray, frame: str, site: Site) -> Ring:
     """Return corners (k, 2) of a file as [north, east] [m] each."""
     if frame == "local":
         far = float(np.hypot(*corners.T).max())

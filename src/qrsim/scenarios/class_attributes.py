@@ -10,6 +10,7 @@ from typing import Any
 import jax
 
 from qrsim.core.tree import INFO
+from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.tasks.agents import Axis
 
 
@@ -30,7 +31,7 @@ def _whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
-def _tuple_of(kind: type) -> Callable[[Any], bool]:
+def _tuple_of(kind: type) -> Callable[[object], bool]:
     return lambda value: isinstance(value, tuple) and all(isinstance(part, kind) for part in value)
 
 
@@ -39,7 +40,7 @@ def _feed(value: object) -> bool:
 
 
 # What an attribute is that a contract declares in these words: whether a value is one, and how that is said.
-_DECLARED: dict[str, tuple[Callable[[Any], bool], str]] = {
+_DECLARED: dict[str, tuple[Callable[[object], bool], str]] = {
     "ClassVar[int]": (_whole, "a whole number, 0 or more"),
     "int": (_whole, "a whole number, 0 or more"),
     "ClassVar[bool]": (lambda value: isinstance(value, bool), "True or False"),
@@ -69,7 +70,7 @@ def attribute_type_problems(kind: str, component: type, contract: type | None) -
         yield _wrong(component, "baseline", policy, "a class with act(seen), made with (play, seed)")
 
 
-def _command_problems(component: Any) -> Iterator[str]:
+def _command_problems(component: type[Vehicle]) -> Iterator[str]:
     """Yield what is wrong with the commands of a vehicle; that they are a class and a tuple of classes is known."""
     # Of the actions one may be a base class of records.
     own, actions = component.command_type, component.actions

@@ -68,7 +68,7 @@ class Strict(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _degrees_to_radians(cls, data: object) -> Any:
+    def _degrees_to_radians(cls, data: object) -> object:
         if not isinstance(data, dict):
             return data
         converted = with_default_types(cls, data)
@@ -126,7 +126,7 @@ class _Numbers:
         )
 
 
-def _field(name: str, hint: object, field: dataclasses.Field[Any], each: bool) -> tuple[object, object]:
+def _field(name: str, hint: object, field: dataclasses.Field[object], each: bool) -> tuple[object, object]:
     info = field_info(field)
     required = field.default is dataclasses.MISSING
     usual = None if info.of_sensors else field.default
@@ -156,9 +156,9 @@ def component_model(
     *,
     tagged: bool = True,
     each: bool = False,
-    arrays: Mapping[str, Any] | None = None,
+    arrays: Mapping[str, object] | None = None,
     base: type[Strict] = Strict,
-    more: Mapping[str, Any] | None = None,
+    more: Mapping[str, object] | None = None,
 ) -> type[Strict]:
     """Make the schema of one component.
 
@@ -189,7 +189,7 @@ def component_model(
     return create_model(name, __base__=base, __doc__=doc, **fields)
 
 
-def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, Any]]) -> type[Strict]:
+def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, object]]) -> type[Strict]:
     """Return the base of the schema of a component whose ``preset`` says what is not given."""
 
     class Preset(base):  # type: ignore[misc, valid-type]

@@ -10,7 +10,7 @@ import dataclasses
 import inspect
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, get_type_hints
 
 from qrsim.control.contracts import Controller, Guidance
@@ -225,7 +225,7 @@ def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[st
         yield name, *_arguments(component, function)
 
 
-def _arguments(component: object, function: Any) -> tuple[list[str], list[str]]:
+def _arguments(component: object, function: Callable[..., object]) -> tuple[list[str], list[str]]:
     """Return the names of what a method is called with by place and by name."""
     positional: list[str] = []
     named: list[str] = []
@@ -241,7 +241,7 @@ def _arguments(component: object, function: Any) -> tuple[list[str], list[str]]:
     return positional, named
 
 
-def _reads(component: object) -> Any:
+def _reads(component: object) -> tuple[str, ...]:
     """Return what a class reads; nothing is known of one whose objects read this or that."""
     reads = getattr(component, "reads", ())
     return () if isinstance(reads, property) else reads

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator
-from typing import Any
 
 from pydantic import BaseModel
 
@@ -290,7 +289,7 @@ def _quantity(sensor: str) -> str:
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
-    kind: Any = known.CONTROLLERS[fleet.controller.type]
+    kind = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
     feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
     if feed == "truth" and fleet.estimator is None:
@@ -302,7 +301,7 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
         other = f"leave out fleets.{name}.estimator"
     elif feed == "filter":
         needed = _estimated("complementary")
-    controller: Any = known.CONTROLLERS[fleet.controller.type]
+    controller = known.CONTROLLERS[fleet.controller.type]
     if controller.reads_airspeed:
         needed = {**needed, "true_airspeed": "airspeed"}
     types = {sensor.type for sensor in fleet.sensors.values()}

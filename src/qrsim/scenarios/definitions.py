@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+
+from qrsim.files import Content
 
 
 def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
@@ -22,7 +23,7 @@ def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
     text = json.dumps(schema)
     for long, short in names.items():
         text = text.replace(f'"#/$defs/{long}"', f'"#/$defs/{short}"').replace(f'"{long}":', f'"{short}":')
-    renamed: dict[str, Any] = json.loads(text)
+    renamed: Content = json.loads(text)
     for short in names.values():
         renamed["$defs"][short]["title"] = short
     return renamed

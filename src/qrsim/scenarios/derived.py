@@ -6,12 +6,13 @@ import math
 from typing import Any
 
 import numpy as np
+from jax import Array
 
 from qrsim.core.host import on_host
 from qrsim.core.tree import map_tree
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.earth_field import declination, inclination
-from qrsim.models.vehicles.contracts import Vehicle, handling_of
+from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, handling_of
 from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed
 from qrsim.models.vehicles.multirotor import Multirotor
@@ -31,7 +32,7 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
     """Return derived quantities of each fleet that has some, by name; units end the names."""
     found = {}
     for name, fleet in scenario.spec.fleets.items():
-        vehicle: Any = vehicle_of(fleet, scenario.spec)
+        vehicle = vehicle_of(fleet, scenario.spec)
         if isinstance(vehicle, Multirotor):
             found[name] = derived(vehicle)
         elif isinstance(vehicle, FixedWing):
@@ -69,14 +70,14 @@ def _first(leaf: Any) -> Any:
     return np.float32(np.ravel(leaf)[0])
 
 
-def _hover_on_battery(vehicle: Vehicle, battery: Any) -> dict[str, float]:
+def _hover_on_battery(vehicle: Vehicle, battery: Battery) -> dict[str, float]:
     """Return power, current and endurance of a hover at the height of the site, of the first where vehicles differ."""
     if not battery.drains or handling_of(vehicle) is None:
         return {}
-    vehicle, battery = (map_tree(_first, each) for each in (vehicle, battery))
+    vehicle, battery = map_tree(_first, vehicle), map_tree(_first, battery)
     zero = np.zeros(1, np.float32)
 
-    def hover(vehicle: Vehicle, battery: Any, zero: Any) -> tuple[Any, Any, Any]:
+    def hover(vehicle: Vehicle, battery: Battery, zero: Array) -> tuple[Load, object, Array | None]:
         still = Vec3(zero, zero, zero)
         load = vehicle.load(vehicle.initial_state(still, Euler(zero, zero, zero), still, still))
         state = battery.init(zero)

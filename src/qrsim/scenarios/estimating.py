@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from qrsim.control.kalman_parameters import KalmanParameters
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import field_info, replace
 from qrsim.models.gnss.errors import GaussMarkov2
 from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors
@@ -21,7 +23,8 @@ from qrsim.models.sensors.inertial import Accelerometer, Gyroscope
 from qrsim.models.sensors.magnetometer import Magnetometer
 from qrsim.models.sensors.pressure import PressureAltimeter
 
-Stds = dict[str, Any]
+T = TypeVar("T")
+Stds = dict[str, npt.ArrayLike]
 GRAVITY = 9.81
 # The Earth's field [uT] is 25 to 65; pressure [Pa] of a metre of air; dynamic pressure [Pa] of air at 10 m/s.
 FIELD, PASCAL_PER_M, DYNAMIC = 50.0, 12.0, 60.0
@@ -58,7 +61,7 @@ def sensed(sensors: Sequence[object], calibration_time: float, errors: object = 
     return found
 
 
-def with_sensed(kalman: object, spec: object, sensors: Sequence[object], errors: object) -> Any:
+def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: object) -> T:
     """Return an estimator with the parameters that its spec leaves out taken from the sensors."""
     if not isinstance(kalman, KalmanParameters):
         return kalman
@@ -73,11 +76,11 @@ def left_out(spec: object) -> Iterator[str]:
             yield field.name
 
 
-def _imu(imu: Any, time: float, _: object) -> Stds:
+def _imu(imu: Imu, time: float, _: object) -> Stds:
     shaken = imu.vibration != "none"
     levels = imu.vibration_levels
 
-    def noise(name: str) -> Any:
+    def noise(name: str) -> NumpyArray:
         white = np.square(getattr(imu, f"{name}_noise"))
         if not shaken:
             return white
@@ -113,7 +116,7 @@ def _imu(imu: Any, time: float, _: object) -> Stds:
     }
 
 
-def _gyroscope(sensor: Any, time: float, _: object) -> Stds:
+def _gyroscope(sensor: Gyroscope, time: float, _: object) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "gyroscope_noise": density,
@@ -125,7 +128,7 @@ def _gyroscope(sensor: Any, time: float, _: object) -> Stds:
     }
 
 
-def _accelerometer(sensor: Any, _: float, __: object) -> Stds:
+def _accelerometer(sensor: Accelerometer, _: float, __: object) -> Stds:
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "accelerometer_noise": density,
@@ -135,7 +138,7 @@ def _accelerometer(sensor: Any, _: float, __: object) -> Stds:
     }
 
 
-def _magnetometer(sensor: Any, _: float, __: object) -> Stds:
+def _magnetometer(sensor: Magnetometer, _: float, __: object) -> Stds:
     own = np.square(sensor.soft_iron) + (np.square(sensor.scale) + 2.0 * np.square(sensor.misalignment)) / 3.0
     known = sum(np.square(getattr(sensor, f"interference_{axis}")) for axis in "xyz") / 3.0
     current = np.square(sensor.interference) / 3.0 + known
@@ -148,11 +151,11 @@ def _magnetometer(sensor: Any, _: float, __: object) -> Stds:
     }
 
 
-def _barometer(sensor: Any, _: float, __: object) -> Stds:
+def _barometer(sensor: Barometer, _: float, __: object) -> Stds:
     return {"height_std": sensor.white_std, "height_drift_std": sensor.drift_std}
 
 
-def _altimeter(sensor: Any, _: float, __: object) -> Stds:
+def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
     ports = sum(np.square(getattr(sensor, f"port_{side}")) for side in ("forward", "backward", "right", "left")) / 4.0
     by_flow = ports * DYNAMIC**2
     felt = np.square(sensor.rotor_wash) + by_flow
@@ -164,13 +167,13 @@ def _altimeter(sensor: Any, _: float, __: object) -> Stds:
     }
 
 
-def _attitude(sensor: Any, _: float, __: object) -> Stds:
+def _attitude(sensor: AttitudeEstimator, _: float, __: object) -> Stds:
     # One slow error: readings within its time constant are no more than one.
     readings = 2.0 * np.asarray(sensor.time_constant) / sensor.period
     return {"yaw_std": np.asarray(sensor.std) * np.sqrt(readings)}
 
 
-def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
+def _receiver(sensor: GnssReceiver, _: float, errors: object) -> Stds:
     if not isinstance(errors, OrnsteinUhlenbeckErrors | GaussMarkov2):
         return {}
     std, noise = np.asarray(errors.std), np.asarray(sensor.range_noise_std)
@@ -178,7 +181,7 @@ def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
     rate = std * np.sqrt(2.0 * sensor.period / np.asarray(errors.time_constant)) / sensor.period
     if isinstance(errors, GaussMarkov2):
         rate = std / np.sqrt(np.asarray(errors.time_constant) * np.asarray(errors.drive_time_constant))
-    own = sensor.doppler_noise_std
+    own: npt.ArrayLike = sensor.doppler_noise_std
     if sensor.velocity == "differenced":
         # The mean over a period is the velocity of half a period before.
         behind = 0.5 * sensor.period * MANOEUVRE * math.sqrt(2.0 * MANOEUVRE_S / sensor.period)
@@ -190,13 +193,13 @@ def _receiver(sensor: Any, _: float, errors: Any) -> Stds:
     }
 
 
-def _airspeed(sensor: Any, _: float, __: object) -> Stds:
+def _airspeed(sensor: Airspeed, _: float, __: object) -> Stds:
     # Of a pressure error at 10 m/s, where a pascal is 1/(1.2 * 10) m/s; and the scale's.
     pressure = np.square(sensor.noise_std) + np.square(sensor.offset_std)
     return {"airspeed_std": np.sqrt(pressure / 144.0 + np.square(5.0 * np.asarray(sensor.scale)))}
 
 
-_RULES: Mapping[type, Callable[[Any, float, Any], Stds]] = {
+_RULES: Mapping[type, Callable[..., Stds]] = {
     Imu: _imu,
     Gyroscope: _gyroscope,
     Accelerometer: _accelerometer,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -13,9 +13,9 @@ from qrsim.scenarios.component_schema import Finite
 FARTHEST = 100.0
 _Angle = Annotated[float, Field(allow_inf_nan=False, strict=True, ge=-2.0 * math.pi, le=2.0 * math.pi)]
 _Place = Annotated[float, Field(allow_inf_nan=False, strict=True, ge=-FARTHEST, le=FARTHEST)]
-_THREE: Any = Field(min_length=3, max_length=3)
+_THREE = Field(min_length=3, max_length=3)
 # A sensor with a parameter of one of these names keeps it, as a GNSS receiver its own delay in whole periods.
-FITTING: dict[str, Any] = {
+FITTING: dict[str, tuple[object, object]] = {
     "delay": (
         Finite,
         Field(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
     if not issubclass(known.VEHICLES[fleet.vehicle.type], FixedWing):
         return
     try:
-        vehicle: Any = vehicle_of(fleet, scenario)
+        vehicle = vehicle_of(fleet, scenario)
         stall = stall_speed(vehicle)
     except UsageError:
         return
@@ -63,7 +62,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
     ground = ground_if_any(scenario)
     if ground is None or fleet.placement.type != "given":
         return
-    places: Any = Vec3(*np.array([each.position_ned for each in fleet.vehicles], np.float32).reshape(-1, 3).T)
+    places = Vec3(*np.array([each.position_ned for each in fleet.vehicles], np.float32).reshape(-1, 3).T)
     for i, down in enumerate(down_at(ground, places).tolist()):
         z, least = fleet.vehicles[i].position_ned[2], down - 0.5 * span
         if z > least:
@@ -73,7 +72,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
             )
 
 
-def _inertia(name: str, vehicle: Any) -> Iterator[str]:
+def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
     x, z, xz = (np.asarray(part, float) for part in (vehicle.inertia_x, vehicle.inertia_z, vehicle.inertia_xz))
     if np.any(x * z <= xz * xz):
         yield (

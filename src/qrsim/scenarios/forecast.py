@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from qrsim.errors import ScenarioError, did_you_mean, nearest
+from qrsim.files import Content
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
 
 FORECAST = ("speed", "at_height", "gust", "gust_factor")
@@ -76,7 +76,7 @@ def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
     return ""
 
 
-def _problem(given: dict[str, Any], wind: dict[str, Any]) -> str:
+def _problem(given: Content, wind: Content) -> str:
     """Return what is wrong with a forecast, "" where nothing is."""
     for name, value in {**given, "roughness": wind.get("roughness", ROUGHNESS_M)}.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -96,7 +96,7 @@ def _problem(given: dict[str, Any], wind: dict[str, Any]) -> str:
     return _gust_problem(given, speed)
 
 
-def _gust_problem(given: dict[str, Any], speed: float) -> str:
+def _gust_problem(given: Content, speed: float) -> str:
     gust, factor = given.get("gust"), given.get("gust_factor")
     if gust is not None and factor is not None:
         return "gust: gives both 'gust' and 'gust_factor'; give one"

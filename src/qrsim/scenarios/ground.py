@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.models.vehicles.contracts import Vehicle, handling_of, has_contact
@@ -41,7 +42,7 @@ def has_floor(scenario: ScenarioSpec) -> bool:
 
 def rides(fleet: FleetSpec) -> bool:
     """Return whether the vehicles of a fleet move on the ground."""
-    vehicle: Any = known.VEHICLES[fleet.vehicle.type]
+    vehicle = known.VEHICLES[fleet.vehicle.type]
     return bool(vehicle.rides)
 
 
@@ -53,7 +54,7 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
         if fleet.placement.type == "given":
             points[f"{path}.position_ned"] = vehicle.position_ned
         points |= {f"{path}.{place}": point for place, point in vehicle.places_ned.items()}
-    places: Any = Vec3(*np.array(list(points.values()), np.float32).reshape(-1, 3).T)
+    places = Vec3(*np.array(list(points.values()), np.float32).reshape(-1, 3).T)
     for (path, point), down in zip(points.items(), down_at(ground, places).tolist(), strict=True):
         if abs(point[2] - down) > NEAR_IT:
             more = ", or on_ground: true" if path.endswith("position_ned") else ""
@@ -63,7 +64,9 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
             )
 
 
-def put_on_ground(scenario: ScenarioSpec, ground: Ground, standing_height: Callable[[FleetSpec], Any]) -> ScenarioSpec:
+def put_on_ground(
+    scenario: ScenarioSpec, ground: Ground, standing_height: Callable[[FleetSpec], NumpyArray]
+) -> ScenarioSpec:
     """Return a scenario in which the vehicles that start on the ground stand on it.
 
     Args:
@@ -99,7 +102,7 @@ def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
             points |= {f"{path}.waypoints_ned.{j}": point for j, point in enumerate(vehicle.waypoints_ned)}
     if not points:
         return
-    places: Any = Vec3(*np.array(list(points.values()), np.float32).T)
+    places = Vec3(*np.array(list(points.values()), np.float32).T)
     for (path, point), down in zip(points.items(), down_at(ground, places).tolist(), strict=True):
         if point[2] > down + ON_IT:
             yield below(path, point[2], down)

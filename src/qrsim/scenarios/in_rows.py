@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from pydantic import Field, ValidationError, model_validator
 
+from qrsim.files import Content
 from qrsim.scenarios.component_schema import Finite, Strict
 from qrsim.scenarios.legs import LegSpec, Position
 from qrsim.scenarios.problems import describe
@@ -44,7 +44,7 @@ class RowsSpec(Strict):
                 raise ValueError(f"legs.{number}.to_geodetic: rows are shifted in metres; give to_ned")
         return self
 
-    def vehicles(self) -> list[dict[str, Any]]:
+    def vehicles(self) -> list[Content]:
         """Return the vehicles one by one, as a list of them in a scenario has them."""
         columns = min(self.columns or math.ceil(math.sqrt(self.count)), self.count)
         rows = -(-self.count // columns)

@@ -14,6 +14,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
+from qrsim.models.gnss.orbits import Ephemeris
 from qrsim.scenarios.component_schema import Strict, component_model
 from qrsim.scenarios.event_schema import may_be_jammed
 from qrsim.scenarios.legs import Position
@@ -35,7 +36,7 @@ MOST = 100
 _NEVER, _EVERYWHERE = 1e9, 1e9
 _WHERE = (Position, Field(description="where it is [m]: north, east, down"))
 _ZERO = [0.0, 0.0, 0.0]
-_GIVEN: dict[str, dict[str, Any]] = {
+_GIVEN: dict[str, dict[str, tuple[object, object]]] = {
     "jammer": {"position_ned": _WHERE},
     "disc": {"position_ned": _WHERE},
     "spoofer": {
@@ -62,7 +63,7 @@ def _model(kind: str) -> type[Strict]:
 InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PLACES}, key="kind")
 
 
-def interference(scenario: object, ephemeris: object) -> Interference | None:
+def interference(scenario: object, ephemeris: Ephemeris) -> Interference | None:
     """Build what interferes; a jammer without power does not, and None is nothing."""
     kept = _kept(scenario)
     if not kept:
@@ -83,7 +84,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
     ]
 
 
-def _built(spec: Any, ephemeris: object) -> object:
+def _built(spec: Any, ephemeris: Ephemeris) -> object:
     cls = _CLASSES[spec.kind]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -97,7 +98,7 @@ def _built(spec: Any, ephemeris: object) -> object:
     return cls(**values)
 
 
-def _failing(spec: Any, ephemeris: Any) -> NumpyArray:
+def _failing(spec: Any, ephemeris: Ephemeris) -> NumpyArray:
     """Return which satellites (S,) an outage is of."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
@@ -116,14 +117,14 @@ def world_path(scenario: object, path: str) -> tuple[str | int, ...] | None:
     return None
 
 
-def spoofed(scenario: object, names: Sequence[str]) -> tuple[Any, ...] | None:
+def spoofed(scenario: object, names: Sequence[str]) -> tuple[NumpyArray, ...] | None:
     """Return for each spoofer which vehicles of these names it is for; None without any."""
     specs = [spec for _, spec in _kept(scenario) if spec.kind == "spoofer"]
     chosen = tuple(np.array([spec.vehicles is None or name in spec.vehicles for name in names]) for spec in specs)
     return chosen or None
 
 
-def interference_problems(scenario: Any, ephemeris: object, names: Sequence[str], heard: bool) -> Iterator[str]:
+def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[str], heard: bool) -> Iterator[str]:
     """Yield what is wrong with it; ``names`` are those of all vehicles, ``heard``: a receiver of type gnss is there."""
     if scenario.world.interference and not heard:
         yield "world.interference: there is no sensor of type gnss, which alone feels it"
@@ -141,7 +142,7 @@ def interference_problems(scenario: Any, ephemeris: object, names: Sequence[str]
             yield f"{path}: a storm is one of world.sky.errors of type error_budget with common: shared"
 
 
-def _outage_problems(path: str, spec: Any, ephemeris: Any) -> Iterator[str]:
+def _outage_problems(path: str, spec: Any, ephemeris: Ephemeris) -> Iterator[str]:
     if (spec.systems is None) == (spec.satellites is None):
         yield f"{path}: an outage is either of systems or of satellites; give one of the two"
     if spec.systems is not None:

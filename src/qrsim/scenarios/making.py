@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -51,7 +50,10 @@ _TYPES = {
 
 
 def make_scenario(
-    vehicles: Sequence[Any] | None = None, *, fleets: Mapping[str, Mapping[str, Any]] | None = None, **parts: object
+    vehicles: Sequence[object] | None = None,
+    *,
+    fleets: Mapping[str, Mapping[str, object]] | None = None,
+    **parts: object,
 ) -> Scenario:
     """Make a checked scenario from parts given in Python.
 
@@ -101,9 +103,9 @@ def make_scenario(
 
 
 def make_world(
-    vehicles: Sequence[Any] | None = None,
+    vehicles: Sequence[object] | None = None,
     *,
-    fleets: Mapping[str, Mapping[str, Any]] | None = None,
+    fleets: Mapping[str, Mapping[str, object]] | None = None,
     precision: str = "float32",
     **parts: object,
 ) -> World:
@@ -140,7 +142,7 @@ def _fleet(name: str, fleet: object, extends: bool) -> dict[str, object]:
     return content
 
 
-def _sensors(name: str, sensors: object) -> Any:
+def _sensors(name: str, sensors: object) -> object:
     if isinstance(sensors, Mapping):
         return {sensor: _part(value, sensor, "sensor") for sensor, value in sensors.items()}
     if not isinstance(sensors, str):
@@ -157,7 +159,7 @@ def _vehicles(name: str, vehicles: object) -> list[object]:
     return [vehicle if isinstance(vehicle, Mapping) else {"position_ned": vehicle} for vehicle in plain]
 
 
-def _part(value: object, name: str, kind: str = "") -> Any:
+def _part(value: object, name: str, kind: str = "") -> object:
     """Return a component as YAML has it; those inside the sky may be named by their types too."""
     if name == "sky" and isinstance(value, Mapping):
         return {key: entry if key == "period" else _part(entry, f"sky.{key}") for key, entry in value.items()}
@@ -167,7 +169,7 @@ def _part(value: object, name: str, kind: str = "") -> Any:
     return {"type": value} if isinstance(value, str) else _plain(value, name, kind or kinds.get(name, name))
 
 
-def _plain(value: object, name: str, kind: str = "") -> Any:
+def _plain(value: object, name: str, kind: str = "") -> object:
     """Return a value as YAML has it: components as dicts, arrays as lists, numbers of NumPy as Python's."""
     if isinstance(value, Mapping):
         return {key: _plain(entry, f"{name}.{key}") for key, entry in value.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +13,11 @@ from qrsim.control.mission import Mission
 from qrsim.control.paths import Leg, Limits, circle_speed, mission_of, plan, ramp_time, renumbered
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
+from qrsim.files import Content
 from qrsim.models.scene.contracts import down_at
 from qrsim.scenarios.checks import outside
 from qrsim.scenarios.ground import ON_IT, below, has_floor, stands
-from qrsim.scenarios.legs import FlyLeg
+from qrsim.scenarios.legs import FlyLeg, LandLeg, LegSpec, LoiterLeg, ReturnLeg, TakeOffLeg
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 
 MISSION = "mission"
@@ -44,7 +45,7 @@ class _Author:
     """Writes legs one after the other, from where a vehicle is then; keeps what was found wrong."""
 
     guidance: Any
-    ground: Any
+    ground: object
     can_stand: bool
     start: tuple[float, float, float]
     path: str
@@ -60,11 +61,11 @@ class _Author:
         place = record_of(Vec3, *(np.array([value], np.float64) for value in (north, east, 0.0)))
         return float(down_at(self.ground, place)[0])
 
-    def legs(self, specs: list[Any], first: int = 0) -> list[list[Leg]]:
+    def legs(self, specs: Sequence[LegSpec], first: int = 0) -> list[list[Leg]]:
         """Return the parts of each leg from the first on."""
         return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs[first:], first)]
 
-    def _parts(self, spec: Any, j: int) -> list[Leg]:
+    def _parts(self, spec: LegSpec, j: int) -> list[Leg]:
         where = f"{self.path}.{j}"
         if self.endless:
             self.problems.append(f"{where}: is never flown, because {self.endless}, a loiter, does not end")
@@ -76,21 +77,21 @@ class _Author:
         self.place = parts[-1].position_ned
         return parts
 
-    def _own(self, spec: Any) -> dict[str, Any]:
+    def _own(self, spec: LegSpec) -> Content:
         """Return what every leg says about speed and heading."""
         facing = tuple(spec.facing_ned) if spec.facing_ned else None
         speed = spec.speed or self.guidance.speed
         return {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "accept_radius": self.guidance.accept_radius}
 
-    def _line(self, place: tuple[float, ...], spec: object, **more: object) -> Leg:
+    def _line(self, place: Sequence[float], spec: LegSpec, **more: object) -> Leg:
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
-    def _fly(self, spec: Any, where: str) -> list[Leg]:
+    def _fly(self, spec: FlyLeg, where: str) -> list[Leg]:
         radius = spec.accept_radius or self.guidance.accept_radius
         return [self._line(spec.to_ned, spec, hold=spec.hold, stop=spec.stop or spec.hold > 0.0, accept_radius=radius)]
 
-    def _take_off(self, spec: Any, where: str) -> list[Leg]:
+    def _take_off(self, spec: TakeOffLeg, where: str) -> list[Leg]:
         north, east, down = self.place
         if -spec.height > down + SAME_PLACE:
             self.problems.append(
@@ -99,11 +100,13 @@ class _Author:
         speed = spec.speed or self.guidance.take_off_speed
         return [self._line((north, east, -spec.height), spec, stop=True, speed=speed)]
 
-    def _land(self, spec: Any, where: str) -> list[Leg]:
+    def _land(self, spec: LandLeg, where: str) -> list[Leg]:
         north, east = spec.at_ned or self.place[:2]
         return self._down_to(north, east, spec, where, hold=spec.hold)
 
-    def _down_to(self, north: float, east: float, spec: Any, where: str, hold: float = 0.0) -> list[Leg]:
+    def _down_to(
+        self, north: float, east: float, spec: LandLeg | ReturnLeg, where: str, hold: float = 0.0
+    ) -> list[Leg]:
         """Return the way to above a place, and down."""
         down = self.ground_down(north, east)
         if not self.can_stand:
@@ -121,7 +124,7 @@ class _Author:
         )
         return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
 
-    def _loiter(self, spec: Any, where: str) -> list[Leg]:
+    def _loiter(self, spec: LoiterLeg, where: str) -> list[Leg]:
         centre = tuple(spec.to_ned or self.place)
         ends = spec.time is not None or spec.turns is not None
         if not ends:
@@ -130,7 +133,7 @@ class _Author:
             return [self._line(centre, spec, stop=True, hold=spec.time if ends else math.inf)]
         return self._circle(centre, spec)
 
-    def _circle(self, centre: tuple[float, ...], spec: Any) -> list[Leg]:
+    def _circle(self, centre: tuple[float, ...], spec: LoiterLeg) -> list[Leg]:
         """Return the way to a circle and the circle; it begins where it is next to where the vehicle comes from."""
         north, east = self.place[0] - centre[0], self.place[1] - centre[1]
         first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
@@ -145,7 +148,7 @@ class _Author:
         turn = math.copysign(angle, spec.radius)
         return [to_it, self._line(ends[1], spec, kind="circle", centre_ned=(centre[0], centre[1]), angle=turn)]
 
-    def _return(self, spec: Any, where: str) -> list[Leg]:
+    def _return(self, spec: ReturnLeg, where: str) -> list[Leg]:
         parts = []
         if spec.height is not None and -spec.height < self.place[2] - SAME_PLACE:
             parts.append(self._line((*self.place[:2], -spec.height), spec, stop=True))
@@ -161,7 +164,7 @@ def _short(path: str) -> str:
     return ".".join(path.split(".")[-2:])
 
 
-def _specs(vehicle: VehicleSpec) -> tuple[str, list[Any]]:
+def _specs(vehicle: VehicleSpec) -> tuple[str, Sequence[LegSpec]]:
     """Return the legs of a vehicle and the name of their list; waypoints are legs too."""
     if vehicle.legs:
         return "legs", vehicle.legs

@@ -17,7 +17,7 @@ MOST_OBSTACLES, MOST_CORNERS, MOST_HOLES = 10_000, 1000, 100
 
 
 # What an obstacle of any kind may say besides its shape.
-STEEL: dict[str, Any] = {
+STEEL: dict[str, tuple[object, object]] = {
     "steel_radius": (
         Finite,
         Field(

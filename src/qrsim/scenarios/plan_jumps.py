@@ -7,8 +7,8 @@ target is a ``doJumpId`` of the file; of items without one, their number.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
+from qrsim.files import Content
 from qrsim.scenarios.plan_parts import PlanFaultError, number_of, part_of
 
 JUMP = 177
@@ -29,7 +29,7 @@ class SimpleItem:
 
     number: int
     path: str
-    content: dict[str, Any]
+    content: Content
 
     @property
     def jumps(self) -> bool:

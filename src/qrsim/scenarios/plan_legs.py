@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from qrsim.files import Content
 from qrsim.scenarios.plan import Plan, Waypoint
 
 # The radius of a circle that a plan leaves to the autopilot [m]: that of ArduCopter's CIRCLE_RADIUS.
@@ -25,7 +25,7 @@ def touches_ground(plan: Plan) -> bool:
 
 def legs_of(
     plan: Plan, start_ned: list[float], places_ned: list[list[float]], home_ned: list[float]
-) -> tuple[list[Any], int | None]:
+) -> tuple[list[Content], int | None]:
     """Return the legs of a plan as a scenario writes them, and the index of the one that follows the last.
 
     Args:
@@ -34,7 +34,7 @@ def legs_of(
         places_ned: of each waypoint [m].
         home_ned: of the plan [m].
     """
-    legs: list[object] = [{"type": "loiter", "time": plan.delay}] if plan.delay > 0.0 else []
+    legs: list[Content] = [{"type": "loiter", "time": plan.delay}] if plan.delay > 0.0 else []
     here, again = start_ned, None
     for i, (waypoint, place) in enumerate(zip(plan.waypoints, places_ned, strict=True)):
         again = len(legs) if i == plan.again else again
@@ -44,7 +44,7 @@ def legs_of(
     return legs, again
 
 
-def _shared(waypoint: Waypoint) -> dict[str, Any]:
+def _shared(waypoint: Waypoint) -> Content:
     """Return what every leg says."""
     shared: dict[str, object] = {"item": waypoint.item}
     if waypoint.speed is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.files import Content, code
@@ -40,7 +39,7 @@ def _parts(content: object) -> Iterator[tuple[str, str, object]]:
     yield "task", "task", _mapping(content, "").get("task")
 
 
-def _mapping(content: object, key: object) -> dict[Any, Any]:
+def _mapping(content: object, key: object) -> Content:
     found = content.get(key) if key and isinstance(content, dict) else content
     return found if isinstance(found, dict) else {}
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
-from qrsim.core.tree import replace
+from qrsim.core.arrays import NumpyArray
+from qrsim.core.tree import record_of, replace
 from qrsim.models.radio.channel import FleetRadios
 from qrsim.models.radio.network import Network
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -30,12 +30,14 @@ def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | No
         return network
     sizes = [len(fleet.vehicles) for fleet in scenario.fleets.values()]
 
-    def each(name: str) -> Any:
+    def each(name: str) -> NumpyArray:
         values = [np.nan if spec is None or getattr(spec, name) is None else getattr(spec, name) for spec in own]
         return np.repeat(np.array(values, np.float64), sizes)
 
-    works: Any = np.repeat([spec is None or spec.works for spec in own], sizes)
-    return replace(network, own=FleetRadios(each("power_dbm"), each("gain_db"), each("noise_figure_db"), works))
+    works = np.repeat([spec is None or spec.works for spec in own], sizes)
+    return replace(
+        network, own=record_of(FleetRadios, each("power_dbm"), each("gain_db"), each("noise_figure_db"), works)
+    )
 
 
 def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[str]:

@@ -30,7 +30,7 @@ class FleetRadioSpec(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _none(cls, data: object) -> Any:
+    def _none(cls, data: object) -> object:
         if isinstance(data, str):
             if data != NONE:
                 raise ValueError(f"is {data!r}; expected 'none', or what is different from world.radio")

@@ -69,7 +69,7 @@ def in_radians(item: RangeSpec) -> tuple[str, float, float]:
     return item.path, item.low, item.high
 
 
-def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[Any, str]:
+def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
     """Return the value at a path of the scenario, or the fault of the path."""
     value = scenario
     for i, part in enumerate(parts):

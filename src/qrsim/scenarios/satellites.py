@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
 from qrsim.errors import UsageError, did_you_mean, warn_user
 from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.gnss.constellations import check_systems
+from qrsim.models.gnss.contracts import RangeErrors
+from qrsim.models.gnss.orbits import Ephemeris, Orbits
 from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.gnss.sight import LETTERS, MASK_LOWEST, system_numbers
 from qrsim.models.gnss.slots import SlottedSky, slots_needed
@@ -39,7 +41,7 @@ def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
     }
 
 
-def needs_slots(scenario: ScenarioSpec, errors: Any) -> bool:
+def needs_slots(scenario: ScenarioSpec, errors: RangeErrors) -> bool:
     """Return whether the sky of a scenario gives satellites in view slots."""
     return bool(receivers(scenario)) or bool(errors.needs_sight)
 
@@ -85,12 +87,13 @@ def _others_read(scenario: ScenarioSpec) -> bool:
 
 
 def slotted_sky(
-    scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any, site: Site, start: float
+    scenario: ScenarioSpec, ephemeris: Ephemeris, orbits: Orbits, errors: RangeErrors, site: Site, start: float
 ) -> SlottedSky:
     """Build the sky of receivers of type gnss."""
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
     lowest = math.sin(min(masks, default=MASK_LOWEST))
-    return SlottedSky(
+    return record_of(
+        SlottedSky,
         orbits,
         errors,
         ephemeris.satellite_ids,
@@ -133,7 +136,7 @@ def _takes_base(sensor: Any) -> bool:
 
 def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield why receivers could not get the corrections they ask for."""
-    base: Any = scenario.world.base_station
+    base = scenario.world.base_station
     own = vars(scenario.world.sky.errors).get("common") == "per_vehicle"
     for fleet_name, fleet in scenario.fleets.items():
         for sensor_name, sensor in fleet.sensors.items():
@@ -175,7 +178,7 @@ def _base_problems(base: Any, duration: float) -> Iterator[str]:
             yield f"{path}: ends at {end:g} s, not after its start, {start:g} s"
 
 
-def satellite_problems(scenario: ScenarioSpec, ephemeris: Any) -> Iterator[str]:
+def satellite_problems(scenario: ScenarioSpec, ephemeris: Ephemeris) -> Iterator[str]:
     """Yield why receivers of type gnss could not work under these orbits."""
     yield from correction_problems(scenario)
     names = [name for fleet_name, fleet in scenario.fleets.items() for name in vehicle_names(fleet_name, fleet)]

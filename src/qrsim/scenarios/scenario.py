@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from qrsim.core.tables import Table, Tabled, number_text
 from qrsim.errors import ScenarioError, warn_user
+from qrsim.files import Content
 from qrsim.files.yaml_text import dump_yaml
 from qrsim.models.sensors.earth_field import earth_field_ned
 from qrsim.models.site import Site
@@ -129,7 +130,7 @@ class Scenario(Tabled):
 _OF_FLEETS = ("vehicle", "controller", "guidance", "battery")
 
 
-def _given(part: Any) -> str:
+def _given(part: BaseModel) -> str:
     """Return the parameters of a part that are single numbers or words, with their units."""
     texts = []
     for name, field in type(part).model_fields.items():
@@ -148,7 +149,7 @@ def _of_content(content: Mapping[str, object]) -> Scenario:
 
 
 def load_scenario(
-    source: str | Path | dict[str, Any],
+    source: str | Path | Content,
     overrides: Iterable[str] = (),
     *,
     quiet: bool = False,

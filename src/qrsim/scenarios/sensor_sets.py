@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
 
 from qrsim.errors import ScenarioError, did_you_mean
+from qrsim.files import Content
 
-SETS: dict[str, dict[str, Any]] = {
+SETS: dict[str, Content] = {
     "ideal": {
         "gnss": {"type": "ideal_gnss"},
         "barometer": {"type": "ideal_barometer"},
@@ -28,7 +28,7 @@ TURBULENCE = {"type": "dryden_field"}
 ESTIMATOR = {"type": "ekf"}
 
 
-def or_a_set(schema: dict[str, Any]) -> None:
+def or_a_set(schema: Content) -> None:
     """Add the names of sets to the JSON schema of sensors."""
     named = {name: schema.pop(name) for name in ("type", "additionalProperties") if name in schema}
     schema["anyOf"] = [named, {"type": "string", "enum": list(SETS)}]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import Field
 
+from qrsim.files import Content
 from qrsim.scenarios.component_schema import Finite, Strict
 
 # Of the origin over the ellipsoid [m].
@@ -20,7 +19,7 @@ class PlanSpec(Strict):
     file: str = Field(description="a QGroundControl .plan file", min_length=1)
 
 
-def or_its_file(schema: dict[str, Any]) -> None:
+def or_its_file(schema: Content) -> None:
     """Add the file alone to the JSON schema of a plan."""
     schema["anyOf"].append({"type": "string"})
 

@@ -17,6 +17,7 @@ import numpy as np
 from qrsim.engine.folders import cache_folder, private, temporary, tidy
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.skyline_table import Frame, Walls, frame_of, make_table, skyline_of, walls_of
+from qrsim.models.scene.elevation import Bounds
 from qrsim.scenarios.ground import bounds_of
 from qrsim.scenarios.obstacle_specs import MaskSpec
 from qrsim.scenarios.satellites import receivers
@@ -92,7 +93,7 @@ def skyline_problems(scenario: ScenarioSpec) -> Iterator[str]:
     )
 
 
-def frame_size(plan: _Plan, bounds: Any, pitch: float) -> int:
+def frame_size(plan: _Plan, bounds: Bounds | None, pitch: float) -> int:
     """Return the bytes of the table of a plan at another pitch [m]."""
     frame = frame_of(plan.walls, bounds, plan.lowest, pitch, plan.frame.azimuths)
     return 0 if frame is None else frame.size

@@ -6,10 +6,12 @@ when a scenario names it first, or when the schema of all is asked for, because 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from functools import partial
 from typing import Any, ClassVar
 
+from pydantic import GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from qrsim.scenarios.component_schema import Strict, component_model
@@ -40,7 +42,7 @@ class Slot:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: object, handler: object) -> CoreSchema:
-        choices: dict[Any, CoreSchema] = {
+        choices: dict[Hashable, CoreSchema] = {
             # pydantic joins what the inner schema finds to its own errors, with the path.
             name: core_schema.no_info_plain_validator_function(partial(_validated, make))
             for name, make in cls.makers().items()
@@ -48,8 +50,10 @@ class Slot:
         return core_schema.tagged_union_schema(choices, discriminator=cls.key)
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> Any:
-        choices: dict[Any, CoreSchema] = {name: make().__pydantic_core_schema__ for name, make in cls.makers().items()}
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        choices: dict[Hashable, CoreSchema] = {
+            name: make().__pydantic_core_schema__ for name, make in cls.makers().items()
+        }
         return handler(core_schema.tagged_union_schema(choices, discriminator=cls.key))
 
 
@@ -62,7 +66,7 @@ def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> Any:
     return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
 
 
-def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, Any] | None = None) -> object:
+def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, object] | None = None) -> object:
     """Return the annotation of a slot for the components of a mapping, which may change; see ``component_model``."""
     made: dict[tuple[str, type], type[Strict]] = {}
 

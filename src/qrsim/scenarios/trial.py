@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextvars import ContextVar
 from functools import lru_cache, wraps
 from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.core.tree import cast, record, replace
@@ -28,6 +29,7 @@ from qrsim.scenarios.returns import CHECKS, unchanged
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.tasks import Play
 from qrsim.world import tick as ticks
+from qrsim.world.state import World
 
 # What JAX says where a program asks for a value that there is not yet, and what is to be written in its place.
 _ADVICE: tuple[tuple[type[Exception], str], ...] = (
@@ -63,7 +65,7 @@ _DRAWING = {"sensor": ("init", "step"), "turbulence": ("init", "step"), "vehicle
 _DRAWN: ContextVar[dict[tuple[type, str], int]] = ContextVar("drawn")
 _LOCK = threading.Lock()
 # Structures of worlds that have passed.
-_PASSED: dict[Any, None] = {}
+_PASSED: dict[Hashable, None] = {}
 MOST_PASSED = 256
 
 
@@ -168,7 +170,7 @@ class _Counted:
     def __init__(self, noise: Draw | Drawn, where: tuple[type, str]):
         self._noise, self._where = noise, where
 
-    def normals(self, count: int) -> Any:
+    def normals(self, count: int) -> Sequence[Array]:
         """Return ``count`` arrays of normals."""
         drawn = _DRAWN.get()
         drawn[self._where] = max(drawn.get(self._where, 0), count)
@@ -178,7 +180,7 @@ class _Counted:
         return getattr(self._noise, name)
 
 
-def _tick(world: Any, key: object) -> None:
+def _tick(world: World, key: Key) -> None:
     state = jax.eval_shape(ticks.reset, world, key)
     actions = (None,) * len(world.fleets)
     after = jax.eval_shape(
@@ -219,12 +221,12 @@ def _free(component: type, name: str) -> bool:
     return isinstance(inspect.getattr_static(component, name), staticmethod | classmethod)
 
 
-def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+def _looked_at(component: type, kind: str, name: str, method: Callable[..., object]) -> Callable[..., object]:
     check = CHECKS.get((kind, name))
     draws = name in _DRAWING.get(kind, ())
 
     @wraps(method)
-    def called(self: object, *args: object, **kwargs: object) -> Any:
+    def called(self: object, *args: object, **kwargs: object) -> object:
         if draws and not getattr(self, "draws_alone", False):
             args = tuple(_Counted(arg, (component, name)) if isinstance(arg, Draw | Drawn) else arg for arg in args)
         try:

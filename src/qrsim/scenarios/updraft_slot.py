@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +11,7 @@ from pydantic import Field
 from qrsim.models.atmosphere.contracts import Footprint
 from qrsim.models.atmosphere.thermals import MOST_THERMALS, Thermals
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
+from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.scenarios.component_schema import Strict, component_model
 from qrsim.scenarios.legs import Corner
 from qrsim.scenarios.slots import slot
@@ -33,7 +33,7 @@ def updraft_slot(choices: Mapping[str, type]) -> object:
     return slot(lambda: {name: partial(_model, name, kind) for name, kind in choices.items()})
 
 
-def footprint(solid: Any) -> Footprint:
+def footprint(solid: BoxObstacle | CylinderObstacle | PrismObstacle) -> Footprint:
     """Return an obstacle as an updraft sees it."""
     heights = float(solid.z_min), float(solid.z_max)
     if isinstance(solid, CylinderObstacle):

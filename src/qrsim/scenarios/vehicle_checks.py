@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+from qrsim.control.contracts import Controller
 from qrsim.models.vehicles.commands import fields_of
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.scenarios import catalogue as known
@@ -16,7 +16,7 @@ MOST_KG = 100.0
 
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """Yield what does not fit a fleet's vehicle: its controller; of one that takes no commands, battery and route."""
-    vehicle: Any = known.VEHICLES[fleet.vehicle.type]
+    vehicle = known.VEHICLES[fleet.vehicle.type]
     fitting = [name for name, cls in known.CONTROLLERS.items() if can_fly(cls, vehicle)]
     if fleet.controller.type not in fitting:
         yield (
@@ -38,7 +38,7 @@ def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
             )
 
 
-def can_fly(controller: Any, vehicle: Any) -> bool:
+def can_fly(controller: type[Controller], vehicle: type[Vehicle]) -> bool:
     """Return whether what a controller gives is for a vehicle, by their classes."""
     if controller.gives is object:
         # The vehicle's own command of tilt and throttle, if it has one.

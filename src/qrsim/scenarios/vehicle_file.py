@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
+from qrsim.files import Content
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
 
 
-def read_vehicle_file(path: Path) -> dict[str, Any]:
+def read_vehicle_file(path: Path) -> Content:
     """Read a vehicle file, in the form of scenarios.
 
     Raises:

@@ -11,6 +11,7 @@ from qrsim.core.presets import filled
 from qrsim.core.tree import field_info
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.files import Content
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.geometry import Rotor
 from qrsim.models.vehicles.multirotor.own import (
     GEOMETRIES,
@@ -40,7 +41,7 @@ def numbers_of(part: Any) -> Content:
     return found
 
 
-def _written(value: object) -> Any:
+def _written(value: object) -> object:
     """Return a number, a point or a rotor as a scenario writes it."""
     if isinstance(value, int | float):
         return value
@@ -117,7 +118,7 @@ def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
         controller.setdefault("velocity_gain", min(2.2, attitude_bandwidth / 3.6))
 
 
-def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], None]) -> Any:
+def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], None]) -> Multirotor:
     """Return the multirotor of the six numbers of a scenario."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
 from qrsim.models.vehicles.contracts import handling_of
@@ -53,7 +52,7 @@ class Limits:
         return bool((self.own.by_thrust & (self.own.tilt == 0.0)).any())
 
 
-def voltages(fleet: FleetSpec) -> Any:
+def voltages(fleet: FleetSpec) -> NumpyArray:
     """Return the voltage (n,) of each vehicle's full battery [V]."""
     own = vars(fleet.controller).get("battery", FULL_V)
     if fleet.battery.type == "lithium_polymer":
@@ -184,7 +183,7 @@ def _blows(scenario: ScenarioSpec) -> bool:
     return scenario.world.wind.type != "calm" or scenario.world.turbulence.type != "still"
 
 
-def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
+def mean_wind(scenario: ScenarioSpec, heights: NumpyArray) -> NumpyArray:
     """Return the speed of the mean wind [m/s] at heights (n,) [m]; of a recorded one its largest."""
     wind = scenario.world.wind
     if is_outside("wind", wind.type):
@@ -202,7 +201,7 @@ def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
     return speed * np.log(np.maximum(feet / roughness_ft, 1.0)) / math.log(REFERENCE_FT / roughness_ft)
 
 
-def gust_sigma(scenario: ScenarioSpec, heights: Any) -> Any:
+def gust_sigma(scenario: ScenarioSpec, heights: NumpyArray) -> NumpyArray:
     """Return the standard deviation [m/s] of the horizontal gusts at heights (n,) [m] (MIL-F-8785C, low altitude)."""
     turbulence = scenario.world.turbulence
     if is_outside("turbulence", turbulence.type):

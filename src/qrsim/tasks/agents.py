@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,14 +37,14 @@ def penalty() -> Array:
     return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle stops", maximum=0.0)
 
 
-def leaving() -> Any:
+def leaving() -> bool:
     """Return the field of whether agents that stop leave."""
     return setting(
         default=False, doc="an agent that stops leaves, at the penalty, and the others fly on; else the episode ends"
     )
 
 
-def action_period(seconds: float) -> Any:
+def action_period(seconds: float) -> float:
     """Return the field of the time between two actions."""
     return setting(default=seconds, unit="s", doc="time between two actions, a multiple of the time step", above=0.0)
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw
 from qrsim.tasks.agents import Axis
 from qrsim.world.state import Action, State, World
@@ -21,7 +22,7 @@ from qrsim.world.state import Action, State, World
 class Answering(Protocol):
     """Policy that hands something in at the end of its episode."""
 
-    def answer(self) -> Any:
+    def answer(self) -> Floats:
         """Return the answers (n, ...)."""
         ...
 

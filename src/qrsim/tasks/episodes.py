@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.core.noise import Key
 from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.engine.settings import quick_jit
@@ -21,13 +21,13 @@ class Begun(NamedTuple):
     """Episodes at their start, arrays (b, ...)."""
 
     placed: Any
-    seen: Any
+    seen: object
     truth: dict[str, NumpyArray]
 
 
 @lru_cache
-def _scored() -> Any:
-    def score(play: Play, episode: Episode, answer: Any) -> jax.Array:
+def _scored() -> Callable[..., jax.Array]:
+    def score(play: Play, episode: Episode, answer: jax.Array) -> jax.Array:
         found = play.task.score(episode.memory, play.world, episode.state, answer)
         return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 
@@ -62,7 +62,7 @@ class Episodes:
         dtype: of all numbers.
     """
 
-    def __init__(self, play: Play, size: int, dtype: np.dtype[Any]):
+    def __init__(self, play: Play, size: int, dtype: DType):
         self._play = jax.tree.map(np.asarray, play)
         self._size, self._dtype = size, dtype
         extent = Extent(sum(fleet.size for fleet in play.world.fleets), dtype, size)

@@ -24,7 +24,7 @@ from qrsim.world.state import State, World
 SEEING = (Looking, Scan, IdealScan, Rangefinder, IdealRangefinder)
 
 
-def senses() -> Any:
+def senses() -> tuple[str, ...]:
     """Return the field of the sensors that agents see by."""
     return setting(
         default=(), doc="names of the agents' sensors neighbours, scan and rangefinder whose readings they observe"

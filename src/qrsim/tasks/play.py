@@ -16,7 +16,7 @@ from qrsim.tasks.speaking import at_first_period, message_size, overheard, spoke
 from qrsim.tasks.teams import Side, apart, in_units, of_all, sides_of, width
 from qrsim.world import tick as ticks_of
 from qrsim.world.draws import keys_of
-from qrsim.world.state import State, World, WorldKeys, period_ticks
+from qrsim.world.state import Action, State, World, WorldKeys, period_ticks
 
 TASK = "/task"
 
@@ -38,7 +38,7 @@ class Judged:
     memory: Any = quantity(doc="of the task, after it")
     reward: Array = quantity(doc="(n,) of the agents")
     goes_on: Array = quantity(doc="() bool: nobody has stopped, or where agents leave, not all have")
-    gone: Any = quantity(doc="as of ``Episode``")
+    gone: Array | None = quantity(doc="as of ``Episode``")
 
 
 @record
@@ -57,7 +57,7 @@ class Progress:
     """An episode between two ticks."""
 
     episode: Episode = quantity()
-    commands: Any = quantity(doc="held over the ticks of a step")
+    commands: tuple[Action, ...] = quantity(doc="held over the ticks of a step")
     last: Step = quantity(doc="what the last step brought")
     truth: Any = quantity(doc="after the last step, by name")
 
@@ -132,7 +132,7 @@ class Play:
         """Return who has left at the start, (n,) bool; None where agents do not leave."""
         return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
-    def begun(self, keys: EpisodeKeys, state: State) -> Any:
+    def begun(self, keys: EpisodeKeys, state: State) -> object:
         """Return the task's memory at the start of an episode, from the world's state there."""
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
@@ -149,7 +149,7 @@ class Play:
         begun = episode.step * self.ticks
         commands = self._commands(episode, action)
 
-        def tick(number: object, now: tuple[State, Any]) -> tuple[State, Any]:
+        def tick(number: object, now: tuple[State, object]) -> tuple[State, object]:
             return self._tick(*now, commands, begun, number)
 
         carry = (episode.state, episode.memory)
@@ -189,7 +189,7 @@ class Play:
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
 
-    def _commands(self, episode: Episode, action: Array) -> object:
+    def _commands(self, episode: Episode, action: Array) -> tuple[Action, ...]:
         acts, sides = self.width, self.sides
         says = self.message > 0 and action.shape[1] > acts
         flown = action[:, :acts] if says else action
@@ -207,7 +207,9 @@ class Play:
             return overheard(self.world, state, fleets[0], seen, tick)
         return {fleet: overheard(self.world, state, fleet, seen[fleet], tick) for fleet in fleets}
 
-    def _tick(self, state: State, memory: object, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
+    def _tick(
+        self, state: State, memory: object, commands: tuple[Action, ...], begun: Array, number: Any
+    ) -> tuple[State, object]:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         tick, before = (number, begun) if self.in_step else (begun + number, None)
         commands = at_first_period(self.world, commands, tick, number)

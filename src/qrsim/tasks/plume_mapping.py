@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, cast
+from typing import ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import Area
-from qrsim.models.scene.plume import PuffPlume
+from qrsim.models.scene.plume import PuffPlume, PuffState, Wind
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.concentration import ConcentrationReading
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, leaving, only, penalty, velocity_axes
@@ -105,7 +105,7 @@ class PlumeMapping(Task):
         _, fleet = fleet_of(world, state, self.fleet)
         return memory, jnp.zeros_like(fleet.vehicle.position_ned.x)
 
-    def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Any]:
+    def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Array]:
         """Return the observation of each vehicle (n,).
 
         ``vehicle`` (n, 10) is what it believes of itself and the last concentration it measured, ``locations``
@@ -156,14 +156,14 @@ class PlumeMapping(Task):
         reference = self.reference(memory, plume, sources, wind, world.area)
         return -jax.vmap(lambda samples: divergence(reference, samples.T))(answer)
 
-    def reference(self, memory: PlumeMemory, plume: PuffPlume, sources: Any, wind: Any, area: Area) -> Array:
+    def reference(self, memory: PlumeMemory, plume: PuffPlume, sources: PuffState, wind: Wind, area: Area) -> Array:
         """Simulate the concentrations (K, L) of puffs at the locations, at times ``sample_gap`` apart.
 
         They are of a flight of puffs of its own that has gone on for long: of the same sources, other puffs.
         """
         draw = replace(memory.draw, stream=replace(memory.draw.stream, ids=jnp.arange(plume.most, dtype=jnp.uint32)))
 
-        def advance(now: tuple[Array, Any]) -> tuple[Array, Any]:
+        def advance(now: tuple[Array, PuffState]) -> tuple[Array, PuffState]:
             tick, puffs = now
             return tick + 1, plume.step(puffs, replace(draw, tick=draw.tick + tick))
 
@@ -171,7 +171,7 @@ class PlumeMapping(Task):
         start = lax.while_loop(lambda now: jnp.any(now[1].released < plume.puffs), advance, (jnp.int32(0), sources))
         steps = jnp.round(jnp.asarray(self.sample_gap) / plume.period).astype(jnp.int32)
 
-        def sample(now: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], Array]:
+        def sample(now: tuple[Array, PuffState], _: None) -> tuple[tuple[Array, PuffState], Array]:
             now = lax.fori_loop(0, steps, lambda _, before: advance(before), now)
             since = jnp.zeros((), now[1].age.dtype)
             return now, plume.concentration(now[1], memory.locations_ned, wind, area, since)

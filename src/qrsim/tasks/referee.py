@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Protocol
@@ -19,6 +21,7 @@ from qrsim.errors import UsageError
 from qrsim.tasks.episodes import score
 from qrsim.tasks.places import Places, places_of
 from qrsim.tasks.play import Episode, Judged, Play
+from qrsim.world.state import State
 
 # Ticks that are judged at once.
 CHUNK = 50
@@ -96,7 +99,7 @@ class Referee:
         self._play = jax.tree.map(np.asarray, cast(play, self._dtype))
         self._names, self._steps = play.agents, play.steps
         self._rewards: list[Floats] = []
-        self._waiting: list[tuple[Floats, Any]] = []
+        self._waiting: list[tuple[Floats, State]] = []
         self._over = ""
         self._last = jax.tree.map(lambda leaf: np.array(leaf[0]), beginning.state)
         with self._precision():
@@ -107,7 +110,7 @@ class Referee:
             still = jax.tree.map(lambda leaf: np.repeat(leaf[None], CHUNK, axis=0), self._last)
             _watched()(self._play, self._carried, still, np.int32(1), np.int32(0))
 
-    def _precision(self) -> Any:
+    def _precision(self) -> AbstractContextManager[object]:
         return jax.enable_x64(self._dtype == np.float64)
 
     @property
@@ -200,15 +203,15 @@ class Referee:
 
 
 @lru_cache
-def _begin() -> Any:
-    def begin(play: Play, key: Key, state: Any) -> Any:
+def _begin() -> Callable[..., tuple[object, Array | None]]:
+    def begin(play: Play, key: Key, state: State) -> tuple[object, Array | None]:
         return play.begun(play.keys(key), state), play.nobody_gone()
 
     return quick_jit(begin)
 
 
 @lru_cache
-def _watched() -> Any:
+def _watched() -> Callable[..., tuple[tuple[object, Array | None], Array, Array]]:
     return quick_jit(_watch)
 
 

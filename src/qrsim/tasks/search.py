@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -80,7 +80,7 @@ class Search(Task):
         number = number_of(world, self.fleet)
         return picture(world, state, number, self.camera)
 
-    def observe(self, memory: SearchMemory, world: World, state: State) -> dict[str, Any]:
+    def observe(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
         """Return the observation of each vehicle (n,).
 
         ``vehicle`` (n, 9) is what it believes of itself, ``ratio`` (n, R, C) the log-likelihood ratio of each window of

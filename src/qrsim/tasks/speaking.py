@@ -5,8 +5,6 @@ See docs/howto/use_environments.md.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -42,7 +40,7 @@ def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -
     return (*actions[:number], Saying(actions[number], outbox), *actions[number + 1 :])
 
 
-def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Any) -> tuple[Action, ...]:
+def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Array) -> tuple[Action, ...]:
     """Return actions that hand what is said to the radio at one tick of a step only.
 
     That is the first tick of a step at which a period of the radio begins: so every message is sent once, and of steps

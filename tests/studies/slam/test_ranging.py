@@ -11,8 +11,9 @@ from tests.studies.slam.problems import exact_flight, exact_ranges
 
 from qrsim.errors import RunError, UsageError
 from qrsim.studies.slam import estimate as estimates
-from qrsim.studies.slam.estimate import bytes_needed, check_memory, estimate
+from qrsim.studies.slam.estimate import estimate
 from qrsim.studies.slam.flight import Flight
+from qrsim.studies.slam.memory import bytes_needed, check_memory
 from qrsim.studies.slam.ranging import Ranging, given_ranges, measure_ranges
 
 

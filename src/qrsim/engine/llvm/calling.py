@@ -7,7 +7,6 @@ import ctypes
 import threading
 from collections.abc import Callable, Sequence
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -82,7 +81,7 @@ class Program:
         """Size of all code that is loaded, and of the text of better code."""
         return self._size + len(self._text)
 
-    def scratch(self) -> Any:
+    def scratch(self) -> NumpyArray:
         """Return working memory for one thread."""
         return aligned(self.scratch_bytes, np.dtype(np.uint8))
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 import threading
 from functools import lru_cache
-from typing import Any
 
 import llvmlite.binding as llvm
 
@@ -18,19 +17,19 @@ _LOCK = threading.Lock()
 
 
 @lru_cache(maxsize=1)
-def _target() -> Any:
+def _target() -> llvm.Target:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple()
 
 
-def _machine(tier: str = "better") -> Any:
+def _machine(tier: str = "better") -> llvm.TargetMachine:
     name, features = llvm.get_host_cpu_name(), _features().flatten()
     return _target().create_target_machine(cpu=name, features=features, opt=0 if tier == "quick" else 2, jit=True)
 
 
 @lru_cache(maxsize=1)
-def _features() -> Any:
+def _features() -> llvm.FeatureMap:
     _target()
     return llvm.get_host_cpu_features()
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import enum
 import hashlib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
 from jax.extend import core as jex
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.llvm.rules import RULES
 
 
@@ -34,7 +35,7 @@ class _Walk:
 
     def __init__(self) -> None:
         # With the program itself, so that no other one gets its address.
-        self._found: dict[int, tuple[Any, str]] = {}
+        self._found: dict[int, tuple[object, str]] = {}
 
     def closed(self, closed: Any) -> str:
         """Return the digest of a closed jaxpr, or of one without constants."""
@@ -46,7 +47,7 @@ class _Walk:
         return known[1]
 
     def _jaxpr(self, jaxpr: Any, constants: Any) -> str:
-        result, numbers = hashlib.sha256(), dict[Any, int]()
+        result, numbers = hashlib.sha256(), dict[object, int]()
 
         def add(*parts: object) -> None:
             result.update(repr(parts).encode())
@@ -58,7 +59,7 @@ class _Walk:
                 found.append((variable.aval.shape, variable.aval.dtype.name))
             return found
 
-        def read(atom: object) -> Any:
+        def read(atom: object) -> object:
             if isinstance(atom, jex.Literal):
                 return _array(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
             return numbers[atom]
@@ -80,7 +81,7 @@ class _Walk:
         add([read(atom) for atom in jaxpr.outvars])
         return result.hexdigest()
 
-    def _value(self, value: object) -> Any:
+    def _value(self, value: object) -> object:
         """Return a parameter as something with a text that says all of it."""
         for kinds, text in self._TEXTS:
             if isinstance(value, kinds):
@@ -89,7 +90,7 @@ class _Walk:
             return self.closed(value)
         raise UnknownError
 
-    def _several(self, values: Any) -> object:
+    def _several(self, values: Sequence[object]) -> object:
         return type(values).__name__, [self._value(value) for value in values]
 
     _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (
@@ -103,9 +104,9 @@ class _Walk:
     )
 
 
-def _array(array: np.ndarray[Any, Any]) -> object:
+def _array(array: NumpyArray) -> object:
     return array.shape, array.dtype.name, hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-def _unknown() -> Any:
+def _unknown() -> NoReturn:
     raise UnknownError

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.loops import Loops, shared_axis
@@ -15,7 +16,7 @@ from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.scattering import write_scatter
 from qrsim.engine.llvm.schedule import Step
-from qrsim.engine.llvm.text import DType, literal, scalar_type, splat, stored_type, vector
+from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_type, vector
 from qrsim.engine.llvm.writing import Place, Scope
 
 

@@ -6,13 +6,15 @@ another way (a slice, a new axis, a transposition) is no operation but an index,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.text import scalar_type
 
 Shape = tuple[int, ...]
@@ -45,7 +47,7 @@ class Node:
     op: str
     args: tuple[Access, ...]
     shape: Shape
-    dtype: np.dtype[Any]
+    dtype: DType
     attributes: tuple[Any, ...] = ()
     domain: Shape = ()
     regions: tuple[Region, ...] = ()
@@ -131,7 +133,7 @@ class Region:
     parent: Region | None = None
     nodes: list[Node] = field(default_factory=list)
     results: list[Access] = field(default_factory=list)
-    known: dict[Any, Node] = field(default_factory=dict)
+    known: dict[Hashable, Node] = field(default_factory=dict)
 
     def find(self, key: object) -> Node | None:
         """Return an equal node computed before, here or outside."""
@@ -157,7 +159,7 @@ class Graph:
         op: str,
         args: tuple[Access, ...],
         shape: Shape,
-        dtype: Any,
+        dtype: npt.DTypeLike,
         attributes: tuple[object, ...] = (),
         *,
         domain: Shape | None = None,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jax.core import ShapedArray
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Parameters, Shape, View, squeezed
 from qrsim.engine.llvm.nodes import Like, Nodes
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -169,7 +169,7 @@ class Indexing(Nodes):
         return self.spread(self.graph.constant(np.int32(value)), shape)
 
 
-def _filling(value: object, dtype: Any) -> object:
+def _filling(value: object, dtype: DType) -> object:
     """Choose the value that JAX puts where an index is out of range."""
     if value is not None:
         return value

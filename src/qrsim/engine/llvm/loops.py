@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.operations import Operations
 from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
@@ -38,7 +38,7 @@ class Loops(Writer):
         self.turning: str | None = None
 
     @contextmanager
-    def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
+    def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
         """Write loops over some axes of the domain, ``together`` turns of the last but the vector's own at once."""
         if not axes:
             yield
@@ -89,7 +89,7 @@ class Loops(Writer):
         self.do(f"call void @llvm.memcpy.p0.p0.i64({begins}, i64 {size}, i1 false)")
         return True
 
-    def _kept(self, to: Place, dtype: object, value: str, lanes: int, keep: str) -> str:
+    def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
         """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)

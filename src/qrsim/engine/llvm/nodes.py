@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from jax.core import ShapedArray
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Graph, Parameters, Shape, View, squeezed
 
 
@@ -14,7 +16,7 @@ class Like(NamedTuple):
     """Shape and type of a result."""
 
     shape: Shape
-    dtype: Any
+    dtype: DType
 
 
 class Nodes:
@@ -27,7 +29,9 @@ class Nodes:
     def __init__(self, graph: Graph):
         self.graph = graph
 
-    def apply(self, name: str, shape: Shape, dtype: object, *inputs: View, attributes: tuple[object, ...] = ()) -> View:
+    def apply(
+        self, name: str, shape: Shape, dtype: npt.DTypeLike, *inputs: View, attributes: tuple[object, ...] = ()
+    ) -> View:
         """Return an elementwise operation on arrays of one shape, or of none."""
         accesses = tuple([view.access(shape) for view in inputs])
         return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)

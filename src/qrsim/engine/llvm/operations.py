@@ -8,9 +8,10 @@ from functools import partialmethod
 
 import numpy as np
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.refusal import UnsupportedError
-from qrsim.engine.llvm.text import DType, literal, scalar_type, splat, suffix, vector
+from qrsim.engine.llvm.text import literal, scalar_type, splat, suffix, vector
 
 # Emits an instruction and returns the name of its value.
 Emit = Callable[[str], str]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
+from qrsim.core.arrays import DType
 from qrsim.engine.layout import SPARE, Packer, struct
 from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.background import packed
@@ -74,7 +74,7 @@ class Binary:
     text: bytes = b""
 
 
-def trace_tick(function: Callable[..., Any], inputs: Sequence[Input]) -> ClosedJaxpr:
+def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> ClosedJaxpr:
     """Trace a function of trees and the number of the tick, which returns a tree like the last one.
 
     Args:
@@ -86,7 +86,7 @@ def trace_tick(function: Callable[..., Any], inputs: Sequence[Input]) -> ClosedJ
 
 
 def build(
-    function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
+    function: Callable[..., object] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
 ) -> Binary:
     """Compile a function from a state to the next one.
 
@@ -147,7 +147,7 @@ class Draft:
         found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views[: len(closed.jaxpr.invars)])
         self.results = [view.access() for view in found]
 
-    def _input(self, which: int, given: Input, shape: Shape, dtype: Any, part: slice, is_float: bool) -> Node:
+    def _input(self, which: int, given: Input, shape: Shape, dtype: DType, part: slice, is_float: bool) -> Node:
         # As they lie in the buffers; others would be taken for what they are not.
         if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.extend.core.primitives as jex
 from jax import lax
+from jax.extend.core import Primitive
 
 from qrsim.core import noise as _noise  # noqa: F401  its kernels are in the table
 from qrsim.core.fastmath import rounded_p
@@ -99,8 +100,8 @@ def _rows() -> dict[str, Rule]:
     return rows
 
 
-def _known() -> dict[Any, Rule]:
-    found: dict[Any, Rule] = {}
+def _known() -> dict[Primitive, Rule]:
+    found: dict[Primitive, Rule] = {}
     for name, rule in _rows().items():
         # One that this version of JAX does not have occurs in no program.
         for place in (lax, jex):
@@ -113,7 +114,7 @@ def _known() -> dict[Any, Rule]:
     return found
 
 
-RULES: Mapping[Any, Rule] = _known()
+RULES: Mapping[Primitive, Rule] = _known()
 
 
 def rule_of(equation: Any) -> Rule:

@@ -7,14 +7,13 @@ from collections import Counter, defaultdict
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.rows import along, together
 from qrsim.engine.llvm.waiting import ALONE, NESTED, NO_LOOP, OUTSIDE, Waiting, changes_carry
 
 # Who reads a node: step, reading node or None, and how.
-Reading = tuple[int, Any, Access]
+Reading = tuple[int, Node | None, Access]
 
 
 @dataclass(eq=False)

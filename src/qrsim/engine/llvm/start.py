@@ -6,7 +6,6 @@ Its state is an input like the others, so that a start is a program like a tick,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
 import numpy as np
@@ -16,9 +15,11 @@ from qrsim.engine.llvm.program import Input
 from qrsim.engine.llvm.refusal import refusing
 
 
-def trace_of(function: Callable[..., Any], inputs: Sequence[Input]) -> tuple[object, object]:
+def trace_of(function: Callable[..., object], inputs: Sequence[Input]) -> tuple[object, object]:
     """Return the closed jaxpr of a function of some trees, and the shapes (jax.ShapeDtypeStruct) of what it returns."""
-    found: tuple[Any, Any] = jax.make_jaxpr(function, return_shape=True)(*(each.layout.template() for each in inputs))
+    found: tuple[object, object] = jax.make_jaxpr(function, return_shape=True)(
+        *(each.layout.template() for each in inputs)
+    )
     return found
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import struct
 from functools import cache
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.refusal import UnsupportedError
 
-DType = np.dtype[Any]
 _SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64"}
 
 
@@ -44,7 +43,7 @@ def vector(element: str, lanes: int) -> str:
     return element if lanes == 1 else f"<{lanes} x {element}>"
 
 
-def literal(value: Any, dtype: DType) -> str:
+def literal(value: float | np.float32, dtype: DType) -> str:
     """Return a number as LLVM writes it."""
     if dtype.kind == "b":
         return "true" if value else "false"

@@ -10,13 +10,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import ShapedArray
 from jax.extend import core as jex
 from jax.extend import source_info_util
 
+from qrsim.core.arrays import DType
 from qrsim.core.nearest import by_all_pairs
 from qrsim.core.primitives import KERNELS
-from qrsim.engine.llvm.graph import Access, Graph, Parameters, Region, Shape, View, squeezed
+from qrsim.engine.llvm.graph import Access, Graph, Node, Parameters, Region, Shape, View, squeezed
 from qrsim.engine.llvm.indexing import Indexing
 from qrsim.engine.llvm.nodes import Like
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -44,11 +46,11 @@ class Tracer(Indexing):
         super().__init__(graph)
         self.alone = alone
         # By functions, which are equal by identity.
-        self._read_once: dict[Any, set[Any]] = {}
+        self._read_once: dict[jex.Jaxpr, set[jex.Var]] = {}
 
-    def run(self, jaxpr: Any, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
+    def run(self, jaxpr: jex.Jaxpr, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
-        environment: dict[Any, View] = dict(zip(jaxpr.invars, arguments, strict=True))
+        environment: dict[object, View] = dict(zip(jaxpr.invars, arguments, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
             environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
 
@@ -70,7 +72,7 @@ class Tracer(Indexing):
             environment.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
-    def _once(self, jaxpr: Any) -> set[Any]:
+    def _once(self, jaxpr: jex.Jaxpr) -> set[jex.Var]:
         """Return the variables that are looked at once in a function, which may be called several times."""
         if jaxpr not in self._read_once:
             read = chain(jaxpr.outvars, *(equation.invars for equation in jaxpr.eqns))
@@ -90,7 +92,9 @@ class Tracer(Indexing):
         found = getattr(self, rule.method)(rule.op, inputs, out, equation.params)
         return found if isinstance(found, list) else [found]
 
-    def _contracted(self, op: str, equation: Any, inputs: list[View], out: ShapedArray, products: _Products) -> View:
+    def _contracted(
+        self, op: str, equation: jex.JaxprEqn, inputs: list[View], out: ShapedArray, products: _Products
+    ) -> View:
         """Return a sum, a difference or a product; in one rounding with a product that only goes into this sum.
 
         A compiler may do so where it sees both together, so that the last bit depends on the program around. Here it
@@ -271,7 +275,7 @@ class Tracer(Indexing):
         """Join arrays along an axis."""
         return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
 
-    def _join(self, parts: list[View], shape: Shape, dtype: Any, axis: int) -> View:
+    def _join(self, parts: list[View], shape: Shape, dtype: DType, axis: int) -> View:
         if 0 in shape:
             return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
         # What is empty has no step of its own, and would be a loop over nothing.
@@ -299,7 +303,7 @@ class Tracer(Indexing):
         cond = self.graph.node("cond", (which.access(),), (), np.bool_, regions=tuple(regions), invariant=False)
         return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
 
-    def _branch_result(self, cond: Any, place: int, views: tuple[View, ...]) -> View:
+    def _branch_result(self, cond: Node, place: int, views: tuple[View, ...]) -> View:
         first = views[0]
         node = self.graph.node(
             "output",
@@ -347,8 +351,8 @@ class Tracer(Indexing):
             return carry
         turn = jex.jaxpr_as_fun(parameters["jaxpr"])
 
-        def loop(*given: Any) -> Any:
-            def body(state: Any) -> Any:
+        def loop(*given: Array) -> tuple[Array, ...]:
+            def body(state: tuple[Array, ...]) -> tuple[Array, ...]:
                 return (state[0] + 1, *turn(*given[:constants], *state[1:]))
 
             first = (jnp.int32(0), *given[constants:])
@@ -357,11 +361,11 @@ class Tracer(Indexing):
         counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
         return self.run(counted.jaxpr, counted.consts, inputs)
 
-    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Any:
+    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Node:
         dtype = like.node.dtype
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
-    def _region(self, closed: Any, inputs: list[View]) -> tuple[Region, list[View]]:
+    def _region(self, closed: jex.ClosedJaxpr, inputs: list[View]) -> tuple[Region, list[View]]:
         """Return the nodes of an inner program, and its results."""
         region = self.graph.region = Region(parent=self.graph.region)
         views = self.run(closed.jaxpr, closed.consts, inputs)
@@ -374,8 +378,8 @@ class Tracer(Indexing):
 class _Products:
     """The products of one function, by their variables, and who looks at them."""
 
-    def __init__(self, once: set[Any]):
-        self.made: dict[Any, list[View]] = {}
+    def __init__(self, once: set[jex.Var]):
+        self.made: dict[object, list[View]] = {}
         self._once = once
 
     def of(self, atom: object) -> list[View] | None:
@@ -387,6 +391,6 @@ class _Products:
         return atom in self._once
 
 
-def trace(function: Callable[..., Any], *arguments: object) -> Any:
+def trace(function: Callable[..., object], *arguments: object) -> jex.ClosedJaxpr:
     """Return the closed jaxpr of a function for arguments, or their shapes."""
     return jax.make_jaxpr(function)(*arguments)

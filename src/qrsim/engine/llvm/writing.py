@@ -7,13 +7,14 @@ same order in both, so both give the same numbers to the bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
@@ -110,7 +111,7 @@ class Writer:
         self._written.clear()
 
     @contextmanager
-    def loop(self, extent: int, step: int = 1) -> Any:
+    def loop(self, extent: int, step: int = 1) -> Iterator[str]:
         """Write a loop over [0, extent) around what is written inside; gives the name of its counter."""
         if extent <= step:
             yield "0"
@@ -131,7 +132,7 @@ class Writer:
         self.scope.offsets.clear()
 
     @contextmanager
-    def counted(self, extent: str) -> Any:
+    def counted(self, extent: str) -> Iterator[str]:
         """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
         label, number = f"some{self.count}", self.name("i")
         wide = self.emit(f"zext i32 {extent} to i64")
@@ -175,7 +176,7 @@ class Writer:
             self.scope.offsets[key] = self.emit(f"getelementptr [{stride} x i8], ptr {pointer}, i64 {variable}")
         return self.scope.offsets[key]
 
-    def load(self, dtype: Any, address: str, lanes: int) -> str:
+    def load(self, dtype: DType, address: str, lanes: int) -> str:
         """Load the value at an address."""
         stored, align = stored_type(dtype), stored_bytes(dtype)
         value = self.emit(f"load {vector(stored, lanes)}, ptr {address}, align {align}")
@@ -183,7 +184,7 @@ class Writer:
             return value
         return self.emit(f"icmp ne {vector('i32', lanes)} {value}, {splat('0', 'i32', lanes)}")
 
-    def store(self, dtype: Any, address: str, value: str, lanes: int, mask: str | None = None) -> None:
+    def store(self, dtype: DType, address: str, value: str, lanes: int, mask: str | None = None) -> None:
         """Write to an address, where there is a mask only its lanes."""
         of, align = vector(stored_type(dtype), lanes), stored_bytes(dtype)
         if dtype.kind == "b":
@@ -259,7 +260,7 @@ class Writer:
         wide = [self.widened(start, dtype, lanes) for start, dtype in zip(starts, dtypes, strict=True)]
         return self._picked(node, place, wide, lanes)
 
-    def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[object]) -> Place:
+    def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType]) -> Place:
         """Return a place moved by starts, each brought into its range."""
         pointer = place.pointer
         for axis, move in enumerate(moved):
@@ -268,7 +269,7 @@ class Writer:
                 pointer = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
         return Place(pointer, place.offset, place.strides, place.own)
 
-    def _distance(self, start: str, dtype: Any, largest: int, stride: int, lanes: int) -> str:
+    def _distance(self, start: str, dtype: DType, largest: int, stride: int, lanes: int) -> str:
         """Return the bytes to a start that is brought into its range."""
         of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
         for how, limit in (("max", 0), ("min", largest)):
@@ -310,7 +311,7 @@ class Writer:
         every = splat("true", "i1", lanes)
         return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
 
-    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[object], lanes: int) -> str:
+    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType], lanes: int) -> str:
         """Return whether all starts are in range."""
         inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
         for move in moved:
@@ -345,7 +346,7 @@ class Writer:
             result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
         return result
 
-    def widened(self, found: tuple[str, int], dtype: object, lanes: int) -> str:
+    def widened(self, found: tuple[str, int], dtype: DType, lanes: int) -> str:
         """Return a value in all lanes."""
         text, have = found
         if have == lanes or (have == 0 and lanes == 1):
@@ -378,7 +379,7 @@ class Writer:
             self._constant_places[node.number] = Place(symbol, 0, tuple(map(int, array.strides)), own=False)
         return self._constant_places[node.number]
 
-    def write(self, place: Place, dtype: object, value: str, lanes: int, variables: Sequence[str]) -> None:
+    def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
         """Store a value of the present loop at its element of a place."""
         wanted = self.lanes if place.own and self.side_by_side else lanes
         value = self.widened((value, lanes), dtype, wanted)

@@ -5,13 +5,12 @@ See docs/explanation/gnss_errors.md.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Draw, Drawn
 from qrsim.core.tree import map_tree, quantity, record
+from qrsim.models.gnss.budget import ErrorBudget
 from qrsim.models.gnss.errors import GaussMarkov2State
 from qrsim.models.gnss.slots import Slots
 
@@ -37,7 +36,7 @@ def _normals(draw: Draw, slots: Slots) -> tuple[list[Drawn], list[Drawn]]:
     return each, [Drawn((rows[2 * i], rows[2 * i + 1])) for i in range(4)]
 
 
-def apart_init(budget: Any, draw: Draw, slots: Slots) -> Apart:
+def apart_init(budget: ErrorBudget, draw: Draw, slots: Slots) -> Apart:
     """Return stationary first states; ``budget`` is the ErrorBudget."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
@@ -47,7 +46,7 @@ def apart_init(budget: Any, draw: Draw, slots: Slots) -> Apart:
     )
 
 
-def apart_step(budget: Any, state: Apart, draw: Draw, slots: Slots, same: Array, dt: float) -> Apart:
+def apart_step(budget: ErrorBudget, state: Apart, draw: Draw, slots: Slots, same: Array, dt: float) -> Apart:
     """Advance by dt [s]; a satellite in a new slot begins anew."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
@@ -60,7 +59,7 @@ def apart_step(budget: Any, state: Apart, draw: Draw, slots: Slots, same: Array,
     return Apart(*found, *rest)
 
 
-def apart_at(budget: object, state: Apart, slots: Slots, column: int) -> tuple[Array, Array]:
+def apart_at(budget: ErrorBudget, state: Apart, slots: Slots, column: int) -> tuple[Array, Array]:
     """Return the errors (K, n) of code and carrier [m]; ``column``: 0 for one frequency, 1 for two."""
     sight, scales = slots.sight, slots.scales
     zenith = (scales.troposphere * state.troposphere.error)[None, :]

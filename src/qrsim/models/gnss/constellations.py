@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from qrsim.core.tree import cast, record, setting
+from qrsim.core.tree import cast, record, record_of, setting
 from qrsim.errors import UsageError, nearest
 from qrsim.models.gnss.orbits import (
     EARTH_GRAVITY,
@@ -200,6 +200,6 @@ def _joined(parts: list[Any]) -> Any:
     """Join arrays (S,), or phases of them."""
     if isinstance(parts[0], Phase):
         names = ("units", "units_per_s", "rest", "rest_per_s")
-        joined: Any = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return Phase(*joined)
+        joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return record_of(Phase, *joined)
     return np.concatenate(parts)

@@ -8,6 +8,7 @@ from jax import Array
 
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.apart import Apart
 from qrsim.models.gnss.fixing import Link
 from qrsim.models.gnss.hidden import Tracking
 from qrsim.models.gnss.receivers import GnssReading
@@ -29,31 +30,35 @@ class GnssFix(GnssReading):
     vertical_accuracy: Array = quantity(unit="m", doc="standard deviation of the vertical error")
     speed_accuracy: Array = quantity(unit="m/s", doc="standard deviation of the velocity error, all axes together")
     satellites_seen: Array = quantity(unit="1", doc="satellites above the mask")
-    satellites_blocked: Any = quantity(
+    satellites_blocked: Array | None = quantity(
         default=None, unit="1", doc="of these, those that obstacles hide; None in worlds without obstacles"
     )
-    satellites_reflected: Any = quantity(
+    satellites_reflected: Array | None = quantity(
         default=None, unit="1", doc="of these, those of which a reflection alone is tracked; None without obstacles"
     )
-    correction_age: Any = quantity(
+    correction_age: Array | None = quantity(
         default=None, unit="s", doc="age of the base station's corrections; None for receivers that take none"
     )
-    jamming: Any = quantity(
+    jamming: Array | None = quantity(
         default=None, unit="1", doc="share of the C/N0 at the zenith that is lost to jammers; None where there are none"
     )
-    satellites_jammed: Any = quantity(
+    satellites_jammed: Array | None = quantity(
         default=None, unit="1", doc="satellites above the mask that are lost to jammers; None where there are none"
     )
     # With per_satellite, for each of K slots (n,).
-    cn0: Any = quantity(default=None, unit="dB-Hz", doc="C/N0 of the satellite in a slot, 0 where none is tracked")
-    satellite_state: Any = quantity(
+    cn0: tuple[Array, ...] | None = quantity(
+        default=None, unit="dB-Hz", doc="C/N0 of the satellite in a slot, 0 where none is tracked"
+    )
+    satellite_state: tuple[Array, ...] | None = quantity(
         default=None,
         unit="1",
         doc="of it: 0 not tracked, 1 in line of sight, 2 by a reflection alone, 3 hidden, 4 lost to jammers",
     )
-    satellite: Any = quantity(default=None, unit="1", doc="number of it, see satellite_name; -1 of a free slot")
-    azimuth: Any = quantity(default=None, unit="rad", doc="of it, from north to east")
-    elevation: Any = quantity(default=None, unit="rad", doc="of it")
+    satellite: tuple[Array, ...] | None = quantity(
+        default=None, unit="1", doc="number of it, see satellite_name; -1 of a free slot"
+    )
+    azimuth: tuple[Array, ...] | None = quantity(default=None, unit="rad", doc="of it, from north to east")
+    elevation: tuple[Array, ...] | None = quantity(default=None, unit="rad", doc="of it")
 
 
 @record
@@ -73,7 +78,7 @@ class GnssState:
     true_ned: Vec3 = quantity(unit="m", doc="true position at the last fix")
     true_low_ned: Any = quantity(unit="m", doc="what single precision leaves out of it, or None")
     ranges: Any = quantity(doc="(K,) or (K, n) error of the carrier at the last fix, where it is needed, else None")
-    apart: Any = quantity(doc="common errors where each receiver has its own, else None")
+    apart: Apart | None = quantity(doc="common errors where each receiver has its own, else None")
     history: tuple[GnssFix, ...] = quantity(doc="the last fixes, oldest first: as many as the delay, at least one")
     tracking: Tracking | None = quantity(default=None, doc="signals that obstacles have hidden; None without obstacles")
     link: Link | None = quantity(default=None, doc="corrections of a base station, None without any")

@@ -8,7 +8,6 @@ All errors here are relative to the base until ``said`` puts its own on top.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -20,6 +19,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.base_station import carrier_step, distance
 from qrsim.models.gnss.geometry import Geometry
 from qrsim.models.gnss.interference import Effect
+from qrsim.models.gnss.parameters import ReceiverParameters
 from qrsim.models.gnss.slots import Slots
 
 # Fix types, as GPS_FIX_TYPE of MAVLink has them.
@@ -75,10 +75,10 @@ class Received:
 class Quality:
     """What receivers (n,) or all of them alike (m,) say about their fixes."""
 
-    fix_type: Any = quantity(unit="1", doc="as GPS_FIX_TYPE of MAVLink has them")
+    fix_type: Array | float = quantity(unit="1", doc="as GPS_FIX_TYPE of MAVLink has them")
     horizontal: Array = quantity(unit="m", doc="accuracy, both axes together")
     vertical: Array = quantity(unit="m", doc="accuracy of the height")
-    age: Any = quantity(default=None, unit="s", doc="of the corrections; None without any")
+    age: Array | None = quantity(default=None, unit="s", doc="of the corrections; None without any")
 
 
 def _picked(value: Array, base: Array) -> Array:
@@ -87,7 +87,7 @@ def _picked(value: Array, base: Array) -> Array:
 
 
 def received(
-    receiver: Any,
+    receiver: ReceiverParameters,
     slots: Slots,
     link: Link | None,
     position_ned: Vec3,
@@ -136,7 +136,9 @@ def received(
     return Received(way, live, on, age, select(on, relative, error), select(on, zero, spread), drift)
 
 
-def started(receiver: Any, draw: Draw, slots: Slots, now: Geometry, got: Received) -> tuple[Link, Quality]:
+def started(
+    receiver: ReceiverParameters, draw: Draw, slots: Slots, now: Geometry, got: Received
+) -> tuple[Link, Quality]:
     """Return the memory of receivers that have just been switched on, and the quality of their first fixes."""
     nothing = jnp.zeros_like(got.age)
     zero = Vec3(nothing, nothing, nothing)
@@ -149,7 +151,14 @@ def started(receiver: Any, draw: Draw, slots: Slots, now: Geometry, got: Receive
 
 
 def stepped(
-    receiver: Any, link: Link, draw: Draw, slots: Slots, now: Geometry, got: Received, outer: Vec3, fixes: Array
+    receiver: ReceiverParameters,
+    link: Link,
+    draw: Draw,
+    slots: Slots,
+    now: Geometry,
+    got: Received,
+    outer: Vec3,
+    fixes: Array,
 ) -> tuple[Link, Quality]:
     """Return memory and quality of the fixes of an epoch, with filtered errors ``outer`` (n,) of ``fixes`` fixes."""
     fixed, stage, wrong, carrier, white = link.fixed, link.stage, link.wrong, link.carrier, outer * 0.0
@@ -184,7 +193,7 @@ def stepped(
     return replace(after, said=said), _quality(receiver, after, now, got, fixes)
 
 
-def _said(receiver: Any, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3) -> Vec3:
+def _said(receiver: ReceiverParameters, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3) -> Vec3:
     """Return the errors (n,) of positions: that of the base, and those against it."""
     if receiver.moving_base:
         base = receiver.base_vehicle
@@ -208,11 +217,11 @@ def _said(receiver: Any, link: Link, slots: Slots, got: Received, outer: Vec3, w
     return select(got.on, whole, outer)
 
 
-def _quality(receiver: Any, link: Link, now: Geometry, got: Received, fixes: Array) -> Quality:
+def _quality(receiver: ReceiverParameters, link: Link, now: Geometry, got: Received, fixes: Array) -> Quality:
     """Return what receivers say about their fixes. Of wrong fixes and of the base's own error they know nothing."""
     part = now.differential
     horizontal, vertical = part.horizontal, part.vertical
-    fix_type: Any = CORRECTED
+    fix_type: Array | float = CORRECTED
     if receiver.corrections == "rtk":
         begun = exp(-fixes * (receiver.period / receiver.float_time))
         horizontal, vertical = (

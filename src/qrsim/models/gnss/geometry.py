@@ -17,9 +17,11 @@ from jax import Array
 from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import quantity, record, select
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.parameters import ReceiverParameters, column, times
 from qrsim.models.gnss.sight import LETTERS
 from qrsim.models.gnss.slots import NOBODY, Slots
 from qrsim.models.gnss.solving import Gains, Solution, Symmetric, factor, robust, solve, sums
+from qrsim.models.scene.contracts import Ground
 
 # Speed of light over the rate of the C/A code [m]: a chip.
 CHIP_M = 293.05
@@ -94,10 +96,12 @@ class Geometry:
     seen: Array = quantity(unit="1", doc="(m,) satellites above the mask")
     enough: Array = quantity(doc="(m,) bool: they are enough for a fix")
     differential: Any = quantity(default=None, doc="Differential, of receivers that take corrections of a base")
-    reflected: Any = quantity(default=None, unit="m", doc="(m,) error by reflections; None without obstacles")
-    blocked: Any = quantity(default=None, unit="1", doc="(m,) satellites that obstacles hide")
-    mirrored: Any = quantity(default=None, unit="1", doc="(m,) satellites of which a reflection alone is tracked")
-    own: Any = quantity(default=None, doc="Own, among obstacles: rows and multipath are those of the open sky")
+    reflected: Vec3 | None = quantity(default=None, unit="m", doc="(m,) error by reflections; None without obstacles")
+    blocked: Array | None = quantity(default=None, unit="1", doc="(m,) satellites that obstacles hide")
+    mirrored: Array | None = quantity(
+        default=None, unit="1", doc="(m,) satellites of which a reflection alone is tracked"
+    )
+    own: Own | None = quantity(default=None, doc="Own, among obstacles: rows and multipath are those of the open sky")
 
     def of(self, ranges: Array) -> Vec3:
         """Return the error (n,) of the solution for errors of ranges (K, 1) or (K, n) [m]."""
@@ -124,40 +128,30 @@ class View:
     counted: Array = quantity(doc="(K, m) bool: above the mask")
 
 
-def column(receiver: Any) -> int:
-    """Return which of the ionosphere's scales are a receiver's: 0 for one frequency, 1 for two."""
-    return 0 if receiver.frequencies == "single" else 1
-
-
-def times(receiver: Any) -> tuple[Array, Array]:
-    """Return the time constants [s] of both halves of multipath at rest."""
-    return receiver.multipath_time, receiver.multipath_slow_time
-
-
 def across(parameter: object) -> Array:
     """Return a parameter as it meets arrays of slots by receivers: () or (1, n)."""
     value = jnp.asarray(parameter)
     return value[None, :] if value.ndim else value
 
 
-def thermal_variance(receiver: Any) -> Array:
+def thermal_variance(receiver: ReceiverParameters) -> Array:
     """Return the variance [m^2] of thermal noise of a range at 45 dB-Hz (Kaplan and Hegarty, delay-lock loop)."""
     at_45 = CHIP_M**2 * 0.5 * 10.0 ** (-0.1 * _CN0_STRONG)
     return at_45 * jnp.asarray(receiver.code_bandwidth) * receiver.correlator_spacing
 
 
-def multipath_std(receiver: Any, slots: Slots) -> Array:
+def multipath_std(receiver: ReceiverParameters, slots: Slots) -> Array:
     """Return the standard deviation (K, 1) or (K, n) [m] of the multipath of ranges."""
     low = exp(slots.sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     return across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
 
 
-def carrier_to_noise(receiver: Any, up: Array) -> Array:
+def carrier_to_noise(receiver: ReceiverParameters, up: Array) -> Array:
     """Return C/N0 [dB-Hz] of satellites of which the sine of the elevation is known, with nothing in between."""
     return across(receiver.cn0_zenith) - _CN0_FALL * (1.0 - up)
 
 
-def passed(receiver: Any, rate: Any, smoothing_time: Any = None) -> Array:
+def passed(receiver: ReceiverParameters, rate: Array | float, smoothing_time: Array | None = None) -> Array:
     """Return the share of variance that both lags leave of a first-order process of a rate [1/s]."""
     second_time = receiver.smoothing_time if smoothing_time is None else smoothing_time
     first, second = 1.0 / jnp.asarray(receiver.loop_time), 1.0 / jnp.asarray(second_time)
@@ -165,7 +159,7 @@ def passed(receiver: Any, rate: Any, smoothing_time: Any = None) -> Array:
     return above / ((rate + first) * (rate + second) * (first + second))
 
 
-def sights(receiver: Any, slots: Slots, position_ned: Vec3 | None, ground: Any) -> Array:
+def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None, ground: Ground | None) -> Array:
     """Return which satellites (K, m) receivers see: above the mask, of their systems, and not behind the ground."""
     numbers = [LETTERS.index(letter) for letter in receiver.systems]
     heard = slots.ids != jnp.uint32(NOBODY)
@@ -180,7 +174,7 @@ def sights(receiver: Any, slots: Slots, position_ned: Vec3 | None, ground: Any) 
     return seen & (-rays.z > ground.horizon_sine(position_ned, rays))
 
 
-def weakness(receiver: Any, slots: Slots, jam: Array | None = None, loss: Any = 0.0) -> Array:
+def weakness(receiver: ReceiverParameters, slots: Slots, jam: Array | None = None, loss: Array | float = 0.0) -> Array:
     """Return the inverse of the satellites' C/N0 (K, m), 1 at 45 dB-Hz.
 
     ``jam`` (n,) is what jammers add, ``loss`` (K, m) what C/N0 lacks [dB].
@@ -190,24 +184,24 @@ def weakness(receiver: Any, slots: Slots, jam: Array | None = None, loss: Any = 
     return weaker if jam is None else weaker + jam[None, :]
 
 
-def strengths(receiver: object, slots: Slots, jam: Array | None = None) -> Array:
+def strengths(receiver: ReceiverParameters, slots: Slots, jam: Array | None = None) -> Array:
     """Return the C/N0 (K, m) [dB-Hz] of the satellites."""
     return _CN0_STRONG - 10.0 / math.log(10.0) * log(weakness(receiver, slots, jam))
 
 
-def clear_weakness(receiver: Any) -> Array:
+def clear_weakness(receiver: ReceiverParameters) -> Array:
     """Return the inverse of the C/N0 at the zenith without jammers, 1 at 45 dB-Hz."""
     return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
 
 
-def tracked(receiver: object, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
+def tracked(receiver: ReceiverParameters, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
     """Return which satellites (K, n) are tracked of those seen, with ages (K, n) [s], by jammed receivers (n,)."""
     weaker = weakness(receiver, slots, jam)
     strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
     return seen & (strong | ~(jam > 0.0)[None, :])
 
 
-def aged(receiver: Any, seen: Array, same: Array, age: Array) -> Array:
+def aged(receiver: ReceiverParameters, seen: Array, same: Array, age: Array) -> Array:
     """Return the ages (K, n) [s] of satellites a period later: seen or not, and the same (K, 1) as before or not."""
     period = receiver.period
     long = AWAY - age > _COLD_S
@@ -221,7 +215,12 @@ def aged(receiver: Any, seen: Array, same: Array, age: Array) -> Array:
 
 
 def geometry_of(
-    receiver: Any, slots: Slots, seen: Array, age: Array, view: View | None = None, jam: Array | None = None
+    receiver: ReceiverParameters,
+    slots: Slots,
+    seen: Array,
+    age: Array,
+    view: View | None = None,
+    jam: Array | None = None,
 ) -> Geometry:
     """Return the geometry of receivers (a ``Gnss``) that see satellites (K, m) for a time (K, m) [s].
 
@@ -300,17 +299,19 @@ def geometry_of(
     )
 
 
-def left_signal(receiver: object) -> float:
+def left_signal(receiver: ReceiverParameters) -> float:
     """Return what corrections of satellites leave of errors that know no ionosphere."""
     return _left(receiver)[0]
 
 
-def _left(receiver: Any) -> tuple[float, float]:
+def _left(receiver: ReceiverParameters) -> tuple[float, float]:
     """Return what corrections of satellites leave of clocks and ephemerides, and of the ionosphere."""
     return (SBAS_SIGNAL, SBAS_DELAY) if receiver.corrections == "sbas" else (1.0, 1.0)
 
 
-def _own_variance(receiver: Any, multipath: Array, weaker: Array, smoothing_time: Any = None) -> Array:
+def _own_variance(
+    receiver: ReceiverParameters, multipath: Array, weaker: Array, smoothing_time: Array | None = None
+) -> Array:
     """Return the variance (K, m) [m^2] that both lags leave of a receiver's own errors of ranges."""
     fast, slow = (passed(receiver, 1.0 / jnp.asarray(time), smoothing_time) for time in times(receiver))
     white = passed(receiver, 2.0 / receiver.period, smoothing_time)
@@ -318,7 +319,7 @@ def _own_variance(receiver: Any, multipath: Array, weaker: Array, smoothing_time
 
 
 def _differential(
-    receiver: Any,
+    receiver: ReceiverParameters,
     slots: Slots,
     solution: Solution,
     rows: Vec3,
@@ -366,7 +367,13 @@ def _differential(
 
 
 def _accuracies(
-    receiver: Any, slots: Slots, solution: Solution, rows: Vec3, multipath: Array, weaker: Array, systems: list[Vec3]
+    receiver: ReceiverParameters,
+    slots: Slots,
+    solution: Solution,
+    rows: Vec3,
+    multipath: Array,
+    weaker: Array,
+    systems: list[Vec3],
 ) -> tuple[Array, Array, Array]:
     """Return the standard deviations of horizontal error, height and velocity that receivers report."""
     sight, scales, which = slots.sight, slots.scales, column(receiver)

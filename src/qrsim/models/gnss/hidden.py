@@ -29,6 +29,7 @@ from qrsim.models.gnss.geometry import (
     multipath_std,
 )
 from qrsim.models.gnss.interference import Effect
+from qrsim.models.gnss.parameters import ReceiverParameters
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import Slots
 
@@ -75,12 +76,12 @@ class Tracking:
 
 
 def solved(
-    receiver: Any,
+    receiver: ReceiverParameters,
     skyline: Skyline,
     slots: Slots,
     whole: Geometry,
     before: Tracking | None,
-    same: object,
+    same: Array | None,
     position_ned: Vec3,
     fast: Array,
     slow: Array,
@@ -116,7 +117,7 @@ def solved(
     return _as_seen(receiver, slots, whole, tracking), tracking
 
 
-def _as_seen(receiver: object, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
+def _as_seen(receiver: ReceiverParameters, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
     """Return the solutions that are remembered with all that need not be, and those of the open sky for the others."""
     own = replace(
         tracking.solution.own,
@@ -128,8 +129,8 @@ def _as_seen(receiver: object, slots: Slots, whole: Geometry, tracking: Tracking
 
 
 def _looked(
-    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: object,
-    position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
+    receiver: ReceiverParameters, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None,
+    same: Array | None, position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
 ) -> Tracking:  # fmt: skip
     """Return solutions that are new, ``passed`` () [s] after the last ones."""
     hides, detour = skyline.look(position_ned, slots.sight)
@@ -175,7 +176,7 @@ def weaker_by(slow: Array) -> Array:
 
 
 def _tracked(
-    receiver: Any, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
+    receiver: ReceiverParameters, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
 ) -> tuple[Array, Array]:
     """Return ``held`` and ``away`` (K, n) of ``Tracking``, ``passed`` () [s] later, with signals that are blocked."""
     blocked = there & blocked

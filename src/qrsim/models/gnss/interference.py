@@ -6,6 +6,7 @@ See docs/howto/jam_and_spoof.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -16,6 +17,8 @@ from qrsim.core.tree import setting as choice
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.schedule import is_on, since
 from qrsim.models.gnss.sight import CommonErrors
+from qrsim.models.gnss.skyline import Skyline
+from qrsim.models.scene.contracts import Ground
 
 # Power of a satellite's signal at the ground [dBW], frequency of L1 [Hz], rate of the C/A code [1/s].
 _SIGNAL_DBW, _L1_HZ, _CODE_HZ = -157.0, 1575.42e6, 1.023e6
@@ -140,7 +143,7 @@ class Effect:
     """What interference does to receivers (n,) at an epoch."""
 
     jam: Array = quantity(unit="1", doc="what it adds to the inverse of C/N0, 1 at 45 dB-Hz")
-    misled: Any = quantity(doc="bool: they believe a spoofer; None where there is none")
+    misled: Array | None = quantity(doc="bool: they believe a spoofer; None where there is none")
     offset_ned: Any = quantity(unit="m", doc="by which spoofers move their positions, or None")
     rate_ned: Any = quantity(unit="m/s", doc="by which they move their velocities, or None")
     above: Array = quantity(unit="1", doc="satellites above the mask that send")
@@ -167,7 +170,7 @@ class Interference:
         if not self.local:
             return None
 
-        def on(item: Any) -> Array:
+        def on(item: Jammer | Disc | Spoofer | Outage) -> Array:
             return is_on(item.start, item.end, seconds, fraction)
 
         emitters = tuple(
@@ -208,7 +211,13 @@ def strength(power_w: object, band: str) -> Array:
     return jnp.asarray(power_w) * (at_1_m * _STRONG / (QUALITY[band] * _CODE_HZ))
 
 
-def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any, skyline: Any = None) -> Array:
+def jammed(
+    now: Interfering,
+    affected: Sequence[Array],
+    position_ned: Vec3,
+    ground: Ground | None,
+    skyline: Skyline | None = None,
+) -> Array:
     """Return what is added to the inverse of C/N0, 1 at 45 dB-Hz, of receivers (n,).
 
     Args:
@@ -234,7 +243,7 @@ def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any, sky
     return total
 
 
-def lied_to(now: Interfering, affected: Any, position_ned: Vec3) -> tuple[Array, Vec3, Vec3]:
+def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> tuple[Array, Vec3, Vec3]:
     """Return which receivers (n,) believe a spoofer, and by how much it moves their positions and velocities."""
     zero = jnp.zeros_like(position_ned.x)
     believed, offset, rate = zero > 0.0, Vec3(zero, zero, zero), Vec3(zero, zero, zero)

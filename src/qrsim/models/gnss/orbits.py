@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.fastmath import sincos
-from qrsim.core.tree import cast, quantity, record
+from qrsim.core.tree import cast, quantity, record, record_of
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.site import Float64, Site
@@ -99,10 +100,11 @@ class Phase:
     rest_per_s: Array = quantity(unit="2^-32 turns/s", doc="(S,) what is left over of the rate")
 
     @staticmethod
-    def of(angle: Any, rate: Any) -> Phase:
+    def of(angle: NumpyArray, rate: NumpyArray) -> Phase:
         """Return the phase, in float64, of angles (S,) [rad] that grow at rates (S,) [rad/s], |rate| < pi."""
         units, units_per_s = np.rint(angle * _UNITS_PER_RAD), np.rint(rate * _UNITS_PER_RAD)
-        return Phase(
+        return record_of(
+            Phase,
             units.astype(np.int64).astype(np.int32),
             units_per_s.astype(np.int32),
             angle * _UNITS_PER_RAD - units,
@@ -217,8 +219,9 @@ def circular_orbits(
         inclination: [rad].
         site: where the signals are received.
     """
-    like: Any = np.ones_like(angles[0])
-    return KeplerOrbits(
+    like = np.ones_like(angles[0])
+    return record_of(
+        KeplerOrbits,
         Phase.of(angles[0], rates[0] * like),
         Phase.of(angles[1], rates[1] * like),
         radius * like,

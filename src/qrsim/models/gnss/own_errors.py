@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -12,7 +10,8 @@ from qrsim.core.noise import Draw
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.apart import Apart, apart_at, apart_init, apart_step
 from qrsim.models.gnss.fixes import GnssState
-from qrsim.models.gnss.geometry import Geometry, across, column, left_signal, times
+from qrsim.models.gnss.geometry import Geometry, across, left_signal
+from qrsim.models.gnss.parameters import ReceiverParameters, column, times
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.slots import Slots
 
@@ -20,7 +19,9 @@ from qrsim.models.gnss.slots import Slots
 MULTIPATH_PAIRS = 1 << 24
 
 
-def first_common(receiver: object, now: Geometry, draw: Draw, sky: SkyState) -> tuple[Vec3, Any, Apart | None]:
+def first_common(
+    receiver: ReceiverParameters, now: Geometry, draw: Draw, sky: SkyState
+) -> tuple[Vec3, Array | None, Apart | None]:
     """Return the solution's error by common errors at a start, and what is to be remembered."""
     slots: Slots = sky.slots
     if slots.own is not None:
@@ -34,8 +35,8 @@ def first_common(receiver: object, now: Geometry, draw: Draw, sky: SkyState) -> 
 
 
 def common_errors(
-    receiver: Any, now: Geometry, state: GnssState, draw: Draw, sky: SkyState, same: Array
-) -> tuple[Vec3, Vec3, Any, Apart | None]:
+    receiver: ReceiverParameters, now: Geometry, state: GnssState, draw: Draw, sky: SkyState, same: Array
+) -> tuple[Vec3, Vec3, Array | None, Apart | None]:
     """Return the solution's error by common errors, its change by the carrier's, and what is to be remembered."""
     slots: Slots = sky.slots
     if state.apart is None and not slots.rough:
@@ -60,7 +61,7 @@ def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: 
 
 
 def step_multipath(
-    receiver: Any, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
+    receiver: ReceiverParameters, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
 ) -> tuple[Array, Array]:
     """Advance both halves of the multipath (K, n) by a period; that of a satellite in a new slot begins anew."""
     # Not normal, which would take half of a fix's time: the sums over time and satellites are.

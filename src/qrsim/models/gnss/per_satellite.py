@@ -13,8 +13,10 @@ from qrsim.models.gnss.fixes import GnssFix
 from qrsim.models.gnss.geometry import FOUND, Geometry, sights, strengths, weakness
 from qrsim.models.gnss.hidden import weaker_by
 from qrsim.models.gnss.interference import Effect
+from qrsim.models.gnss.parameters import ReceiverParameters
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import NOBODY, Slots
+from qrsim.models.scene.contracts import Ground
 
 # States of a satellite.
 OFF, DIRECT, REFLECTED, BLOCKED, JAMMED = 0.0, 1.0, 2.0, 3.0, 4.0
@@ -23,13 +25,13 @@ _SPOOFED_CN0, _SPOOFED_SPREAD = 45.0, 1.0
 
 
 def with_satellites(
-    receiver: object,
+    receiver: ReceiverParameters,
     reading: GnssFix,
     now: Geometry,
     slots: Slots,
     effect: Effect | None,
     position_ned: Vec3,
-    ground: object,
+    ground: Ground | None,
     skyline: Skyline | None,
     slow: Array,
 ) -> GnssFix:

@@ -6,13 +6,13 @@ See docs/howto/choose_a_receiver.md.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from qrsim.core.presets import Presets
+from qrsim.files import Content
 
 DEFAULT = "f9p_single"
 # What all have in common, and what is different in each.
-_COMMON: dict[str, Any] = {
+_COMMON: Content = {
     "elevation_mask_rad": math.radians(10.0),
     "system_bias": 0.2,
     "multipath_time": 8.0,
@@ -42,7 +42,7 @@ _COMMON: dict[str, Any] = {
     "per_satellite": False,
     "period": 0.2,
 }
-_F9P: dict[str, Any] = {
+_F9P: Content = {
     "systems": "GERC",
     "frequencies": "dual",
     "multipath": 4.0,
@@ -74,6 +74,6 @@ _OWN: Presets = {
 PRESETS: Presets = {name: {**_COMMON, **own} for name, own in _OWN.items()}
 
 
-def default(name: str) -> Any:
+def default(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return PRESETS[DEFAULT][name]

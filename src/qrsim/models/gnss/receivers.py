@@ -21,6 +21,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.contracts import RangeErrors, Sky
 from qrsim.models.gnss.orbits import Orbits
+from qrsim.models.scene.contracts import Ground
 from qrsim.models.sensors.contracts import Memoryless, Sensor
 
 # Position and clock are four unknowns.
@@ -180,7 +181,7 @@ class ReceiverState:
     position_ned: Vec3 = quantity(unit="m", doc="last solution")
     true_ned: Any = quantity(unit="m", doc="true position at the last solution; None for a solution of two parts")
     pending: tuple[GnssReading, ...] = quantity(doc="readings that the delay holds back, oldest first")
-    listed: Any = quantity(default=None, doc="(S, n) bool: satellites kept of the hand list, else None")
+    listed: Array | None = quantity(default=None, doc="(S, n) bool: satellites kept of the hand list, else None")
     position_low_ned: Any = quantity(default=None, unit="m", doc="what position_ned leaves out, or None")
 
 
@@ -226,7 +227,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: object = None,
+        ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix, as if reported for some time already; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
@@ -244,7 +245,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: object = None,
+        ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
@@ -263,7 +264,7 @@ class GnssReceiver(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: object = None,
+        ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)
@@ -286,7 +287,7 @@ class GnssReceiver(Sensor):
         return self._solve(draw, position_ned, sky, None, None)[0]
 
     def _solve(
-        self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Any, ground: Any
+        self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Array | None, ground: Ground | None
     ) -> tuple[Fix, Vec3 | None]:
         """Return the fix of each receiver (n,) and, for 'doppler', the error of its velocity."""
         # A satellite without a position is put somewhere and not used, so that no NaN comes near a gradient.

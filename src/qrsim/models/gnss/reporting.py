@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -13,13 +11,19 @@ from qrsim.models.gnss.fixes import GnssFix, GnssState
 from qrsim.models.gnss.fixing import CORRECTED, SINGLE, Quality, Received
 from qrsim.models.gnss.geometry import Geometry, clear_weakness
 from qrsim.models.gnss.interference import Effect
+from qrsim.models.gnss.parameters import ReceiverParameters
 
 # While coasting the velocity gets less certain by this much [m/s^2], ours.
 _COASTING = 2.0
 
 
 def lagged(
-    receiver: Any, state: GnssState, error: Vec3, moved_on: Vec3, fixes: Array, got: Received | None = None
+    receiver: ReceiverParameters,
+    state: GnssState,
+    error: Vec3,
+    moved_on: Vec3,
+    fixes: Array,
+    got: Received | None = None,
 ) -> tuple[Vec3, Vec3]:
     """Return the errors after both lags, which the carrier's change moves on; without corrections they wait."""
     started = 1.0 / jnp.maximum(fixes, 1.0)
@@ -38,13 +42,13 @@ def lagged(
     return inner, outer + (inner - outer) * gains[1]
 
 
-def plain(receiver: Any, now: Geometry) -> Quality:
+def plain(receiver: ReceiverParameters, now: Geometry) -> Quality:
     """Return the quality of fixes without a base station."""
     return Quality(CORRECTED if receiver.corrections == "sbas" else SINGLE, now.horizontal, now.vertical)
 
 
 def fix_of(
-    receiver: Any,
+    receiver: ReceiverParameters,
     now: Geometry,
     quality: Quality,
     place: Vec3,

@@ -6,15 +6,13 @@ through two lags that carrier phase carries along. With the place it differs by 
 
 from __future__ import annotations
 
-import math
-from typing import Any, ClassVar, Literal
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from qrsim.core.noise import Draw
-from qrsim.core.presets import Presets
-from qrsim.core.tree import derived, parameter, record, replace, select, setting
+from qrsim.core.tree import record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss import fixing
 from qrsim.models.gnss.fixes import GnssFix, GnssState
@@ -27,19 +25,20 @@ from qrsim.models.gnss.geometry import (
     passed,
     sights,
     thermal_variance,
-    times,
     tracked,
 )
 from qrsim.models.gnss.hidden import solved
 from qrsim.models.gnss.interference import Effect, jammed, lied_to
 from qrsim.models.gnss.own_errors import MULTIPATH_PAIRS, common_errors, first_common, own_error, step_multipath
+from qrsim.models.gnss.parameters import ReceiverParameters, times
 from qrsim.models.gnss.per_satellite import with_satellites
-from qrsim.models.gnss.presets import PRESETS, default
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.reporting import fix_of, lagged, misled, moved, placed_at, plain
-from qrsim.models.gnss.sight import LETTERS, MASK_LOWEST
+from qrsim.models.gnss.sight import LETTERS
+from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import Slots
 from qrsim.models.gnss.solving import correlated
+from qrsim.models.scene.contracts import Ground
 from qrsim.models.sensors.contracts import Sensor
 
 # Fixes after which a filter counts as settled, times [s] for which a satellite counts as seen for ever, and just now.
@@ -48,95 +47,16 @@ _MANY, _LONG_S, _JUST_S = 1 << 20, 1e6, 1e-3
 _BIAS_PAIR = 8
 
 
-def _number(name: str, unit: str, doc: str, *, positive: bool = False, most: float | None = None) -> Any:
-    least, above = (None, 0.0) if positive else (0.0, None)
-    return parameter(default=default(name), unit=unit, doc=doc, minimum=least, maximum=most, above=above)
-
-
 @record
-class Gnss(Sensor):
+class Gnss(ReceiverParameters, Sensor):
     """A GNSS receiver with multipath and noise of its own, a filter, and honest accuracies.
 
     It needs a sky with slots, which every scenario with such a sensor has. ``velocity: differenced`` takes the velocity
     from successive fixes. With fewer than 4 satellites it coasts on its last velocity for a while.
     """
 
-    preset: Literal["m8n", "f9p_single", "f9p_sbas", "f9p_rtk", "gps_2011"] = setting(
-        default="f9p_single", doc="which receiver the parameters that are not given are of"
-    )
-    systems: str = setting(default=default("systems"), doc="letters of the systems it uses, of G, E, R, C")
-    frequencies: Literal["single", "dual"] = setting(default=default("frequencies"), doc="that it uses")
-    velocity: Literal["doppler", "differenced"] = setting(
-        default=default("velocity"), doc="where the velocity comes from"
-    )
-    corrections: Literal["none", "sbas", "dgps", "rtk"] = setting(
-        default=default("corrections"), doc="of satellites (sbas), or of a base station: by code, or carrier phase too"
-    )
-    moving_base: str = setting(
-        default=default("moving_base"), doc="vehicle of the fleet that is the base; empty: world.base_station is"
-    )
-    first_fix: Literal["float", "fixed"] = setting(
-        default=default("first_fix"), doc="whether carrier phase has to be fixed when a run starts"
-    )
-    nlos: Literal["track", "ignore"] = setting(
-        default=default("nlos"), doc="what it does with reflections of satellites that obstacles hide"
-    )
-    elevation_mask_rad: float = setting(
-        default=default("elevation_mask_rad"),
-        unit="rad",
-        doc="satellites below this elevation are not used",
-        minimum=MASK_LOWEST,
-        maximum=math.pi / 2,
-    )
-    delay: int = setting(
-        default=default("delay"), unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50
-    )
-    period: float = setting(
-        default=default("period"), unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
-    )
-    per_satellite: bool = setting(
-        default=default("per_satellite"), doc="whether a reading has C/N0, state, number and place of each satellite"
-    )
-    obstacle_period: float = setting(
-        default=default("obstacle_period"), unit="s", doc="interval at which it looks at what obstacles hide", above=0.0
-    )
-    multipath: Array = _number("multipath", "1", "multipath per that of an airborne antenna")
-    multipath_time: Array = _number("multipath_time", "s", "time constant of its faster half at rest", positive=True)
-    multipath_slow_time: Array = _number(
-        "multipath_slow_time", "s", "time constant of its slower half at rest", positive=True
-    )
-    multipath_length: Array = _number(
-        "multipath_length", "m", "way on which multipath changes in flight", positive=True
-    )
-    cn0_zenith: Array = _number("cn0_zenith", "dB-Hz", "carrier to noise density of a satellite at the zenith")
-    code_bandwidth: Array = _number("code_bandwidth", "Hz", "noise bandwidth of the code loop")
-    correlator_spacing: Array = _number("correlator_spacing", "1", "early to late, in chips")
-    doppler_noise: Array = _number("doppler_noise", "m/s", "std of each range rate at 45 dB-Hz")
-    system_bias: Array = _number("system_bias", "m", "std of what is left of a system's offset after calibration")
-    loop_time: Array = _number("loop_time", "s", "time constant of the first lag", positive=True)
-    smoothing_time: Array = _number("smoothing_time", "s", "time constant of the second lag", positive=True)
-    acquisition: Array = _number("acquisition", "s", "time until a satellite that comes into view is used")
-    entry: Array = _number("entry", "s", "time in which its weight grows to the full one", positive=True)
-    # Longer ones would be ages that geometry.py takes for those of satellites that are not seen.
-    reacquisition: Array = _number(
-        "reacquisition", "s", "time until one that was hidden or jammed is used again", most=500.0
-    )
-    reacquisition_long: Array = _number(
-        "reacquisition_long", "s", "the same, of one that was so for more than a minute", most=500.0
-    )
-    coast: Array = _number("coast", "s", "time for which it goes on without enough satellites")
-    float_time: Array = _number(
-        "float_time", "s", "time constant of the second lag, without a fixed phase", positive=True
-    )
-    fix_time: Array = _number("fix_time", "s", "mean time to fix carrier phase with 16 satellites", positive=True)
-    wrong_fixes: Array = _number("wrong_fixes", "1", "share of fixed carrier phases that are wrong", most=1.0)
-    fixed_accuracy: Array = _number("fixed_accuracy", "m", "within which half of all fixed positions and heights are")
-    fixed_per_distance: Array = _number("fixed_per_distance", "1", "what comes with the way from the base")
-    base_vehicle: Any = derived(default=None, doc="(n,) bool: which vehicle is the moving base")
-    spoofed: Any = derived(default=None, doc="for each spoofer of the world (n,) bool: which vehicles it is for")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned", "ground", "skyline")
     draws_alone: ClassVar[bool] = True
-    presets: ClassVar[Presets] = PRESETS
 
     def init(
         self,
@@ -145,8 +65,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: object = None,
-        skyline: object = None,
+        ground: Ground | None = None,
+        skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers that have long been running."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
@@ -160,8 +80,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: object = None,
-        skyline: object = None,
+        ground: Ground | None = None,
+        skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         shared = state.geometry
@@ -186,8 +106,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None = None,
-        ground: object = None,
-        skyline: Any = None,
+        ground: Ground | None = None,
+        skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
         """Compute a fix of receivers at position_ned (n,), and report the one of ``delay`` periods ago."""
         slots: Slots = sky.slots
@@ -277,8 +197,8 @@ class Gnss(Sensor):
         velocity_ned: Vec3,
         sky: SkyState,
         position_low_ned: Vec3 | None,
-        ground: Any,
-        skyline: Any,
+        ground: Ground | None,
+        skyline: Skyline | None,
         shared: Geometry | None,
     ) -> tuple[GnssState, GnssFix]:
         """Return state and reading of receivers whose filters have settled; ``shared`` is what they share already."""
@@ -344,7 +264,7 @@ class Gnss(Sensor):
         return state, reading
 
     def _seen(
-        self, slots: Slots, position_ned: Vec3, ground: object, skyline: object, age: Array
+        self, slots: Slots, position_ned: Vec3, ground: Ground | None, skyline: Skyline | None, age: Array
     ) -> tuple[Array, Effect | None]:
         """Return which satellites (K, m) receivers track, tracked for ages (K, m) [s] so far, and what interferes."""
         seen, present = sights(self, slots, position_ned, ground), slots.interference
@@ -366,8 +286,3 @@ class Gnss(Sensor):
         # What is new came into view since the last knot.
         age = jnp.where(same & (before.age > 0.0), jnp.minimum(before.age + passed_s, _LONG_S), _JUST_S)
         return geometry_of(self, slots, sights(self, slots, None, None), age)
-
-    @property
-    def takes_base(self) -> bool:
-        """Whether it takes corrections of a base station."""
-        return self.corrections in ("dgps", "rtk")

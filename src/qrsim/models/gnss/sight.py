@@ -6,11 +6,11 @@ Directions and mappings hold for a whole world: 10 km from the site they change 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
 
@@ -97,7 +97,7 @@ def plain_scales(signal: object, like: Array) -> Scales:
     return Scales(each, zero, (zero, zero), (zero, zero), (zero, zero), (zero, zero))
 
 
-def system_numbers(letters: str) -> Any:
+def system_numbers(letters: str) -> NumpyArray:
     """Return the numbers of satellites' systems, by their letters."""
     import numpy as np
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.core.tree import record_of
 from qrsim.models.gnss.skyline import ANGLE, Skyline
 from qrsim.models.scene.prisms import edges_of
 
@@ -139,11 +139,8 @@ def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
 
 def skyline_of(words: npt.NDArray[np.int32], frame: Frame) -> Skyline:
     """Return the table of a frame as receivers look into it."""
-    levels: Any = np.array(frame.levels)
-    corner: Any = frame.corner
-    pitch: Any = frame.pitch
-    entries: Any = words
-    return Skyline(entries, levels, corner, pitch, frame.rows, frame.columns, frame.azimuths)
+    levels = np.array(frame.levels)
+    return record_of(Skyline, words, levels, frame.corner, frame.pitch, frame.rows, frame.columns, frame.azimuths)
 
 
 def _near(walls: Walls, x: Float64, y: Float64, slope: float) -> npt.NDArray[np.bool_]:

@@ -17,12 +17,13 @@ from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw
 from qrsim.core.tree import map_tree, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.gnss.base_station import BaseStation
+from qrsim.models.gnss.base_station import BaseState, BaseStation
 from qrsim.models.gnss.contracts import RangeErrors, Sky
-from qrsim.models.gnss.interference import Interference
-from qrsim.models.gnss.orbits import Orbits, elevation_azimuth
+from qrsim.models.gnss.interference import Interference, Interfering
+from qrsim.models.gnss.orbits import Ephemeris, Orbits, elevation_azimuth
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, Sight, sight_of
+from qrsim.models.site import Site
 
 # Time between knots [s], and the number of nobody, in a slot that is free.
 KNOT_S = 5.0
@@ -47,7 +48,9 @@ class Slots:
     part: Array = quantity(unit="1", doc="() how far it is from the last knot to the next")
     own: Any = quantity(default=None, doc="the range errors, where every receiver has its own")
     base: Any = quantity(default=None, doc="BaseSeen of a base station, None without one")
-    interference: Any = quantity(default=None, doc="Interfering, what interferes at this epoch; None if nothing can")
+    interference: Interfering | None = quantity(
+        default=None, doc="Interfering, what interferes at this epoch; None if nothing can"
+    )
     knot_s: float = setting(default=KNOT_S, unit="s", doc="time from one knot to the next")
     rough: bool = setting(default=False, doc="range errors are stepped at every epoch, and not by knots")
 
@@ -67,7 +70,7 @@ class SlottedMemory:
 
     errors: Any = quantity(doc="state of the range errors, at the next knot or at the epoch")
     after_ned: Vec3 = quantity(unit="m", doc="positions at the next knot")
-    ends: Any = quantity(doc="Ends, where receivers of the older kind need them, else None")
+    ends: Ends | None = quantity(doc="Ends, where receivers of the older kind need them, else None")
     base: Any = quantity(default=None, doc="state of the base station, None without one")
 
 
@@ -179,7 +182,9 @@ class SlottedSky(Sky):
             memory, slots = self._with_base(memory, slots, base, self.base.step(base, draw, self.knot_s))
         return memory, slots, here, error
 
-    def _with_base(self, memory: SlottedMemory, slots: Slots, now: Any, later: Any) -> tuple[SlottedMemory, Slots]:
+    def _with_base(
+        self, memory: SlottedMemory, slots: Slots, now: BaseState, later: BaseState
+    ) -> tuple[SlottedMemory, Slots]:
         """Return memory and slots with the base station, from a knot to the next."""
         assert self.base is not None
         seen, taken = self.base.seen(now, later), jnp.maximum(slots.places, 0)
@@ -273,7 +278,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
     return jnp.where(kept, places, found), jnp.maximum(wanted - free, 0)
 
 
-def slots_needed(ephemeris: Any, site: Any, start: float, duration_s: float, lowest_sine: float) -> int:
+def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: float, lowest_sine: float) -> int:
     """Return how many slots the satellites of an ephemeris need that are in view at once, over a day or the run."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from functools import cached_property
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from jax import Array, lax
 
-from qrsim.core.tree import cast, quantity, record, setting
+from qrsim.core.tree import cast, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, warn_user
 from qrsim.models.gnss.orbits import EARTH_ROTATION_RATE, SPEED_OF_LIGHT, Ephemeris
@@ -195,10 +194,10 @@ class Sp3Ephemeris(Ephemeris):
         times = interval * (np.arange(count)[:, None] + 0.5 + 0.5 * argument)
         intervals = np.repeat(np.arange(count), len(argument))
         sampled = self._received(site, times.reshape(-1), intervals).reshape(count, len(argument), -1, 3)
-        coefficients: Any = np.einsum("pn,knsa->kpas", np.linalg.inv(np.vander(argument)), sampled)
+        coefficients = np.einsum("pn,knsa->kpas", np.linalg.inv(np.vander(argument)), sampled)
         whole = math.floor(since_first)
-        fields: Any = (np.int32(interval), np.int32(whole), np.float64(since_first - whole))
-        return cast(Sp3Orbits(coefficients, *fields), dtype)
+        fields = (np.int32(interval), np.int32(whole), np.float64(since_first - whole))
+        return cast(record_of(Sp3Orbits, coefficients, *fields), dtype)
 
     @cached_property
     def _wanted(self) -> npt.NDArray[np.bool_]:

@@ -6,7 +6,7 @@ See docs/explanation/models/radio.md.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -73,7 +73,7 @@ class Channel:
     mac: Mac = quantity(default=Mac(), doc="who may send when")
     delay: Delay = quantity(default=Delay(), doc="what is added to the time on the air")
     inbox: InboxSize = quantity(default=InboxSize(), doc="what a vehicle keeps of what it has heard")
-    own: Any = derived(default=None, doc="what fleets have of their own, a FleetRadios; None: nothing")
+    own: FleetRadios | None = derived(default=None, doc="what fleets have of their own, a FleetRadios; None: nothing")
 
     @property
     def field_ids(self) -> int:

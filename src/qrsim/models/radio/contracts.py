@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
-from qrsim.core.noise import StreamKeys
+from qrsim.core.noise import Draw, StreamKeys
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
 from qrsim.models.radio.tables import NOBODY, Heard
+from qrsim.models.scene.obstacles import Obstacles
 
 # Names of the radio's noise streams; a fleet has no slash in its name, so these are no fleet's.
 STREAMS = ("/radio.packet", "/radio.jitter", "/radio.backoff")
@@ -49,7 +50,7 @@ class Surfaces:
 
     position_ned: Vec3 = quantity(unit="m", doc="true position of each vehicle (n,)")
     works: Array = quantity(doc="(n,) bool: has a radio that is on, and flies")
-    obstacles: Any = quantity(default=None, doc="of the world; None: nothing is in the way")
+    obstacles: Obstacles | None = quantity(default=None, doc="of the world; None: nothing is in the way")
     height: Array | None = quantity(
         default=None, unit="m", doc="(n,) above the ground, for radios that ask; None: unknown"
     )
@@ -108,7 +109,7 @@ class Radio(Protocol):
         """Number of what is drawn once an episode."""
 
     @abstractmethod
-    def init(self, draw: Any, keys: StreamKeys, like: Array) -> object:
+    def init(self, draw: Draw, keys: StreamKeys, like: Array) -> object:
         """Return the state at the start of an episode, for vehicles (n,) as ``like``, without any message."""
 
     @abstractmethod

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,7 +92,7 @@ class Network(Channel, Radio):
         ticks = max(1, round(self.mac.period / now.time_step))
         return lax.cond(now.due % ticks == 0, lambda: self._sent(state, now, ticks), lambda: state)
 
-    def received(self, state: NetworkState, tick: Any, time_step: float) -> Inbox:
+    def received(self, state: NetworkState, tick: Array, time_step: float) -> Inbox:
         """Return what each vehicle has heard by a tick."""
         heard = self.heard(state, tick, time_step)
         library = library_of(heard.sender)
@@ -120,7 +118,7 @@ class Network(Channel, Radio):
         counts = both.known(tick) & (both.sender >= senders.start) & (both.sender < senders.stop)
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
 
-    def counted(self, state: NetworkState) -> dict[str, Any]:
+    def counted(self, state: NetworkState) -> dict[str, Array]:
         """Return what has become of packets since the start, by name, (n,) each."""
         return dict(vars(state.counts))
 

@@ -5,7 +5,7 @@ Arrays have vehicles along the last axis. Works on arrays of JAX and on NumPy's.
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ class Heard:
         return jax.tree.map(lambda a, b: library.concatenate([a, b], axis=0), self, other)
 
 
-def newest(heard: Heard, counts: Any, size: int) -> Heard:
+def newest(heard: Heard, counts: Array, size: int) -> Heard:
     """Return the first message of each sender, of at most ``size`` senders, without gaps.
 
     Args:
@@ -62,7 +62,7 @@ def newest(heard: Heard, counts: Any, size: int) -> Heard:
     return taken(heard, first_of(keep, size))
 
 
-def first_of(which: Array, size: int) -> Any:
+def first_of(which: Array, size: int) -> Array:
     """Return the first rows (size, n) int32 of those (E, n) that count for each vehicle; E where there are no more."""
     library = library_of(which)
     rows = which.shape[0]
@@ -75,7 +75,7 @@ def first_of(which: Array, size: int) -> Any:
     )
 
 
-def taken(heard: Heard, chosen: Any) -> Heard:
+def taken(heard: Heard, chosen: Array) -> Heard:
     """Return chosen rows (K, n) of messages; the number of rows stands for none."""
     library = library_of(heard.sender)
     rows = heard.sender.shape[0]
@@ -84,7 +84,7 @@ def taken(heard: Heard, chosen: Any) -> Heard:
 
     vehicle = library.arange(row.shape[1], dtype=library.int32)
 
-    def of(leaf: Array, nothing: Any) -> Any:
+    def of(leaf: Array, nothing: int) -> Array:
         # Single elements, which both compilers take.
         place: tuple[object, ...]
         if leaf.ndim == 3:
@@ -104,6 +104,6 @@ def taken(heard: Heard, chosen: Any) -> Heard:
     )
 
 
-def library_of(values: object) -> Any:
+def library_of(values: object) -> ModuleType:
     """Return NumPy for its arrays, else jax.numpy."""
     return np if isinstance(values, np.ndarray) else jnp

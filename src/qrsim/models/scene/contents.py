@@ -6,6 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import DTypeLike
 
 from qrsim.core.clock import split_time
 from qrsim.core.tree import quantity, record, replace, setting
@@ -14,9 +15,11 @@ from qrsim.models.atmosphere import contracts
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.scene.contracts import Area, Ground, GroundCover, People
 from qrsim.models.scene.ground import FlatGround
+from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.persons import NoPersons
 from qrsim.models.scene.plume import NoPlume, Wind
 from qrsim.models.scene.terrain import ClearGround
+from qrsim.models.scene.traffic import Traffic
 
 # The wind that carries a plume is that at this height [m].
 WIND_HEIGHT = 6.0
@@ -57,8 +60,10 @@ class Surroundings:
     time_step: float = setting(unit="s", doc="simulation step")
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
     skyline: Any = quantity(default=None, doc="what obstacles do to signals of satellites; None where they do nothing")
-    obstacles: Any = quantity(default=None, doc="solid things, an ``Obstacles``")
-    traffic: Any = quantity(default=None, doc="all vehicles of the world, a ``Traffic``; None where nobody looks")
+    obstacles: Obstacles | None = quantity(default=None, doc="solid things, an ``Obstacles``")
+    traffic: Traffic | None = quantity(
+        default=None, doc="all vehicles of the world, a ``Traffic``; None where nobody looks"
+    )
 
     def over_ground(self, position_ned: Vec3) -> Vec3:
         """Return positions of any shape with minus the height above the ground for z.
@@ -67,7 +72,7 @@ class Surroundings:
         """
         return over_ground(self.ground, position_ned)
 
-    def carrying_wind(self, dtype: Any) -> Wind:
+    def carrying_wind(self, dtype: DTypeLike) -> Wind:
         """Return the mean wind that carries a plume, that at the origin, in a floating-point type."""
         time, height = split_time(self.tick, self.time_step, dtype), jnp.full(1, WIND_HEIGHT, dtype)
         place = Vec3(jnp.zeros(1, dtype), jnp.zeros(1, dtype), -height)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.host import on_host
 from qrsim.core.noise import Draw
-from qrsim.core.vectors import Vec3
+from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 
 # Places along a ray at which the ground is asked whether it is there, and halvings of the part where it begins.
@@ -241,6 +241,23 @@ class People(Protocol):
         return state
 
 
+class Placed(Protocol):
+    """The part of a start that a placement changes."""
+
+    @property
+    def position_ned(self) -> Vec3:
+        """Position (n,) [m]."""
+        ...
+
+    @property
+    def attitude(self) -> Euler:
+        """Attitude (n,) [rad]."""
+        ...
+
+
+StartT = TypeVar("StartT", bound=Placed)
+
+
 @runtime_checkable
 class Placement(Protocol):
     """Start positions of the n vehicles of a fleet in an episode.
@@ -252,7 +269,7 @@ class Placement(Protocol):
     random: ClassVar[bool] = True
 
     @abstractmethod
-    def place(self, draw: Draw, start: object, area: object) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
         """Return the start of vehicles (n,), and () bool whether one was found.
 
         Args:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from types import ModuleType
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -97,18 +98,18 @@ def _as_columns(item: T) -> T:
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
-def _library(values: object) -> Any:
+def _library(values: object) -> ModuleType:
     # Scenarios are checked in NumPy, which need not compile for every number of points.
     return np if isinstance(values, np.ndarray) else jnp
 
 
-def _beyond(value: Array, low: Array, high: Array) -> Any:
+def _beyond(value: Array, low: Array, high: Array) -> Array:
     """Return how far a coordinate is outside an interval."""
     lib = _library(value)
     return lib.maximum(lib.maximum(low - value, value - high), 0.0)
 
 
-def _length(x: Array, y: Array, z: Array) -> Any:
+def _length(x: Array, y: Array, z: Array) -> Array:
     lib = _library(x)
     square = x * x + y * y + z * z
     # The root of zero has no gradient; NaN stays NaN.

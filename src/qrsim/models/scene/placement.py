@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -12,7 +13,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, record, replace, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.scene.contracts import Placement
+from qrsim.models.scene.contracts import Placement, StartT
 from qrsim.models.scene.plume import inner_box
 from qrsim.models.scene.uniform import uniform
 
@@ -23,7 +24,7 @@ class GivenPlaces(Placement):
 
     random: ClassVar[bool] = False
 
-    def place(self, draw: Draw, start: object, area: object) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
         """Return the start that is given."""
         return start, jnp.ones((), bool)
 
@@ -39,7 +40,7 @@ class UniformPlaces(Placement):
     tries: int = setting(default=100, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
     random: ClassVar[bool] = True
 
-    def place(self, draw: Draw, start: Any, area: object) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
         """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
         low, high = inner_box(area, self.inner)
 
@@ -72,7 +73,7 @@ class RingPlaces(Placement):
     tries: int = setting(default=1000, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
     random: ClassVar[bool] = True
 
-    def place(self, draw: Draw, start: Any, area: object) -> tuple[Any, Array]:
+    def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
         """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
 
         def candidate(number: Array) -> tuple[Array, Array]:
@@ -104,7 +105,9 @@ def _unplaced(size: int, apart: Array, tries: int) -> str:
     )
 
 
-def _first_apart(candidate: Any, apart: Array, tries: int) -> tuple[Array, Array, Array]:
+def _first_apart(
+    candidate: Callable[[Array], tuple[Array, Array]], apart: Array, tries: int
+) -> tuple[Array, Array, Array]:
     """Return the first of some places of all vehicles together that are far enough apart.
 
     Args:

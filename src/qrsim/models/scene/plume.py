@@ -75,7 +75,7 @@ class Wind:
         return along, self.north * offset_ned.y - self.east * offset_ned.x
 
 
-def _count(which: str) -> Any:
+def _count(which: str) -> int:
     return setting(default=1, unit="1", doc=f"{which} sources of an episode", minimum=1, maximum=100)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from types import ModuleType
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3
 
 Float64 = npt.NDArray[np.float64]
@@ -46,8 +47,8 @@ class PrismObstacle:
     ) -> PrismObstacle:
         """Return a prism from corners (V, 2), north and east [m], in order, and those of each of its holes."""
         first, last = edges_of([corners_ned, *holes_ned])
-        parts: Any = (first[:, 0], first[:, 1], last[:, 0], last[:, 1], z_min, z_max)
-        return PrismObstacle(*parts)
+        parts = (first[:, 0], first[:, 1], last[:, 0], last[:, 1], z_min, z_max)
+        return record_of(PrismObstacle, *parts)
 
     def rings(self) -> list[Float64]:
         """Return the corners (V, 2) [m] of the outline, then of each hole."""
@@ -79,7 +80,7 @@ def edges_of(rings: Sequence[npt.ArrayLike]) -> tuple[Float64, Float64]:
     return np.concatenate(corners), np.concatenate([np.roll(ring, -1, axis=0) for ring in corners])
 
 
-def _to_segment(lib: Any, x: Any, y: Any, along_x: Any, along_y: Any) -> Any:
+def _to_segment(lib: ModuleType, x: Array, y: Array, along_x: Array, along_y: Array) -> Array:
     """Return the squared distance of places, from where segments begin, to these segments."""
     square = along_x * along_x + along_y * along_y
     part = lib.clip((x * along_x + y * along_y) / lib.where(square > 0.0, square, 1.0), 0.0, 1.0)
@@ -87,7 +88,7 @@ def _to_segment(lib: Any, x: Any, y: Any, along_x: Any, along_y: Any) -> Any:
     return across_x * across_x + across_y * across_y
 
 
-def _root(lib: Any, square: Any) -> Any:
+def _root(lib: ModuleType, square: Array) -> Array:
     # The root of zero has no gradient; NaN stays NaN.
     zero = square <= 0.0
     return lib.where(zero, 0.0, lib.sqrt(lib.where(zero, 1.0, square)))
@@ -133,7 +134,9 @@ class Prisms:
     """All prisms of a world, in T pieces, and which of them are near each cell of a grid."""
 
     pieces: Pieces = quantity(doc="(T,) and, where there is a grid, one that is far away from everything")
-    near: Any = quantity(default=None, doc="(C * most,) int32 numbers of pieces near each cell, or None: all are near")
+    near: Array | None = quantity(
+        default=None, doc="(C * most,) int32 numbers of pieces near each cell, or None: all are near"
+    )
     corner: Any = quantity(default=None, doc="north and east of the middle of the first cell [m]")
     cell: Any = quantity(default=None, doc="side of a cell [m]")
     rows: int = setting(default=1, doc="cells to the north")
@@ -241,15 +244,23 @@ def prisms_of(solids: Sequence[PrismObstacle], numbers: Sequence[int], radius: f
     pieces = _pieces(
         np.concatenate([flat, nowhere]), np.append(top, 0.0), np.append(bottom, 1.0), np.append(count, -1.0)
     )
-    return Prisms(
-        pieces, near.ravel(), corner, cell, rows=rows, columns=columns, most=near.shape[1], reach=float(reach)
+    return record_of(
+        Prisms,
+        pieces,
+        near.ravel(),
+        corner,
+        cell,
+        rows=rows,
+        columns=columns,
+        most=near.shape[1],
+        reach=float(reach),
     )
 
 
 def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pieces:
-    column: list[Any] = [np.ascontiguousarray(part) for part in flat.T]
-    ends: Any = (top, bottom, number)
-    return Pieces(column[0], column[1], (column[2], column[3]), (column[4], column[5]), *ends)
+    column = [np.ascontiguousarray(part) for part in flat.T]
+    ends = (top, bottom, number)
+    return record_of(Pieces, column[0], column[1], (column[2], column[3]), (column[4], column[5]), *ends)
 
 
 def _near_cells(

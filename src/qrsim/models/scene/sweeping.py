@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -12,6 +10,9 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.rays import any_of
 
+# Number of looks; for each vehicle (n,) how far along its way it is, what it has met and whether it has, and whether it
+# looks on.
+_Walk = tuple[Array, Array, Array, Array, Array]
 # Looks on a way at most: what is thinner than this part of it, and touched by nothing but a point, may be missed.
 LOOKS = 64
 
@@ -37,11 +38,11 @@ def obstacle_hit(obstacles: Obstacles, start_ned: Vec3, end_ned: Vec3, radius: A
     near = ~hit & (jnp.minimum(distance, sight) < radius + length)
 
     def walked() -> tuple[Array, Array]:
-        def goes_on(walk: Any) -> Array:
+        def goes_on(walk: _Walk) -> Array:
             look, _, _, _, on = walk
             return (look < LOOKS) & jnp.any(on)
 
-        def look_again(walk: Any) -> Any:
+        def look_again(walk: _Walk) -> _Walk:
             look, at, found, met, on = walk
             free, which = obstacles.nearest(start_ned + way * at)
             touches = on & ((free < radius) | (free <= 0.0))

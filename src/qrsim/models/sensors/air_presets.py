@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from qrsim.core.presets import Presets
 
 DEFAULT_ALTIMETER, DEFAULT_AIRSPEED = "ms5611", "sdp33"
@@ -34,6 +32,6 @@ def default_altimeter(name: str) -> object:
     return ALTIMETERS[DEFAULT_ALTIMETER][name]
 
 
-def default_airspeed(name: str) -> Any:
+def default_airspeed(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return AIRSPEEDS[DEFAULT_AIRSPEED][name]

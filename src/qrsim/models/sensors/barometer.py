@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from jax import Array
 
@@ -45,7 +45,7 @@ class Barometer(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned")
     normals: ClassVar[int] = 2
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {"height": self.white_std}
 

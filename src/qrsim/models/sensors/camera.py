@@ -8,7 +8,7 @@ a world whose vehicles have cameras is as fast as one without.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from qrsim.core.noise import Draw, Noise, Stream
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.scene.persons import PersonsState
 from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
 from qrsim.models.sensors.contracts import Sensor
 
@@ -257,7 +258,7 @@ class Camera(Sensor):
         reach = -view.position.z / ray.z
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
 
-    def _present(self, view: _View, persons: Any, tick: Array, size: Array) -> Array:
+    def _present(self, view: _View, persons: PersonsState, tick: Array, size: Array) -> Array:
         """Return in which windows (R, C) the nearest person to the middle is one that was still missing."""
         x, y = self._in_picture(view.position, view.direction, persons.north, persons.east)
         here = persons.there & self._in_frame(x, y)

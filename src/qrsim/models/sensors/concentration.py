@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from jax import Array
 
@@ -31,7 +31,7 @@ class ConcentrationSensor(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "surroundings")
     normals: ClassVar[int] = 1
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {"concentration": self.white_std}
 

@@ -89,7 +89,7 @@ class Sensor(Protocol):
         """Return the true slow error (n,) of each vector of its reading, by name, of those that are known."""
         return {}
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field or vector, as far as it is one number for it.
 
         The fault ``noisy`` can be a multiple of it.

@@ -12,6 +12,7 @@ correlation times are a decade apart and whose variances are equal, which togeth
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, ClassVar, Literal, cast
 
 import jax.numpy as jnp
@@ -47,7 +48,7 @@ def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
-def _structure(name: str, unit: str, doc: str) -> Any:
+def _structure(name: str, unit: str, doc: str) -> float:
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -158,7 +159,7 @@ class Imu(Sensor):
         ]
         return Vec3(*found[:3]), Vec3(*found[3:])
 
-    def biases(self, state: ImuState) -> dict[str, Any]:
+    def biases(self, state: ImuState) -> dict[str, Vec3]:
         """Return what the reading of a level vehicle at rest is wrong by: bias, and what 1 g does by E and G."""
         gyroscope, accelerometer = self.bias(state)
         return {
@@ -166,7 +167,7 @@ class Imu(Sensor):
             "specific_force": accelerometer + Vec3(*(row.z * AT_REST for row in state.accelerometer_error)),
         }
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {
             "rates_body": self.gyroscope_noise / math.sqrt(self.period),
@@ -287,7 +288,7 @@ class Imu(Sensor):
         reading = ImuReading(Vec3(*mean[:3]), Vec3(*mean[3:]), turned + coning, Vec3(*mean[3:]) * self.period)
         return replace(state, rates=rates_body, angle=last, low_pass=low_pass, phase=phase), reading
 
-    def _spreads(self, levels: Vibration, thrust: Array, dt: float) -> tuple[Any, ...]:
+    def _spreads(self, levels: Vibration, thrust: Array, dt: float) -> Six:
         """Return the std of white noise of each axis in a part of dt [s], that of vibration with it."""
         rate = 1.0 / math.sqrt(dt)
         white = [rate * jnp.asarray(self.gyroscope_noise)] * 3 + [rate * jnp.asarray(self.accelerometer_noise)] * 3
@@ -306,7 +307,9 @@ class Imu(Sensor):
         b0, _, a2 = self._low_pass(self.period / self.subsamples)
         return tuple((x * (1.0 - b0), x * (b0 - a2)) for x in values)
 
-    def _filtered(self, values: Six, memory: Any, dt: float) -> tuple[Six, Any]:
+    def _filtered(
+        self, values: Six, memory: tuple[tuple[Array, Array], ...], dt: float
+    ) -> tuple[Six, tuple[tuple[Array, Array], ...]]:
         """Return the values behind the low-pass (transposed direct form II), and its memory."""
         b0, a1, a2 = self._low_pass(dt)
         passed, after = [], []
@@ -349,7 +352,7 @@ class IdealImu(Sensor):
         return rates_body, ImuReading(rates_body, specific_force, angle, specific_force * self.period)
 
 
-def _rows(given: Any, diagonal: Array, beside: Array) -> tuple[Vec3, Vec3, Vec3]:
+def _rows(given: Iterator[Array], diagonal: Array, beside: Array) -> tuple[Vec3, Vec3, Vec3]:
     """Return the rows of a matrix with independent elements of the two spreads."""
     rows = [Vec3(*((diagonal if i == j else beside) * next(given) for j in range(3))) for i in range(3)]
     return cast(tuple[Vec3, Vec3, Vec3], tuple(rows))

@@ -11,7 +11,6 @@ deviation where it is called typical; in-run bias stability is the floor of the 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from qrsim.core.presets import Presets
 
@@ -100,6 +99,6 @@ PRESETS: Presets = {
 }
 
 
-def default(name: str) -> Any:
+def default(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return PRESETS[DEFAULT][name]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from jax import Array
 
@@ -42,11 +42,11 @@ class Gyroscope(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
     normals: ClassVar[int] = 3
 
-    def biases(self, state: None) -> dict[str, Any]:
+    def biases(self, state: None) -> dict[str, float]:
         """Return none: its errors are white."""
         return {"rates_body": 0.0}
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {"rates_body": self.white_std}
 
@@ -80,11 +80,11 @@ class Accelerometer(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
     normals: ClassVar[int] = 3
 
-    def biases(self, state: None) -> dict[str, Any]:
+    def biases(self, state: None) -> dict[str, float]:
         """Return none: its errors are white."""
         return {"specific_force": 0.0}
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {"specific_force": self.white_std}
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, ClassVar, Literal, cast
+from typing import ClassVar, Literal, cast
 
 import jax.numpy as jnp
 from jax import Array
@@ -38,7 +38,7 @@ def _number(name: str, unit: str, doc: str) -> Array:
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
-def _structure(name: str, unit: str, doc: str) -> Any:
+def _structure(name: str, unit: str, doc: str) -> float:
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -127,13 +127,13 @@ class Magnetometer(Sensor):
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     earth_field_ned: Vec3 = derived(default=USUAL_FIELD, doc="field of the site and date [uT], in NED")
-    steel: Any = derived(default=None, doc="steel obstacles (Steel); None without any")
+    steel: Steel | None = derived(default=None, doc="steel obstacles (Steel); None without any")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
     normals: ClassVar[int] = 2 * _AXES
     first_normals: ClassVar[int] = _ONCE + _AXES
     presets: ClassVar[Presets] = PRESETS
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {"field_body": self.noise / math.sqrt(self.period)}
 
@@ -212,7 +212,7 @@ class IdealMagnetometer(Memoryless):
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
     earth_field_ned: Vec3 = derived(default=USUAL_FIELD, doc="field of the site and date [uT], in NED")
-    steel: Any = derived(default=None, doc="steel obstacles (Steel); None without any")
+    steel: Steel | None = derived(default=None, doc="steel obstacles (Steel); None without any")
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load) -> tuple[None, MagnetometerReading]:
@@ -229,5 +229,5 @@ def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitu
     return rotation(attitude).to_body(field)
 
 
-def _vector(given: Iterator[Array], std: Any) -> Vec3:
+def _vector(given: Iterator[Array], std: Array | float) -> Vec3:
     return Vec3(*(std * next(given) for _ in range(_AXES)))

@@ -7,7 +7,6 @@ that of IEEE Std 952, by which a reading that is the mean of more samples has le
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from qrsim.core.presets import Presets
 
@@ -50,6 +49,6 @@ PRESETS: Presets = {
 }
 
 
-def default(name: str) -> Any:
+def default(name: str) -> object:
     """Return a parameter's default, which is that of the default preset."""
     return PRESETS[DEFAULT][name]

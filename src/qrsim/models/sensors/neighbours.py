@@ -51,11 +51,11 @@ class NeighboursReading(Explained):
         return f"sees {float(self.count[vehicle]):.0f}, and has room for {len(self.distance)}"
 
 
-def _slots() -> Any:
+def _slots() -> int:
     return setting(default=4, unit="1", doc="others that a reading has room for, K", minimum=1, maximum=MOST)
 
 
-def _velocity() -> Any:
+def _velocity() -> bool:
     return setting(default=False, doc="whether it measures how fast others move against the vehicle")
 
 

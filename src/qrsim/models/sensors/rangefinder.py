@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Unpack
+from typing import ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 from jax import Array
@@ -86,7 +86,7 @@ class Rangefinder(Memoryless):
     normals: ClassVar[int] = 3
     presets: ClassVar[Presets] = RANGEFINDERS
 
-    def white_noise(self) -> dict[str, Any]:
+    def white_noise(self) -> dict[str, Array]:
         """Return the std of white noise of each reading, by field."""
         return {"range": self.noise_std}
 

@@ -41,8 +41,10 @@ def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
 class RangingReading(Explained):
     """Ranges to the beacons of the sensor, and to vehicles by their number."""
 
-    beacon_range: Any = quantity(unit="m", doc="to a beacon, NaN where there is none; None without beacons")
-    vehicle_range: Any = quantity(
+    beacon_range: tuple[Array, ...] | None = quantity(
+        unit="m", doc="to a beacon, NaN where there is none; None without beacons"
+    )
+    vehicle_range: tuple[Array, ...] | None = quantity(
         unit="m", doc="to a vehicle of the fleet or of the world, NaN where there is none, 0 to itself; None to none"
     )
 
@@ -59,7 +61,9 @@ class RangingState:
     """What the sensor remembers of the paths to each partner."""
 
     turn: Array = quantity(doc="(n,) int32 number of the exchange that is next, of all of a round")
-    paths: Any = quantity(unit="1", doc="two normal processes of each path; None where nothing stands in the way")
+    paths: tuple[tuple[Array, ...], tuple[Array, ...]] | None = quantity(
+        unit="1", doc="two normal processes of each path; None where nothing stands in the way"
+    )
 
 
 @record
@@ -237,7 +241,7 @@ class Partners:
         return RangingReading(found[:count] or None, found[count:] or None)
 
 
-def _partners(sensor: Any, position_ned: Vec3, traffic: Traffic | None) -> Partners:
+def _partners(sensor: Ranging | IdealRanging, position_ned: Vec3, traffic: Traffic | None) -> Partners:
     """Return the partners of vehicles (n,)."""
     like, places, flies = position_ned.x, [], []
     own = jnp.arange(like.shape[0], dtype=jnp.int32)

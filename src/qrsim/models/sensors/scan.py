@@ -6,7 +6,7 @@ See docs/explanation/models/perception.md.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal, Unpack
+from typing import ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,11 +34,11 @@ def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
     return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
-def _rays(default: int) -> Any:
+def _rays(default: int) -> int:
     return setting(default=default, unit="1", doc="rays of a scan", minimum=1, maximum=MOST_RAYS)
 
 
-def _field_of_view(default: float) -> Any:
+def _field_of_view(default: float) -> float:
     return setting(
         default=default,
         unit="rad",
@@ -48,7 +48,7 @@ def _field_of_view(default: float) -> Any:
     )
 
 
-def _sees_vehicles(default: bool) -> Any:
+def _sees_vehicles(default: bool) -> bool:
     return setting(default=default, doc="whether other vehicles are seen, as spheres of their radius")
 
 

@@ -14,8 +14,10 @@ from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.host import on_host
 from qrsim.core.noise import Noise
 from qrsim.core.tree import quantity, record
@@ -234,7 +236,7 @@ class Vehicle(Protocol):
         """
         raise TypeError(f"{type(self).__name__} takes no tilt and throttle; it has no tilt_command")
 
-    def leaning(self, tilt: object) -> tuple[Any, Any] | None:
+    def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike] | None:
         """Return the airspeed [m/s] and the thrust [N] at which it stays where it is, leaning by tilt (n,) [rad].
 
         None where no formula says so; then envelope.py looks for them. Arguments and results are NumPy's.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
+from jax import Array
 
 from qrsim.core.arrays import Floats
 from qrsim.core.noise import Drawn
@@ -37,7 +39,7 @@ class Envelope:
     by_thrust: Floats
 
 
-def envelope(vehicle: Vehicle, tilt_limit: Any, thrust_limit: Any = None) -> Envelope | None:
+def envelope(vehicle: Vehicle, tilt_limit: npt.ArrayLike, thrust_limit: npt.ArrayLike | None = None) -> Envelope | None:
     """Return what vehicles (n,) hold at a tilt of at most ``tilt_limit`` (n,) [rad].
 
     Args:
@@ -73,7 +75,7 @@ class _Balance:
 
     def __init__(self, vehicle: Vehicle, size: int):
         self.vehicle, self.size = vehicle, size
-        self._force: Any = None
+        self._force: Callable[..., tuple[Array, Array]] | None = None
 
     def __call__(self, tilt: Floats) -> tuple[Floats, Floats]:
         """Return airspeed [m/s] and thrust [N] for a tilt (n,) [rad]."""
@@ -117,7 +119,7 @@ class _Balance:
         return np.asarray(north, np.float64), np.asarray(down, np.float64)
 
 
-def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> tuple[object, object]:
+def _specific_force(vehicle: Vehicle, airspeed: Array, tilt: Array, thrust: Array) -> tuple[Array, Array]:
     """Return the specific force (n,), north and down, of a vehicle that stands still in a wind from the north."""
     zero = jnp.zeros_like(airspeed)
     none = Vec3(zero, zero, zero)

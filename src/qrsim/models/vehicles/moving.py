@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,7 @@ from qrsim.models.vehicles.contracts import Around, Vehicle, VehicleState, veloc
 
 def move(
     vehicle: Vehicle,
-    state: Any,
+    state: VehicleState,
     position_low_ned: Vec3 | None,
     command: object,
     air_velocity: Callable[..., Vec3],
@@ -38,7 +37,7 @@ def move(
         The state after the step, the second part of its position, and the mean specific force [m/s^2].
     """
 
-    def step(position_ned: Vec3) -> tuple[Any, Vec3]:
+    def step(position_ned: Vec3) -> tuple[VehicleState, Vec3]:
         # A vehicle that looks at nothing around it need not take it.
         more = () if around is None else (around,)
         return vehicle.step(replace(state, position_ned=position_ned), command, air_velocity, noise, dt, *more)
@@ -57,7 +56,7 @@ def move(
     return replace(moved, position_ned=high), low, force
 
 
-def _way(vehicle: Vehicle, before: Any, after: Any, dt: float) -> Vec3:
+def _way(vehicle: Vehicle, before: VehicleState, after: VehicleState, dt: float) -> Vec3:
     """Return the displacement (n,) [m] in a step of vehicles whose model uses their position.
 
     The difference of the two positions is known to their rounding only; within that the mean velocity decides.

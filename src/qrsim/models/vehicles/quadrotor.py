@@ -11,12 +11,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.integrate import INTEGRATORS
 from qrsim.core.noise import Noise
@@ -155,7 +157,7 @@ class Quadrotor(Vehicle):
         """Return the command (n,) at the highest voltage that the thrust was identified for."""
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
-    def leaning(self, tilt: Any) -> tuple[object, object]:
+    def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike]:
         """Return airspeed [m/s] and thrust [N] at rest, leaning by tilt (n,) [rad] (eq. 6 with nothing moving).
 
         Drag across the body pushes it down as well: kw w is larger than kuv u.

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jax import Array
 
 from qrsim.errors import LogError, RunError
+from qrsim.files import Content
 from qrsim.models.vehicles.quadrotor import (
     PITCH_ROLL_RAD_PER_RAW,
     THROTTLE_RAW_PER_UNIT,
@@ -90,7 +92,7 @@ class Discovery:
     dt: float
     held: dict[str, str]
 
-    def vehicle(self, mass: float) -> dict[str, Any]:
+    def vehicle(self, mass: float) -> Content:
         """Return the vehicle in the form of scenario files."""
         laws = {name: law for name, law in self.laws.items() if name not in self.held}
         texts = {f"{name}_law": str(law.expression) for name, law in laws.items() if name != "drag"}
@@ -229,7 +231,7 @@ def published() -> dict[str, tuple[Rule, Floats]]:
     """Return the published laws in the same form."""
     v = Quadrotor()
     tilt, yaw = v.kpq0 * v.kpq1 / PITCH_ROLL_RAD_PER_RAW, v.kr0 / YAW_RATE_RAD_S_PER_RAW
-    values: dict[str, tuple[Any, ...]] = {
+    values: dict[str, tuple[Array, ...]] = {
         "thrust": (v.cth0, v.cth1 * THROTTLE_RAW_PER_UNIT, v.cth2 * THROTTLE_RAW_PER_UNIT**2),
         "tilt": (tilt, -v.kpq1, v.kpq2),
         "yaw": (yaw, v.kr1),

@@ -114,7 +114,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
     return Flight(names, _starts(log, names, starts, margin), commands, recorded, log.dt)
 
 
-def _starts(log: FlightLog, names: tuple[str, ...], rows: Any, margin: int) -> Floats:
+def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: int) -> Floats:
     """Return the (10, n) states at rows: the middle of a parabola through the rows around."""
     start = np.zeros((10, len(rows)))
     offsets = np.arange(-margin, margin + 1)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.studies.identify.at_rest import Noise
@@ -71,7 +72,7 @@ def _terms(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
     }
 
 
-def _print(found: Mapping[str, Noise], content: Mapping[str, Any], *, quiet: bool) -> None:
+def _print(found: Mapping[str, Noise], content: Content, *, quiet: bool) -> None:
     first, last = content["at_rest_s"]
     if not quiet:
         print(f"at rest from {first:.0f} to {last:.0f} s, {content['rate_hz']:.4g} readings a second")

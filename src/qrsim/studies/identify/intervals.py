@@ -18,12 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.studies.flight_logs.signals import Floats
 from qrsim.studies.identify.problem import Misfit, weights
 
@@ -123,7 +123,7 @@ def covariance(
     )
 
 
-def inverse_of(matrix: Floats) -> tuple[Any, Any]:
+def inverse_of(matrix: Floats) -> tuple[NumpyArray, NumpyArray]:
     """Invert a curvature (K, K); also return which components lie in its null directions.
 
     In those directions the inverse is 0 (Moore and Penrose), after scaling the diagonal to 1.

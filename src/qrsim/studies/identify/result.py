@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from qrsim.errors import RunError, os_error_as
 from qrsim.files import Content
@@ -37,7 +36,7 @@ class Result:
     question: Question
     answer: Answer
     pieces: Sequence[Piece]
-    held_out: Sequence[dict[str, Any]]
+    held_out: Sequence[Content]
     whiteness: Sequence[dict[str, dict[str, float]]]
     wall_s: float
     train: float
@@ -172,7 +171,7 @@ class Result:
         return head + dump_yaml({"vehicle": self.vehicle(), "identified": rounded(self.to_json())})
 
 
-def rounded(item: object) -> Any:
+def rounded(item: object) -> object:
     """Round the numbers of a tree to 6 digits, for reading."""
     if isinstance(item, Mapping):
         return {key: rounded(value) for key, value in item.items()}

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.studies.flight_logs import FlightLog
 from qrsim.studies.flight_logs.signals import Floats
 from qrsim.studies.identify.constants import VELOCITY, vehicle_of
@@ -56,7 +57,7 @@ def score(
     bare = {"delay": nuisances["delay"]}
     cases = {"start": (start, bare), "start_with_nuisances": (start, nuisances), "identified": (identified, nuisances)}
     runs = {name: open_loop(piece, values, own, separate) for name, (values, own) in cases.items()}
-    result: dict[str, Any] = {
+    result: Content = {
         "rows": int(piece.used.sum()),
         "variance": dict(zip(piece.channels, np.var(piece.recorded[piece.used], axis=0).tolist(), strict=True)),
         **{name: mean_square(piece, run) for name, run in runs.items()},
@@ -75,7 +76,7 @@ def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, 
 
 def _horizon(
     log: FlightLog, share: tuple[float, float], cases: Mapping[str, tuple[Any, Any]], separate: bool
-) -> dict[str, Any]:
+) -> Content:
     """Return the mean squared error of the horizontal velocity [(m/s)^2] within 5 s of starts from the record."""
     try:
         piece = cut(log, HORIZON_S, *share, whole=True)

@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from qrsim.errors import LogError, RunError
+from qrsim.files import Content
 from qrsim.studies.flight_logs import FlightLog
 from qrsim.studies.flight_logs.excitation import ASPECTS, Excitation, described
 from qrsim.studies.identify.constants import CONSTANTS, PITCH, aspects_of
@@ -103,7 +104,10 @@ def objections(answer: Answer, question: Question) -> dict[str, str]:
 
 
 def worse(
-    answer: Answer, question: Question, excitations: Sequence[Excitation], scores: Sequence[Mapping[str, Any]]
+    answer: Answer,
+    question: Question,
+    excitations: Sequence[Excitation],
+    scores: Sequence[Content],
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Return the fitted constants of aspects with a held-out channel predicted no better than by the start.
 
@@ -126,7 +130,7 @@ def worse(
     return hold, {name: why for name, why in keep.items() if name not in hold}
 
 
-def _ratios(aspect: str, score: Mapping[str, Any]) -> dict[str, float]:
+def _ratios(aspect: str, score: Content) -> dict[str, float]:
     """Return the held-out error over the start's of each channel of an aspect."""
     before, after = score["start"], score["identified"]
     found = {}

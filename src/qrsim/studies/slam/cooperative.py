@@ -20,19 +20,17 @@ from qrsim.studies.slam.between import Between, checked_between
 from qrsim.studies.slam.covariance import covariance
 from qrsim.studies.slam.estimate import (
     MOST_ITERATIONS,
-    available_bytes,
-    check_memory,
     check_numbers,
     check_options,
     rms_distance,
     solve_reflected,
     spread_of,
-    state_size,
     why_not_determined,
 )
 from qrsim.studies.slam.flight import Flight, Floats
 from qrsim.studies.slam.graph import Graph, make_graph
 from qrsim.studies.slam.joint import Common, JointGraph
+from qrsim.studies.slam.memory import available_bytes, check_memory, state_size
 from qrsim.studies.slam.mirror import Mirrors
 from qrsim.studies.slam.ranging import FEWEST_RANGES, Ranging
 from qrsim.studies.slam.solve import Point

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from qrsim.engine.settings import use_compilation_cache
-from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
+from qrsim.errors import UsageError, did_you_mean, warn_user
 from qrsim.runs import Run, open_run
 from qrsim.studies.slam.covariance import covariance
-from qrsim.studies.slam.flight import SIZE, Flight, Floats
-from qrsim.studies.slam.graph import GRAPHS, POSE, PRIORS, STATES, make_graph
+from qrsim.studies.slam.flight import Flight, Floats
+from qrsim.studies.slam.graph import GRAPHS, PRIORS, STATES, Graph, make_graph
+from qrsim.studies.slam.memory import available_bytes, check_memory, state_size
 from qrsim.studies.slam.mirror import Mirrors, mirrors
 from qrsim.studies.slam.ranging import (
     FEWEST_RANGES,
@@ -30,7 +30,6 @@ from qrsim.studies.slam.ranging import (
 from qrsim.studies.slam.solve import DAMPINGS, Point, Problem, Solution, solve
 
 MOST_ITERATIONS = 100
-FIXED_BYTES = 200 * 2**20
 # Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]: (G8),
 # docs/explanation/models/gnss.md.
 BIAS_TIME_CONSTANT = 44.3
@@ -111,18 +110,20 @@ class Slam:
             UsageError: an array of another shape.
         """
         found: dict[str, float] = {}
-        given: dict[str, tuple[Any, Floats, Any]] = {}
-        given["trajectory_rmse_m"] = (position_ned, self.flight.truth[:, :3], slice(None))
-        if self.ranging.true_ned is not None:
-            given["landmark_rmse_m"] = (landmarks_ned, self.ranging.true_ned, self.determined)
-        for name, (values, truth, rows) in given.items():
-            if values is None:
-                continue
-            array = np.asarray(values, np.float64)
-            if array.shape != truth.shape:
-                raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
-            found[name] = rms_distance(array[rows], truth[rows])
+        if position_ned is not None:
+            truth = self.flight.truth[:, :3]
+            found["trajectory_rmse_m"] = rms_distance(_shaped_as(truth, position_ned), truth)
+        if landmarks_ned is not None and self.ranging.true_ned is not None:
+            truth, rows = self.ranging.true_ned, self.determined
+            found["landmark_rmse_m"] = rms_distance(_shaped_as(truth, landmarks_ned)[rows], truth[rows])
         return found
+
+
+def _shaped_as(truth: Floats, values: npt.ArrayLike) -> Floats:
+    array = np.asarray(values, np.float64)
+    if array.shape != truth.shape:
+        raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
+    return array
 
 
 def why_not_determined(landmark: int, ranges: int, std: float) -> str:
@@ -254,7 +255,7 @@ def estimate(
     solution, reflected = solve_reflected(
         problem, x, ranging, lambda point: point.x[:, :3], iterations=iterations, damping=damping, keep=keep
     )
-    return _result(problem.base, graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
+    return _result(graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
 
 
 def solve_reflected(
@@ -314,10 +315,10 @@ def _joined(first: Solution, again: Solution) -> Solution:
 
 
 def _result(
-    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
-    solution: Solution, reflected: Mirrors, problem: Any,
+    graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
+    solution: Solution, reflected: Mirrors, problem: Graph,
 ) -> Slam:  # fmt: skip
-    point = solution.point
+    point, base = solution.point, problem.base
     believed = covariance(problem, point)
     spread, determined = spread_of(believed.landmarks, ranging, enough)
     return Slam(
@@ -332,7 +333,9 @@ def _result(
     )  # fmt: skip
 
 
-def spread_of(covariances: Floats, ranging: Ranging, enough: Any) -> tuple[Floats, Any]:
+def spread_of(
+    covariances: Floats, ranging: Ranging, enough: npt.NDArray[np.bool_]
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Return the largest standard deviation of each landmark (L,) [m], and whether it is determined (L,)."""
     spread = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     # Uncertain by half its distance, a landmark is not even known by its direction.
@@ -342,7 +345,13 @@ def spread_of(covariances: Floats, ranging: Ranging, enough: Any) -> tuple[Float
 
 
 def _ranging(
-    flight: Flight, true_ned: object, guess_ned: object, ranges: Any, std: float, limit: float, seed: int
+    flight: Flight,
+    true_ned: object,
+    guess_ned: object,
+    ranges: npt.ArrayLike | None,
+    std: float,
+    limit: float,
+    seed: int,
 ) -> Ranging:
     """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
@@ -357,46 +366,3 @@ def check_numbers(**numbers: float | None) -> None:
     for name, value in numbers.items():
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise UsageError(f"{name}: {value!r} is not a positive number")
-
-
-def state_size(states: str, bias: bool) -> int:
-    """Return the number of unknowns per state."""
-    return (SIZE if states == "full" else len(POSE)) + 2 * bias
-
-
-def bytes_needed(states: int, size: int, landmarks: int) -> int:
-    """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` numbers, and landmarks.
-
-    Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
-    its ranges. The factors are above those of measured problems (docs/explanation/slam.md); compiled
-    programs take FIXED_BYTES.
-    """
-    blocks, rows, ranges = 16 * size * size, 5 * size * (1 + 3 * landmarks), 40 * landmarks
-    return FIXED_BYTES + 8 * states * (blocks + rows + ranges)
-
-
-def available_bytes() -> int:
-    """Return the free memory [bytes], or the total if the system does not report it."""
-    try:
-        with open("/proc/meminfo", encoding="utf-8") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return 1024 * int(line.split()[1])
-    except OSError:
-        pass
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-
-SMALLER = "take a longer state_period, states poses, or fewer landmarks"
-
-
-def check_memory(
-    states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
-) -> None:
-    """Refuse a problem that does not fit into memory beside the flights; raises RunError."""
-    needed = bytes_needed(states, size, landmarks) + flights
-    if needed > available:
-        raise RunError(
-            f"slam: {states} states of {size} numbers and {landmarks} landmarks need {needed / 2**30:.1f} GiB, and "
-            f"{available / 2**30:.1f} GiB are free; {smaller}"
-        )

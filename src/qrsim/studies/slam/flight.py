@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -121,7 +120,7 @@ def make_flight(
     believed: Believed,
     commands: Floats,
     air_ned: Floats,
-    fixes: tuple[np.ndarray[Any, np.dtype[np.int64]], Floats],
+    fixes: tuple[npt.NDArray[np.int64], Floats],
 ) -> Flight:
     """Build a flight from records at ticks 0 to N, cut to a whole number of states.
 

@@ -17,18 +17,11 @@ from qrsim.core.tree import record_of
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files import Content
 from qrsim.studies.slam import example
-from qrsim.studies.slam.estimate import (
-    BIAS_TIME_CONSTANT,
-    Slam,
-    available_bytes,
-    check_memory,
-    estimate,
-    rms_distance,
-    state_size,
-)
+from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, Slam, estimate, rms_distance
 from qrsim.studies.slam.flight import Flight, Floats, ticks_between
 from qrsim.studies.slam.intervals import CONFIDENCE, SLOPE_WINDOWS, allan_slope, interval, paired, recovered
-from qrsim.studies.slam.ranging import LANDMARKS
+from qrsim.studies.slam.memory import available_bytes, check_memory, state_size
+from qrsim.studies.slam.ranging import LANDMARKS, Ranging
 
 NOISES = ("white", "coloured")
 TEN = 10
@@ -197,7 +190,9 @@ def study(
     return record_of(Study, graph, tuple(seeds), flights, landmarks, arms)
 
 
-def _solved(flight: Flight, ranging: Any, bias: float | None, **options: Any) -> dict[str, tuple[Floats, Floats, Slam]]:
+def _solved(
+    flight: Flight, ranging: Ranging, bias: float | None, **options: Any
+) -> dict[str, tuple[Floats, Floats, Slam]]:
     """Return places of the vehicle and of the landmarks in each arm, and the solution that they are of."""
     whole = estimate(flight, ranging, keep=(TEN,), **options)
     converged = (whole.position_ned, whole.landmarks_ned, whole)

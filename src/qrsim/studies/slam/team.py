@@ -7,11 +7,11 @@ is common to them. In a fleet vehicle 0 has the waypoints, ranges and noise of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.studies.slam import example
 from qrsim.studies.slam.between import BETWEEN_STD, Between, measure_between
@@ -44,7 +44,7 @@ def team_world(vehicles: int, gnss: str | None = None) -> World:
         UsageError: too many vehicles, or none.
     """
     check_vehicles(vehicles)
-    scenario: dict[str, Any] = {"name": example.SCENARIO, "extends": example.SCENARIO, "world": {}, "fleets": {}}
+    scenario: Content = {"name": example.SCENARIO, "extends": example.SCENARIO, "world": {}, "fleets": {}}
     if gnss is not None:
         scenario = example.with_receiver(gnss)
     scenario["world"]["collision_distance"] = 0.0

@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.files import Content
 from qrsim.studies.slam import team
 from qrsim.studies.slam.cooperative import CooperativeSlam, estimate_together
-from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT, available_bytes, check_memory, state_size
+from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
 from qrsim.studies.slam.example import MEMORY, STATE_PERIOD, base_world
 from qrsim.studies.slam.flight import Flight, ticks_between
 from qrsim.studies.slam.intervals import interval, paired
+from qrsim.studies.slam.memory import available_bytes, check_memory, state_size
 from qrsim.studies.slam.ranging import LANDMARKS
 from qrsim.studies.slam.study import BYTES_PER_TICK
 
@@ -41,9 +43,9 @@ class TeamStudy:
     alone: dict[str, list[CooperativeSlam]]
     together: dict[str, list[CooperativeSlam]]
 
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> Content:
         """Return errors [m] and tests over the seeds as plain dicts: of the first vehicle, and relative ones."""
-        found: dict[str, Any] = {"vehicles": self.vehicles, "seeds": len(self.seeds), "cases": {}}
+        found: Content = {"vehicles": self.vehicles, "seeds": len(self.seeds), "cases": {}}
         for case in self.alone:
             one, all_of_them = (_first(part[case]) for part in (self.alone, self.together))
             found["cases"][case] = {

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import jax
 import numpy as np
+from jax.tree_util import PyTreeDef
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import ScenarioError, UsageError
@@ -67,13 +68,13 @@ class Group:
         return sum(fleet.size for fleet in self.world.fleets)
 
     @cached_property
-    def _leaves(self) -> tuple[list[NumpyArray], Any]:
+    def _leaves(self) -> tuple[list[NumpyArray], PyTreeDef]:
         leaves, structure = jax.tree.flatten(self.world)
         return [np.asarray(leaf) for leaf in leaves], structure
 
     def varied(
         self, numbers: Mapping[str, NumpyArray]
-    ) -> tuple[Any, list[NumpyArray], list[NumpyArray], tuple[bool, ...]]:
+    ) -> tuple[PyTreeDef, list[NumpyArray], list[NumpyArray], tuple[bool, ...]]:
         """Return structure, shared leaves, varied leaves (W, ...), and the flags that tell them apart."""
         assert self.places is not None
         leaves, structure = self._leaves
@@ -90,7 +91,7 @@ class Group:
 
     def loaded(self, numbers: Mapping[str, NumpyArray], precision: str) -> list[World]:
         """Return the world of each point, loaded one by one."""
-        found: dict[tuple[Any, ...], World] = {}
+        found: dict[Hashable, World] = {}
         rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
         for row in rows:
             if row not in found:

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.files import Content
 from qrsim.studies.sweep.axes import Axis
 from qrsim.studies.sweep.groups import Group
 from qrsim.studies.sweep.sampling import Sample
@@ -194,7 +194,7 @@ class Plan:
         return {axis.path: found[axis.path] for axis in self.axes}
 
 
-def choices(axes: tuple[Axis, ...], listed: bool) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
+def choices(axes: tuple[Axis, ...], listed: bool) -> Iterator[tuple[tuple[int, ...], Content]]:
     """Yield every combination of structural axes with its indices; axes listed together vary together."""
     lengths = [len(axis.values or ()) for axis in axes]
     indices = ((i,) * len(axes) for i in range(lengths[0])) if listed and axes else product(*map(range, lengths))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from functools import cache
 from typing import Any
 
@@ -19,7 +20,7 @@ from qrsim.studies.sweep.groups import Group
 from qrsim.studies.sweep.job import Job, goals
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import BaselinePolicy, baseline
-from qrsim.world.state import World
+from qrsim.world.state import State, World
 
 
 def play(group: Group, job: Job) -> dict[str, NumpyArray]:
@@ -77,7 +78,7 @@ class _Point:
 
 
 # The point flown last, which the next episode most often has too.
-_KEPT: dict[Any, _Point] = {}
+_KEPT: dict[Hashable, _Point] = {}
 
 
 @cache
@@ -94,7 +95,7 @@ def _summed() -> Any:
     return jax.jit(summed)
 
 
-def _finds(state: Any, time_step: float) -> dict[str, NumpyArray]:
+def _finds(state: State, time_step: float) -> dict[str, NumpyArray]:
     """Return the metrics of persons found, (1,) each; NaN without persons."""
     persons = state.contents.persons
     if persons is None:

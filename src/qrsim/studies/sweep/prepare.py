@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations, product
-from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.files import Content
@@ -115,7 +114,7 @@ def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[Content]:
     return [_first(others), lasts, {}]
 
 
-def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]]) -> dict[Any, str]:
+def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, object]]) -> dict[object, str]:
     """Return the values of an axis that are not allowed, and why; of a range its ends."""
 
     def wrong(value: object) -> str:
@@ -140,13 +139,13 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, Any]
     return {value: text for value in ordered if (text := wrong(value))}
 
 
-def _by_halving(ordered: Sequence[object], wrong: Callable[[Any], str]) -> dict[Any, str]:
+def _by_halving(ordered: Sequence[object], wrong: Callable[[object], str]) -> dict[object, str]:
     """Return the bad ones of many ordered values, looking at some of them only."""
     tried = [round(part * (len(ordered) - 1) / TRIED) for part in range(TRIED + 1)]
     good = next((i for i in tried if not wrong(ordered[i])), None)
     if good is None:
         return dict.fromkeys(ordered, wrong(ordered[0]))
-    bad: dict[Any, str] = {}
+    bad: dict[object, str] = {}
     for side in (ordered[: good + 1], ordered[: good - 1 if good else None : -1]):
         first, last = -1, len(side) - 1
         while last - first > 1:
@@ -161,7 +160,7 @@ def _key(value: object) -> str | int | float:
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
-def _described(axis: Axis, bad: Mapping[Any, str]) -> list[str]:
+def _described(axis: Axis, bad: Mapping[object, str]) -> list[str]:
     total = len(axis.values or ())
     lines = [f"{value!r}: {text}" for value, text in list(bad.items())[:MOST_LISTED]]
     if len(bad) > MOST_LISTED:
@@ -169,7 +168,7 @@ def _described(axis: Axis, bad: Mapping[Any, str]) -> list[str]:
     return lines
 
 
-def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[Any, str]]]) -> str:
+def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[object, str]]]) -> str:
     """Say how many points have a value that is not allowed."""
     crossed = [(axis, bad) for axis, bad in judged if axis.values is not None]
     sampling = study.spec.sampling

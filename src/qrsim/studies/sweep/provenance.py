@@ -6,7 +6,7 @@ import hashlib
 import platform
 from functools import cache
 from importlib import metadata, resources
-from typing import Any
+from importlib.resources.abc import Traversable
 
 PACKAGES = ("qrsim", "jax", "jaxlib", "llvmlite", "numpy", "scipy")
 NETWORK = ("dask", "distributed")
@@ -30,7 +30,7 @@ def _source() -> str:
     """Return a digest of the Python files that numbers come from, in which two copies of one version may differ."""
     total = hashlib.sha256()
 
-    def add(folder: Any, path: str) -> None:
+    def add(folder: Traversable, path: str) -> None:
         for item in sorted(folder.iterdir(), key=lambda item: item.name):
             inner = f"{path}/{item.name}"
             other = inner in WITHOUT or (path == "/apps" and item.name != "sweep")

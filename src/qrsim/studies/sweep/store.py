@@ -12,7 +12,7 @@ import math
 import os
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files import Content
 from qrsim.scenarios.reading import dump_yaml
+from qrsim.studies.sweep.axes import Axis
 from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
 
@@ -201,7 +202,7 @@ def _without(about: Mapping[str, object], name: str) -> Content:
     return {key: value for key, value in about.items() if key != name}
 
 
-def _about(axis: Any) -> Content:
+def _about(axis: Axis) -> Content:
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
@@ -261,7 +262,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
         )
 
 
-def _differing(mine: object, theirs: object, path: str = "") -> Any:
+def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
     """Yield the settings that differ, with both values."""
     if isinstance(mine, dict) and isinstance(theirs, dict):
         for key in {**mine, **theirs}:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.tree import quantity, record, replace
-from qrsim.world.state import World
+from qrsim.world.state import State, World
 
 # Time [s] after which errors count: before it all fly from where they stood to where they believe they should be.
 SETTLED_S = 10.0
@@ -38,7 +39,7 @@ class TeamErrors:
     that flies north; each vehicle sees HALF_SWATH times the spacing to either side of where it passes.
     """
 
-    numbers: ClassVar[dict[str, dict[str, Any]]] = {
+    numbers: ClassVar[dict[str, dict[str, str]]] = {
         "relative_error_rms_m": {"unit": "m", "doc": "of neighbours' places to each other, horizontal", "over": "rms"},
         "relative_estimate_rms_m": {
             "unit": "m",
@@ -48,14 +49,14 @@ class TeamErrors:
         "missed_share": {"unit": "1", "doc": "part of the strip between the outer vehicles that none came near enough"},
     }
 
-    def init(self, world: object, state: Any) -> TeamMemory:
+    def init(self, world: object, state: State) -> TeamMemory:
         """Start with nothing."""
         place = state.fleets[0].vehicle.position_ned
         zero = jnp.zeros_like(place.x)
         nowhere = jnp.full((*zero.shape, STEPS), jnp.nan, zero.dtype)
         return TeamMemory(jnp.zeros(zero.shape, jnp.int32), zero, zero, place.x, place.y, nowhere)
 
-    def update(self, memory: TeamMemory, world: World, state: Any, tick: Array) -> TeamMemory:
+    def update(self, memory: TeamMemory, world: World, state: State, tick: Array) -> TeamMemory:
         """Add a tick."""
         fleet, start = state.fleets[0], (memory.start_north, memory.start_east)
         flying, counts = fleet.violation.code == 0, tick >= round(SETTLED_S / world.time_step)
@@ -63,7 +64,7 @@ class TeamErrors:
         neighbours = jnp.maximum(jnp.sum(near, axis=1), 1).astype(memory.error_square.dtype)
         true, known = fleet.vehicle.position_ned, fleet.estimate.position_ned
 
-        def mean_square(position: Any, wanted: Any) -> Array:
+        def mean_square(position: Sequence[Array], wanted: Sequence[Array]) -> Array:
             """Return for each vehicle the mean square [m^2] by which neighbours are off where they are wanted."""
             off = (_differences(axis) - _differences(other) for axis, other in zip(position, wanted, strict=True))
             square = sum(jnp.square(each) for each in off)

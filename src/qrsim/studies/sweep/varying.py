@@ -21,7 +21,7 @@ class Condition(str):
         settings: values by path.
     """
 
-    settings: dict[str, Any]
+    settings: dict[str, object]
 
     def __new__(cls, name: str, settings: dict[str, object]) -> Condition:
         """Return the name, which knows what it sets."""
@@ -29,7 +29,7 @@ class Condition(str):
         made.settings = settings
         return made
 
-    def __getnewargs__(self) -> tuple[str, dict[str, Any]]:  # type: ignore[override]
+    def __getnewargs__(self) -> tuple[str, dict[str, object]]:  # type: ignore[override]
         """Return what a copy is made of."""
         return str(self), self.settings
 
@@ -74,7 +74,7 @@ class VarySpec(Part):
         return self
 
     @property
-    def listed(self) -> list[Any] | None:
+    def listed(self) -> list[object] | None:
         """Values one by one, of conditions as ``Condition``; None where there are ends."""
         if self.conditions is None:
             return self.values

@@ -12,15 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.attitude import AttitudeEstimator
 from qrsim.models.sensors.barometer import Barometer
+from qrsim.models.sensors.contracts import Sensor
 from qrsim.studies.validate.published import ATTITUDE, BAROMETER
-from qrsim.studies.validate.recorded import Table
 from qrsim.studies.validate.report import Check, Outcome, Part, Picture
-from qrsim.studies.validate.statistics import CONFIDENCE, Values, mean_and_error, widest_z
+from qrsim.studies.validate.statistics import CONFIDENCE, mean_and_error, widest_z
 
 SEED = 20140918
 # Readings are kept once a second.
@@ -45,12 +46,12 @@ class Process(NamedTuple):
     std: float
     time_constant: float
     unit: str
-    errors: Table
-    squared_steps: Table
+    errors: Floats
+    squared_steps: Floats
 
 
 @partial(jax.jit, static_argnames=("sensor", "seconds", "vehicles"))
-def _read(sensor: str, model: Any, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
+def _read(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
     like = jnp.zeros((), jnp.float32)
     ids = jnp.arange(vehicles, dtype=jnp.uint32)
     key, zero = Key.root(SEED), jnp.zeros(vehicles, jnp.float32)
@@ -95,7 +96,7 @@ def processes(vehicles: int) -> dict[str, Process]:
     }
 
 
-def autocovariance(errors: Table, lag: int) -> Values:
+def autocovariance(errors: Floats, lag: int) -> Floats:
     """Compute the mean product (n,) of errors (T, n) a lag apart; their mean is known to be zero."""
     return np.asarray(np.mean(errors[lag:] * errors[: len(errors) - lag], axis=0))
 
@@ -198,7 +199,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     )
 
 
-def _lags(of: Process) -> Table:
+def _lags(of: Process) -> Floats:
     return np.unique(np.linspace(0.0, LONGEST * of.time_constant / KEPT_S, 31).round().astype(int))
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.tree import record_of
 from qrsim.files import Content
 from qrsim.models.gnss.errors import PRESETS, GaussMarkov2
@@ -25,7 +26,6 @@ from qrsim.studies.validate.receiver import (
     simulated_receivers,
     sky_over,
 )
-from qrsim.studies.validate.recorded import Table
 from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture
 from qrsim.studies.validate.statistics import CONFIDENCE, mean_and_error, widest_z
 
@@ -63,10 +63,10 @@ class Simulated(NamedTuple):
         expected: (K, 3) exact Allan variances [m^2].
     """
 
-    positions: Table
-    deviations: Table
-    band: Table
-    expected: Table
+    positions: Floats
+    deviations: Floats
+    band: Floats
+    expected: Floats
 
 
 def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Simulated, tuple[int, int]]:
@@ -138,7 +138,7 @@ def _checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
 
 
 def _numbers(
-    record: Recorded, deviation: Table, runs: dict[str, Simulated], inside: Content, seeds: int, used: Any
+    record: Recorded, deviation: Floats, runs: dict[str, Simulated], inside: Content, seeds: int, used: Any
 ) -> Content:
     windows = [round(float(length) * record.period, 6) for length in LENGTHS]
     chosen = record.position_ned[:ROWS]
@@ -278,7 +278,7 @@ def _walk_picture(record: Recorded, run: Simulated) -> Picture:
     )
 
 
-def _allan_picture(record: Recorded, deviation: Table, runs: dict[str, Simulated], seeds: int) -> Picture:
+def _allan_picture(record: Recorded, deviation: Floats, runs: dict[str, Simulated], seeds: int) -> Picture:
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import RECORDED, picture
 

@@ -10,15 +10,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
+from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.atmosphere.dryden import Dryden
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, LogShear
 from qrsim.studies.validate.jsbsim_gusts import jsbsim_series
-from qrsim.studies.validate.spectra import DT, Case, Floats, scales
+from qrsim.studies.validate.spectra import DT, Case, scales
 from qrsim.studies.validate.statistics import against, mean_and_error
 
 WIND_FT_S, FROM_DEG = 2.0, 30.0
@@ -40,7 +42,7 @@ def mean_wind() -> Floats:
 
 
 @partial(quick_jit, static_argnames="steps")
-def _fly(turbulence: Any, wind: LogShear, height: jax.Array, key: Key, steps: int) -> jax.Array:
+def _fly(turbulence: Turbulence, wind: LogShear, height: jax.Array, key: Key, steps: int) -> jax.Array:
     ids = jnp.arange(height.size, dtype=jnp.uint32)
     stream, mean = key.stream("gust", ids), wind.velocity_ned(height)
     still, like = Vec3.zeros(height.shape, height.dtype), jnp.zeros((), height.dtype)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.allan import overlapping_allan_deviation
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Drawn, Key, Stream
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
@@ -22,7 +23,7 @@ from qrsim.models.sensors.imu_presets import PRESETS
 from qrsim.models.vehicles.contracts import Load
 from qrsim.studies.validate.published import DATA_SHEETS, GRAVITY
 from qrsim.studies.validate.report import Check, Outcome, Part, Picture
-from qrsim.studies.validate.statistics import CONFIDENCE, Values, mean_and_error, widest_z
+from qrsim.studies.validate.statistics import CONFIDENCE, mean_and_error, widest_z
 
 SEED, PERIOD, SECONDS = 952, 0.02, 60.0
 CHIPS, FEW_CHIPS = 1024, 128
@@ -41,8 +42,8 @@ class Chips(NamedTuple):
         deviation: (K, chips, 3) Allan deviations over WINDOWS.
     """
 
-    readings: Values
-    deviation: Values
+    readings: Floats
+    deviation: Floats
 
 
 @partial(quick_jit, static_argnames="count")
@@ -80,7 +81,7 @@ def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
     return found
 
 
-def measured(of: Chips) -> dict[str, Values]:
+def measured(of: Chips) -> dict[str, Floats]:
     """Return N [unit s^0.5] and the squared bias [unit^2] of each chip (n,), over its axes."""
     at = int(np.flatnonzero(WINDOWS == NOISE_WINDOW)[0])
     noise = np.square(of.deviation[at]).mean(axis=1) * NOISE_WINDOW * PERIOD

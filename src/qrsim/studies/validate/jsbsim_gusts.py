@@ -22,9 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError
 from qrsim.models.atmosphere.wind import FEET_PER_METRE
-from qrsim.studies.validate.spectra import DT, SEVERITY, SPAN, Case, Floats, scales
+from qrsim.studies.validate.spectra import DT, SEVERITY, SPAN, Case, scales
 
 INSTALL = "install it with 'python -m pip install jsbsim'"
 TYPES = {"jsbsim_type_3": 3, "jsbsim_type_4": 4}

@@ -10,13 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.integrate import heun
 from qrsim.core.tree import cast
 from qrsim.core.vectors import AttitudeTrig, Vec3, rotation
 from qrsim.models.vehicles.process_noise import ProcessNoise
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 from qrsim.simulation.openloop import simulate_open_loop
-from qrsim.studies.validate.recorded import BATTERY_V, DT, Match, Table, command_rows, mean_square, read_table, state_of
+from qrsim.studies.validate.recorded import BATTERY_V, DT, Match, command_rows, mean_square, read_table, state_of
 
 RECORDING = "outdoor_flight.csv"
 ROWS = 8000
@@ -38,11 +39,11 @@ class Outdoor(NamedTuple):
         before: (T, 22) the rows before those.
     """
 
-    start: Table
-    commands: Table
-    states: Table
-    recorded: Table
-    before: Table
+    start: Floats
+    commands: Floats
+    states: Floats
+    recorded: Floats
+    before: Floats
 
 
 def fly_recorded(path: Path, precision: str = "float64") -> Outdoor:
@@ -68,7 +69,7 @@ def velocity_match(flight: Outdoor) -> Match:
     return Match(DT * np.arange(len(flight.states)), flight.recorded[:, 6:9], np.asarray(velocity), AXES)
 
 
-def reference_specific_force(vehicle: Quadrotor, before: Table, commands: Table) -> Table:
+def reference_specific_force(vehicle: Quadrotor, before: Floats, commands: Floats) -> Floats:
     """Return the reference implementation's specific force (T, 3) [m/s^2], in float64.
 
     It takes gravity from the rate of change of the body velocity, and so leaves a false -omega x v; the mean of
@@ -120,7 +121,7 @@ def _in_wind(
     return jax.lax.scan(tick, start, commands)[1]
 
 
-def fly_in_wind(start: Table, commands: Table, wind_ned: Table) -> tuple[Table, Table]:
+def fly_in_wind(start: Floats, commands: Floats, wind_ned: Floats) -> tuple[Floats, Floats]:
     """Drive models through constant winds, in float64.
 
     Args:
@@ -138,7 +139,7 @@ def fly_in_wind(start: Table, commands: Table, wind_ned: Table) -> tuple[Table, 
         return np.asarray(velocity), np.asarray(position)
 
 
-def fit_wind(still: Table, response: Table, recorded: Table) -> Table:
+def fit_wind(still: Floats, response: Floats, recorded: Floats) -> Floats:
     """Fit the constant horizontal wind (2,) [m/s], north and east, to recorded velocities.
 
     Attitude and thrust do not depend on the wind, and the rest of the model is linear in velocity and wind, so that
@@ -153,7 +154,7 @@ def fit_wind(still: Table, response: Table, recorded: Table) -> Table:
     return np.asarray(np.linalg.lstsq(columns, (recorded - still)[:, :2].reshape(-1), rcond=None)[0])
 
 
-def fly_pieces(flight: Outdoor, wind_ned: Table, steps: int, spacing: int) -> tuple[Table, Table]:
+def fly_pieces(flight: Outdoor, wind_ned: Floats, steps: int, spacing: int) -> tuple[Floats, Floats]:
     """Restart from the record every ``spacing`` rows, and fly ``steps`` rows open loop.
 
     Returns:

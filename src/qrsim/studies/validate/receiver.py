@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 import scipy
 
 from qrsim.core.allan import overlapping_allan_deviation
+from qrsim.core.arrays import Floats
 from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
@@ -22,7 +24,7 @@ from qrsim.models.gnss.receivers import GnssReceiver, SharedSky
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.studies.validate.published import MASK_DEG, RANGE_NOISE_STD, RangeErrors
-from qrsim.studies.validate.recorded import Table, read_table
+from qrsim.studies.validate.recorded import read_table
 
 # The day of the recording.
 SEED = 20110308
@@ -41,7 +43,7 @@ class Recorded(NamedTuple):
         satellites: fewest and most that were used.
     """
 
-    position_ned: Table
+    position_ned: Floats
     period: float
     site: Site
     satellites: tuple[int, int]
@@ -56,7 +58,7 @@ def recorded_receiver(path: Path) -> Recorded:
     return Recorded(site.geodetic_to_ned(latitude, longitude, height), 0.4, site, (int(used.min()), int(used.max())))
 
 
-def sky_over(path: Path, site: Site, start: Any, duration_s: float, errors: Any) -> SharedSky:
+def sky_over(path: Path, site: Site, start: datetime, duration_s: float, errors: Any) -> SharedSky:
     """Load the sky of an SP3 file over a site from a time on, in single precision as in flights."""
     ephemeris = Sp3Ephemeris(str(path))
     orbits = ephemeris.at(site, gps_seconds_from_utc(start), LIKE, duration_s)
@@ -90,7 +92,7 @@ def _fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: int) -> tu
     return jax.vmap(one)(jnp.arange(seeds, dtype=jnp.uint32))
 
 
-def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tuple[Table, tuple[int, int]]:
+def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tuple[Floats, tuple[int, int]]:
     """Simulate receivers at the origin: position errors (rows, seeds, 3) [m] and numbers of satellites used.
 
     Args:
@@ -105,7 +107,7 @@ def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tu
     return np.moveaxis(np.asarray(positions, np.float64)[:, ::every], 0, 1), (int(found.min()), int(found.max()))
 
 
-def dilution(sky: SharedSky) -> Table:
+def dilution(sky: SharedSky) -> Floats:
     """Return the variances (3,) of north, east and down per variance of a range, from the geometry at the start."""
     satellites = np.asarray(sky.orbits.positions_ned(jnp.int32(0), jnp.zeros((), LIKE)).stack(), np.float64)
     rays = satellites / np.linalg.norm(satellites, axis=1, keepdims=True)
@@ -114,7 +116,7 @@ def dilution(sky: SharedSky) -> Table:
     return np.asarray(np.diag(np.linalg.inv(design.T @ design))[:3])
 
 
-def sampled_allan_variance(autocovariance: Table, length: int) -> float:
+def sampled_allan_variance(autocovariance: Floats, length: int) -> float:
     """Return the exact Allan variance of samples, over windows of ``length`` samples.
 
     Args:
@@ -125,13 +127,13 @@ def sampled_allan_variance(autocovariance: Table, length: int) -> float:
     return float(0.5 * weights @ scipy.linalg.toeplitz(autocovariance[: 2 * length]) @ weights)
 
 
-def range_autocovariance(errors: RangeErrors, period: float, count: int) -> Table:
+def range_autocovariance(errors: RangeErrors, period: float, count: int) -> Floats:
     """Return the autocovariance (count,) [m^2] of one satellite's range, errors and receiver noise together."""
     found = np.array(errors.autocovariance(period * np.arange(count)))
     found[0] += RANGE_NOISE_STD**2
     return found
 
 
-def allan_deviations(positions: Table, period: float, lengths: Table) -> Table:
+def allan_deviations(positions: Floats, period: float, lengths: Floats) -> Floats:
     """Return overlapping Allan deviations (K, ...) of positions (T, ...) for windows of so many rows (K,)."""
     return overlapping_allan_deviation(positions, period, lengths)[1]

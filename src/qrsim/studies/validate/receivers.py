@@ -8,17 +8,19 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.models.gnss.constellations import NominalConstellations
 from qrsim.models.gnss.orbits import dilution_of_precision, elevation_azimuth
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.studies.validate.published import RECEIVER_CEP_M, SPS_MASK_DEG, SPS_PDOP, SPS_PDOP_SHARE
-from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture
-from qrsim.studies.validate.statistics import CONFIDENCE, Values, widest_z
+from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture, Verdict
+from qrsim.studies.validate.statistics import CONFIDENCE, widest_z
 
 DAY = datetime.fromisoformat("2026-06-21T00:00:00+00:00")
 # Of the geometry: rows of latitude and times of a day.
@@ -30,11 +32,11 @@ TICKS = 100
 class Fixes(NamedTuple):
     """Last fixes of a receiver that hovers, in many worlds: errors (n, 3) [m], and what it reported of them (n, 2)."""
 
-    error: Values
-    reported: Values
+    error: Floats
+    reported: Floats
 
 
-def pdops(times: int = TIMES) -> Values:
+def pdops(times: int = TIMES) -> Floats:
     """Return the position dilutions of precision of GPS over a day, (sites, times), infinite without a fix.
 
     Sites are even over the globe: fewer of them where parallels are short.
@@ -53,7 +55,7 @@ def pdops(times: int = TIMES) -> Values:
     return np.array(rows)
 
 
-def _pdop(rays: Values) -> float:
+def _pdop(rays: Floats) -> float:
     return dilution_of_precision(rays)[2] if len(rays) >= 4 else math.inf
 
 
@@ -70,7 +72,7 @@ def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
         content = {"name": "receiver", "duration": 10.0, "start_time": start.isoformat(), "fleets": {"one": fleet}}
         world = load_scenario(content, quiet=True).world()
 
-        def last(state: Any) -> Any:
+        def last(state: Any) -> tuple[jax.Array, jax.Array]:
             reading, place = state.fleets[0].readings[0], state.fleets[0].vehicle.position_ned
             error = reading.position_ned.stack() - place.stack()
             return error[0], jnp.stack([reading.horizontal_accuracy[0], reading.vertical_accuracy[0]])
@@ -148,7 +150,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 def _finding(preset: str, found: float) -> Finding:
     stated, source = RECEIVER_CEP_M[preset]
-    verdict: Any = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
+    verdict: Verdict = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
     return Finding(
         f"{preset}: circle that holds half of the fixes",
         f"{found:.2f} m, data sheet {stated:g} m",
@@ -157,7 +159,7 @@ def _finding(preset: str, found: float) -> Finding:
     )
 
 
-def _picture(found: Mapping[str, Fixes], geometry: Values) -> Picture:
+def _picture(found: Mapping[str, Fixes], geometry: Floats) -> Picture:
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import RunError
 from qrsim.models.vehicles.quadrotor import QuadrotorState, raw_to_command
-
-Table = np.ndarray[Any, np.dtype[np.floating[Any]]]
 
 DT = 0.02
 # A command that the recordings leave out.
@@ -30,13 +29,13 @@ class Match(NamedTuple):
         names: of the K columns.
     """
 
-    time: Table
-    recorded: Table
-    simulated: Table
+    time: Floats
+    recorded: Floats
+    simulated: Floats
     names: tuple[str, ...]
 
     @property
-    def residual(self) -> Table:
+    def residual(self) -> Floats:
         """Recorded minus simulated, (T, K)."""
         return self.recorded - self.simulated
 
@@ -50,12 +49,12 @@ class Match(NamedTuple):
         return {name: 1.0 - error / float(variance[i]) for i, (name, error) in enumerate(self.mean_square().items())}
 
 
-def mean_square(difference: Table, names: tuple[str, ...]) -> dict[str, float]:
+def mean_square(difference: Floats, names: tuple[str, ...]) -> dict[str, float]:
     """Return the mean squares of columns (T, K) by name."""
     return dict(zip(names, np.mean(np.square(difference, dtype=np.float64), axis=0).tolist(), strict=True))
 
 
-def read_table(path: Path, columns: int) -> Table:
+def read_table(path: Path, columns: int) -> Floats:
     """Read one recording.
 
     Raises:
@@ -75,13 +74,13 @@ def read_table(path: Path, columns: int) -> Table:
     return rows
 
 
-def command_rows(pitch: Table, roll: Table, throttle: Table, yaw: Table, battery: Table) -> Table:
+def command_rows(pitch: Floats, roll: Floats, throttle: Floats, yaw: Floats, battery: Floats) -> Floats:
     """Convert raw columns of shape (T,) to SI commands (T, 5)."""
     columns = raw_to_command(pitch, roll, throttle, yaw, battery)  # type: ignore[arg-type]
     return np.stack([columns.pitch, columns.roll, columns.throttle, columns.yaw_rate, columns.battery], axis=1)
 
 
-def state_of(states: Table) -> QuadrotorState:
+def state_of(states: Floats) -> QuadrotorState:
     """Convert rows (T, 13) to a state whose arrays have shape (T,)."""
     columns = [jnp.asarray(states[:, i]) for i in range(13)]
     return QuadrotorState(

@@ -6,7 +6,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
+
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,7 +101,7 @@ class Outcome:
     checks: list[Check]
     findings: list[Finding]
     pictures: list[Picture]
-    numbers: dict[str, Any]
+    numbers: Content
     skipped: list[str] = field(default_factory=list)
 
     @property

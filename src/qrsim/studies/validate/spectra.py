@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
+from qrsim.files import Content
 from qrsim.models.atmosphere.dryden import Dryden, DrydenState
 from qrsim.studies.validate.published import dryden_scales
 from qrsim.studies.validate.statistics import against
@@ -27,8 +30,6 @@ VEHICLES = 16
 COMPONENTS = ("u", "v", "w", "q", "r")
 # Of third octaves [rad/s], as far as omega T = 1.
 LOWEST_OMEGA, BANDS = 0.25, 23
-
-Floats = np.ndarray[Any, np.dtype[np.floating[Any]]]
 
 
 class Case(NamedTuple):
@@ -114,7 +115,7 @@ def band_levels(omega: Floats, density: Floats) -> Floats:
     return np.stack([density[:, band].mean(axis=1) for band in inside], axis=1)
 
 
-def compare(series: Floats, theory: Any, case: Case) -> tuple[dict[str, Any], Floats]:
+def compare(series: Floats, theory: Callable[[Floats], Floats], case: Case) -> tuple[Content, Floats]:
     """Return the statistics of one source, and its level over the closed form [dB] in each band, (5, BANDS).
 
     Args:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from statistics import NormalDist
-from typing import Any
+from typing import SupportsFloat
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
+
 CONFIDENCE = 0.999
 
-Values = np.ndarray[Any, np.dtype[np.floating[Any]]]
+
 Statistic = dict[str, float]
 
 
-def against(value: Any, expected: float, standard_error: float) -> Statistic:
+def against(value: SupportsFloat, expected: float, standard_error: float) -> Statistic:
     """Return a statistic (a number of any type) that is normal about ``expected`` under the hypothesis."""
     z = (float(value) - expected) / standard_error
     return {"value": float(value), "expected": expected, "z": z, "p": math.erfc(abs(z) / math.sqrt(2.0))}
@@ -42,7 +44,7 @@ def widest_z(count: int) -> float:
     return NormalDist().inv_cdf(1.0 - (1.0 - CONFIDENCE) / (2.0 * count))
 
 
-def mean_and_error(estimates: Values, axis: int = 0) -> tuple[Values, Values]:
+def mean_and_error(estimates: Floats, axis: int = 0) -> tuple[Floats, Floats]:
     """Return the mean of independent estimates along an axis, and its standard error from the spread between them."""
     count = estimates.shape[axis]
     error = np.std(estimates, axis=axis, ddof=1) / math.sqrt(count)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.files import Content
 from qrsim.studies.validate.outdoor import (
     AXES,
@@ -21,7 +22,7 @@ from qrsim.studies.validate.outdoor import (
     specific_force_errors,
     velocity_match,
 )
-from qrsim.studies.validate.recorded import DT, Match, Table
+from qrsim.studies.validate.recorded import DT, Match
 from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 
 # docs/explanation/paper.md: held against recordings.
@@ -43,17 +44,17 @@ class Windy(NamedTuple):
         velocity, position: by the name of the wind, (T, 3) each.
     """
 
-    wind: Table
-    wind_first_half: Table
-    velocity: dict[str, Table]
-    position: dict[str, Table]
+    wind: Floats
+    wind_first_half: Floats
+    velocity: dict[str, Floats]
+    position: dict[str, Floats]
 
 
 def fly_winds(flight: Outdoor) -> Windy:
     """Fly in still air, in the best constant wind, and in the best wind of the first half."""
     steps = len(flight.commands)
 
-    def fly(winds: Table) -> tuple[Table, Table]:
+    def fly(winds: Floats) -> tuple[Floats, Floats]:
         count = len(winds)
         commands = np.broadcast_to(flight.commands[:, :, None], (steps, 5, count))
         return fly_in_wind(np.broadcast_to(flight.start, (count, 13)), commands, winds)
@@ -74,7 +75,7 @@ def fly_winds(flight: Outdoor) -> Windy:
     )
 
 
-def horizons(flight: Outdoor, wind: Table) -> dict[str, dict[str, float]]:
+def horizons(flight: Outdoor, wind: Floats) -> dict[str, dict[str, float]]:
     """Compute the rms error [m/s] of the horizontal velocity after given seconds of open-loop flight."""
     steps = round(max(HORIZONS_S) / DT)
     found: dict[str, dict[str, float]] = {}
@@ -90,7 +91,7 @@ def horizons(flight: Outdoor, wind: Table) -> dict[str, dict[str, float]]:
     return found
 
 
-def _rms(difference: Table) -> float:
+def _rms(difference: Floats) -> float:
     """Return the root mean square length of vectors (n, 2)."""
     return float(np.sqrt(np.mean(np.sum(np.square(difference), axis=-1))))
 
@@ -176,7 +177,7 @@ def _numbers(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], 
     }
 
 
-def _from_start(flight: Outdoor, position: Table) -> Table:
+def _from_start(flight: Outdoor, position: Floats) -> Floats:
     """Return simulated minus recorded position (T, 3), both counted from the first row."""
     return np.asarray((position - flight.start[:3]) - (flight.recorded[:, :3] - flight.before[0, :3]))
 

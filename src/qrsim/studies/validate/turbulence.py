@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.files import Content
 from qrsim.studies.validate.hover_gusts import (
     CASE,
@@ -31,7 +32,6 @@ from qrsim.studies.validate.spectra import (
     DT,
     LOWEST_OMEGA,
     Case,
-    Floats,
     closed_form,
     compare,
     our_series,
@@ -40,6 +40,9 @@ from qrsim.studies.validate.spectra import (
     welch,
 )
 from qrsim.studies.validate.statistics import CONFIDENCE, p_values, widest_z
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SEED = 19801105
 STEPS, FEW_STEPS = 131_072, 65_536
@@ -70,7 +73,7 @@ def study_case(
     return results, series, levels
 
 
-def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Floats]) -> Any:
+def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Floats]) -> Figure:
     """Draw the spectra of u, v and w of one case, and below them each source's level over the closed form."""
     from qrsim.runs.picture import new_figure
 

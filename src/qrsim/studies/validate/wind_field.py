@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, record_of
 from qrsim.core.vectors import Vec3
@@ -26,7 +27,7 @@ from qrsim.models.atmosphere.field import DrydenField
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.studies.validate.published import dryden_scales, wind_over_20ft
 from qrsim.studies.validate.report import Check, Outcome, Part, Picture
-from qrsim.studies.validate.statistics import CONFIDENCE, Values, mean_and_error, widest_z
+from qrsim.studies.validate.statistics import CONFIDENCE, mean_and_error, widest_z
 
 Evolution = Literal["lifetime", "frozen"]
 
@@ -58,7 +59,7 @@ def _gusts(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax.Ar
     return jax.vmap(one)(jnp.arange(worlds, dtype=jnp.uint32))
 
 
-def gusts(place: Values, seconds: Values, worlds: int, evolution: Evolution = "lifetime") -> Values:
+def gusts(place: Floats, seconds: Floats, worlds: int, evolution: Evolution = "lifetime") -> Floats:
     """Return gusts (W, n, 3) [m/s] of a field in wind to the north, at places (n, 3) and seconds (n,)."""
     given = record_of(DrydenField, speed_20ft=SPEED_20FT, evolution=evolution)
     field = jax.tree.map(jnp.asarray, cast(given, np.float32))
@@ -91,7 +92,7 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
     every = gusts(places, np.zeros(len(places)), worlds).reshape(worlds, -1, PAIRS, 3)
     _, sigma = dryden_scales(HEIGHT, SPEED_20FT)
 
-    def parts_of(gust: Values) -> dict[str, Values]:
+    def parts_of(gust: Floats) -> dict[str, Floats]:
         return {"along": _part(gust, ahead), "across": _part(gust, aside), "vertical": gust[:, :, 2]}
 
     first = parts_of(every[:, 0])
@@ -109,7 +110,7 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
     return found
 
 
-def _ratio(above: Values, below: Values) -> tuple[float, float]:
+def _ratio(above: Floats, below: Floats) -> tuple[float, float]:
     """Return the ratio of the means of (W, n), and its standard error over the worlds, to first order."""
     a, b = above.mean(axis=1), below.mean(axis=1)
     ratio = float(a.mean() / b.mean())
@@ -117,11 +118,11 @@ def _ratio(above: Values, below: Values) -> tuple[float, float]:
     return ratio, float(error)
 
 
-def _part(gust: Values, axis: Values) -> Values:
+def _part(gust: Floats, axis: Floats) -> Floats:
     return np.asarray(np.einsum("wni,ni->wn", gust, axis))
 
 
-def kept(lifetimes: object) -> Values:
+def kept(lifetimes: object) -> Floats:
     """Return the correlation of gusts after times in lifetimes, of any shape, in the frame that moves with the field.
 
     The autocorrelation of sin^2 over half a turn.

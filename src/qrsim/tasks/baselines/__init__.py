@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Draw, Key
@@ -30,6 +31,7 @@ from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
 from qrsim.tasks.speaking import ACT, SAY
 from qrsim.tasks.teams import apart, by_fleet, together
+from qrsim.world.state import State
 
 __all__ = [
     "Baseline",
@@ -103,7 +105,7 @@ class BaselinePolicy:
     def __init__(self, play: Play, seed: int = 0):
         self.play, self.seed = play, seed
         self._baseline = baseline(play, seed)
-        self._memory: Any = None
+        self._memory: object = None
         self._observe = jax.jit(self._observed)
 
     def __call__(self, reading: Any) -> dict[str, object]:
@@ -139,10 +141,10 @@ class BaselinePolicy:
     def _like(self) -> NumpyArray:
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
-    def _init(self, state: Any) -> object:
+    def _init(self, state: State) -> object:
         ids = jnp.arange(self.play.task.ids, dtype=jnp.uint32)
         stream = Key.root(self.seed).stream(TASK, ids)
         return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
 
-    def _observed(self, memory: Any, state: Any, tick: Any) -> object:
+    def _observed(self, memory: object, state: State, tick: Array) -> object:
         return self.play.observed(memory, state, tick)

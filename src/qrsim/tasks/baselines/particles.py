@@ -8,7 +8,6 @@ locations, and as they explain the measurements.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -188,7 +187,7 @@ class Particles:
         turned = chosen + np.pi * random.integers(0, 2, count) + random.normal(0.0, 0.01, count)
         return np.asarray(turned, np.float32)
 
-    def _random_rates(self, shape: Any) -> NumpyArray:
+    def _random_rates(self, shape: int | tuple[int, ...]) -> NumpyArray:
         """Return logarithms of rates of sources."""
         low, high = np.log(self.plume.rates)
         return np.asarray(self._random.uniform(low, high, shape), np.float32)

@@ -106,7 +106,7 @@ class FixedWing(Aeroplane, Vehicle):
         state: FixedWingState,
         command: Any,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Any,
+        noise: object,
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedWingState, Vec3]:

@@ -181,7 +181,7 @@ def stabilised(
         command = command.command
     fastest = jnp.broadcast_to(model.speed_max * share, like.shape)
     failed = () if around is None else around.failed_rotors
-    health: list[Any] = [1.0] * len(model.rotors)
+    health: list[Array | float] = [1.0] * len(model.rotors)
     for number, left, _ in failed:
         health[number] = health[number] * left
     loops = Loops(jnp.ones_like(like), jnp.zeros_like(like), state.rate_integral)

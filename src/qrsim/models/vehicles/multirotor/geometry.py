@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -100,7 +100,9 @@ def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number,
     return -c, *torque  # type: ignore[return-value]
 
 
-def allocation(rotors: Sequence[Rotor], torque_ratio: Array, without: Sequence[int] = (), yaw: bool = True) -> Any:
+def allocation(
+    rotors: Sequence[Rotor], torque_ratio: Array, without: Sequence[int] = (), yaw: bool = True
+) -> list[list[Number]]:
     """Return the pseudo-inverse of the rotors' effects: N rows of four, thrust [N] for each N and N m that is wanted.
 
     Args:
@@ -154,7 +156,7 @@ def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[in
     return min(thrusts) > 0.05 * max(thrusts)
 
 
-def _sum(terms: Any) -> Number:
+def _sum(terms: Iterable[Number]) -> Number:
     total: Number = 0.0
     for term in terms:
         if not (isinstance(term, float) and term == 0.0):

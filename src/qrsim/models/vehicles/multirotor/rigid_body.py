@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -114,7 +113,7 @@ def substep(
     """
     first = motion
 
-    def turn(i: Array, carried: Any) -> Any:
+    def turn(i: Array, carried: tuple[Motion, Motion, Outcome]) -> tuple[Motion, Motion, Outcome]:
         here, total, outcome = carried
         slope, specific, touched = slope_of(model, here, targets, around)
         edge = (i == 0) | (i == 3)

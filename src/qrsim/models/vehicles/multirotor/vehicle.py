@@ -10,8 +10,10 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.noise import Noise
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import record, replace
@@ -210,7 +212,7 @@ class Multirotor(Airframe, Vehicle):
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
 
-    def leaning(self, tilt: object) -> tuple[Any, Any] | None:
+    def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike] | None:
         """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad]."""
         return leaning(self, tilt)
 
