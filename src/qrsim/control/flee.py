@@ -21,7 +21,7 @@ class FleeGuidance(RouteGuidance):
     flees, both where their sensors say they are.
     """
 
-    speed: Array = parameter(default=3.0, unit="m/s", doc="speed of the flight", minimum=0.0, maximum=15.0)
+    speed: Array = parameter(default=3.0, unit="m/s", doc="speed of the evasion", minimum=0.0, maximum=15.0)
 
     gives: ClassVar[type] = VelocityHeightSetpoint
     sees_others: ClassVar[bool] = True

@@ -36,7 +36,7 @@ class RouteState:
     reached: Array = quantity(doc="int32 waypoints reached so far")
     overfull: Array | None = quantity(
         default=None,
-        doc="int32 looks for others in which some may have been missed for want of room; None: there always is room",
+        doc="int32 searches for neighbours that may have missed some for lack of room; None: there is always room",
     )
 
     @staticmethod
@@ -67,7 +67,7 @@ class RouteFollower(RouteGuidance):
     acceptance_radius: Array = parameter(
         default=3.0, unit="m", doc="distance at which a waypoint counts as reached", above=0.0
     )
-    repeat: bool = setting(default=True, doc="start again after the last waypoint, else hold there")
+    repeat: bool = setting(default=True, doc="repeat the route after the last waypoint; if false, hold there")
 
     gives: ClassVar[type] = WaypointSetpoint
 

@@ -60,8 +60,8 @@ class Wind:
     """The mean wind that carries a plume, ()."""
 
     speed: Array = quantity(unit="m/s", doc="speed 6 m above the ground")
-    north: Array = quantity(unit="1", doc="where it blows to, unit vector")
-    east: Array = quantity(unit="1", doc="where it blows to, unit vector")
+    north: Array = quantity(unit="1", doc="direction of the wind, unit vector downwind")
+    east: Array = quantity(unit="1", doc="direction of the wind, unit vector downwind")
 
     @staticmethod
     def of(velocity_ned: Vec3) -> Wind:
@@ -243,7 +243,7 @@ class PuffPlume(Plume):
         default=256, unit="1", doc="most puffs of a source in the air at once", minimum=1, maximum=100_000
     )
     period: float = setting(
-        default=0.5, unit="s", doc="interval between looks for a release, a multiple of the time step", above=0.0
+        default=0.5, unit="s", doc="interval between checks for a release, a multiple of the time step", above=0.0
     )
     needs_wind: ClassVar[bool] = True
     changes: ClassVar[bool] = True
