@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from tools import reference, site
 from tools.reference import environment_variables
 from tools.site_source import BrokenLinkError, collect, pages
@@ -18,6 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # Those that build every schema or compile a world: one process makes them, without what other tests have registered.
 SLOW = ("components", "scenario_schema", "log_columns")
 ADVICE = "run 'make docs-pages'"
+# Pages with a goal: each names the questions that it answers, for a fresh reader before a release.
+ANSWERING = [page for kind in ("start", "howto", "explanation") for page in (ROOT / "docs" / kind).rglob("*.md")]
 
 
 @pytest.mark.parametrize("module", [name for name in reference.MODULES if name not in SLOW])
@@ -107,6 +110,29 @@ def test_every_public_name_has_an_entry() -> None:
     page = (ROOT / "docs" / "reference" / "api" / "qrsim.md").read_text("utf-8")
     entries = re.findall(r"^::: qrsim\.(\w+)$", page, re.MULTILINE)
     assert sorted(entries) == sorted(set(qrsim.__all__) - {"__version__"})
+
+
+def prose_words(text: str) -> int:
+    """Return the words of a page without its head, code, comments and tables."""
+    text = re.sub(r"\A---\n.*?\n---\n", "", text, flags=re.DOTALL)
+    text = re.sub(r"^ *```.*?^ *```$|<!--.*?-->|^\|.*?$", "", text, flags=re.MULTILINE | re.DOTALL)
+    return len(text.split())
+
+
+def test_words_are_those_of_the_prose() -> None:
+    head, table, code = "---\na: b\n---\n", "| a | b |\n|---|---|\n", "```text\nc d\n```\n"
+    assert prose_words(f"{head}\n# One two\n\n{table}\n{code}<!--ev a.b\nc.d -->\nThree `four` five.\n") == 6
+
+
+@pytest.mark.parametrize("page", ANSWERING, ids=lambda page: page.relative_to(ROOT / "docs").as_posix())
+def test_a_page_names_three_questions_and_is_short(page: Path) -> None:
+    text = page.read_text("utf-8")
+    _, head, body = text.split("---\n", 2)
+    questions = yaml.safe_load(head)["questions"]
+    assert len(set(questions)) == 3
+    assert [each for each in questions if not re.fullmatch(r"[A-Z].{15,100}\?", each)] == []
+    assert body.startswith("\n# ")
+    assert page.parent.name == "models" or prose_words(text) <= 1200
 
 
 class TestCollecting:
