@@ -13,7 +13,7 @@ CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard docs/wr
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures docs docs-serve docs-pages proto dist clean help
+.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures docs docs-serve docs-zip docs-publish docs-pages proto dist clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -100,6 +100,12 @@ docs: $(DOCS)  ## build the documentation site into build/site; a broken link or
 
 docs-serve: $(DOCS)  ## serve the site at http://localhost:8000 and follow changes of the pages
 	@$(BIN)/python -m tools.site serve
+
+docs-zip: $(DOCS)  ## write the site for reading without a server into build/qrsim-docs-VERSION.zip
+	@$(BIN)/python -m tools.site zip
+
+docs-publish: $(DOCS)  ## commit the site to the branch gh-pages (ARGS=dev or ARGS=release)
+	@$(BIN)/python -m tools.publish_docs $(ARGS)
 
 docs-pages: $(TOOLS)  ## write the pages of docs/reference/ that are generated from the code
 	@$(BIN)/python -m tools.reference

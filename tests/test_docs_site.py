@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 import subprocess
 import sys
+import time
+import zipfile
 from pathlib import Path
 
 import pytest
 import yaml
-from tools import reference, site
+from tools import offline_site, publish_docs, reference, site
+from tools.publish_docs import git
 from tools.reference import environment_variables
 from tools.site_source import BrokenLinkError, collect, pages
 
 import qrsim
+from qrsim.view.browser import Browser, find_browser
 
 ROOT = Path(__file__).resolve().parent.parent
 # Those that build every schema or compile a world: one process makes them, without what other tests have registered.
@@ -180,3 +186,102 @@ class TestCollecting:
         (root / "docs" / "air.md").write_text("[gone](gone.md)\n", "utf-8")
         with pytest.raises(BrokenLinkError, match=r"docs/air\.md: link to 'gone\.md', which does not exist"):
             collect(root, root / "out", "")
+
+
+class TestPublishing:
+    """A repository with one commit, and a site of two pages."""
+
+    @pytest.fixture
+    def root(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+        # A git hook that runs the tests sets these.
+        for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_PREFIX"):
+            monkeypatch.delenv(name, raising=False)
+        for kind in ("AUTHOR", "COMMITTER"):
+            monkeypatch.setenv(f"GIT_{kind}_NAME", "a")
+            monkeypatch.setenv(f"GIT_{kind}_EMAIL", "a@example.org")
+        root = tmp_path / "repository"
+        root.mkdir()
+        git(root, "init", "--quiet", "--initial-branch=main")
+        (root / ".gitignore").write_text("*.png\nsite/\n", "utf-8")
+        git(root, "add", ".gitignore")
+        git(root, "commit", "--quiet", "--message=first")
+        return root
+
+    def publish(self, root: Path, text: str, version: str, title: str, latest: bool) -> str:
+        site_folder = root / "site"
+        (site_folder / "start").mkdir(parents=True, exist_ok=True)
+        (site_folder / "index.html").write_text(text, "utf-8")
+        (site_folder / "start" / "a.png").write_bytes(b"ignored elsewhere")
+        return publish_docs.publish(root, site_folder, version, title, latest)
+
+    def test_versions_have_folders_and_latest_is_the_newest_release(self, root: Path) -> None:
+        first = self.publish(root, "of main", "dev", "dev", latest=False)
+        assert "url=dev/" in git(root, "show", "gh-pages:index.html")
+        self.publish(root, "two", "0.2", "0.2.0", latest=True)
+        self.publish(root, "ten", "0.10", "0.10.0", latest=True)
+        last = self.publish(root, "ten again", "0.10", "0.10.1", latest=True)
+        assert git(root, "ls-tree", "--name-only", "gh-pages").split() == [
+            ".nojekyll", "0.10", "0.2", "dev", "index.html", "latest", "versions.json",
+        ]  # fmt: skip
+        assert [git(root, "show", f"gh-pages:{name}/index.html") for name in ("dev", "0.2", "0.10", "latest")] == [
+            "of main", "two", "ten again", "ten again",
+        ]  # fmt: skip
+        assert git(root, "show", "gh-pages:latest/start/a.png") == "ignored elsewhere"
+        assert json.loads(git(root, "show", "gh-pages:versions.json")) == [
+            {"version": "dev", "title": "dev", "aliases": []},
+            {"version": "0.10", "title": "0.10.1", "aliases": ["latest"]},
+            {"version": "0.2", "title": "0.2.0", "aliases": []},
+        ]
+        assert "url=latest/" in git(root, "show", "gh-pages:index.html")
+        assert git(root, "rev-list", "gh-pages").split()[::3] == [last, first]
+
+    def test_the_work_tree_and_the_other_branches_stay(self, root: Path) -> None:
+        before = git(root, "rev-parse", "main")
+        self.publish(root, "two", "0.2", "0.2.0", latest=True)
+        assert git(root, "status", "--porcelain") == ""
+        assert git(root, "symbolic-ref", "--short", "HEAD") == "main"
+        assert git(root, "rev-parse", "main") == before
+
+    def test_other_words_publish_nothing(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert publish_docs.main(["releases"]) == 2
+        assert capsys.readouterr().err == "usage: python -m tools.publish_docs dev | release\n"
+
+
+class TestOffline:
+    def test_the_configuration_has_the_plugin_and_no_versions(self) -> None:
+        text = offline_site.configuration((ROOT / "mkdocs.yml").read_text("utf-8"))
+        assert "\nplugins:\n  - offline\n  - search\n" in text
+        assert "\nsite_dir: build/site-offline\n" in text
+        assert "mike" not in text
+
+    def test_pages_load_the_worker_of_the_site(self, tmp_path: Path) -> None:
+        shim = '<script src="https://unpkg.com/iframe-worker/shim"></script>'
+        (tmp_path / "start").mkdir()
+        for name in ("index.html", "start/air.html", "404.html"):
+            (tmp_path / name).write_text("none" if name == "404.html" else shim, "utf-8")
+        assert offline_site.complete(tmp_path) == 2
+        page = (tmp_path / "start" / "air.html").read_text("utf-8")
+        assert page == '<script src="../assets/offline_worker.js"></script>'
+        for name in ("one", "two"):
+            (tmp_path / name).mkdir()
+            offline_site.pack(tmp_path / "start", tmp_path / name / "docs.zip")
+        assert zipfile.ZipFile(tmp_path / "one" / "docs.zip").namelist() == ["docs/air.html"]
+        assert (tmp_path / "one" / "docs.zip").read_bytes() == (tmp_path / "two" / "docs.zip").read_bytes()
+
+    @pytest.mark.long
+    @pytest.mark.skipif(find_browser() is None, reason="needs chromium")
+    def test_a_page_opened_as_a_file_has_a_worker(self, tmp_path: Path) -> None:
+        (tmp_path / "w.js").write_text('onmessage = e => importScripts("d.js").then(() => postMessage(e.data + d))')
+        (tmp_path / "d.js").write_text('var d = "!"')
+        shutil.copy(offline_site.WORKER, tmp_path / "shim.js")
+        page = tmp_path / "index.html"
+        page.write_text(
+            '<body><script src="shim.js"></script><script>const w = new Worker("w.js");'
+            'w.addEventListener("message", e => document.title = e.data); w.postMessage("heard")</script></body>'
+        )
+        with Browser() as browser:
+            browser.open(page.as_uri())
+            end = time.monotonic() + 30.0
+            while browser.evaluate("document.title") != "heard!":
+                assert time.monotonic() < end
+                time.sleep(0.05)
