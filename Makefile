@@ -39,8 +39,8 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 COMPILE := $(BIN)/python -m compileall -q -j 0 -x '[/\\]tests?[/\\]' .venv/lib || true
 
 $(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
-		echo "qrsim needs Python 3.11, 3.12 or 3.13, and '$(PYTHON)' is not one: $$($(PYTHON) --version 2>&1)"; \
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || { \
+		echo "qrsim needs Python 3.11 to 3.14, and '$(PYTHON)' is not one: $$($(PYTHON) --version 2>&1)"; \
 		echo "name another: make $(or $(firstword $(MAKECMDGOALS)),install) PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv .venv || { echo "no .venv could be made: on Debian or Ubuntu, install python3-venv"; exit 1; }
 	$(PIP) .

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tools import offline_site, publish_docs, reference, site
+from tools import offline_site, publish_docs, reference, release_notes, site
 from tools.publish_docs import git
 from tools.reference import environment_variables
 from tools.site_source import BrokenLinkError, collect, pages
@@ -285,3 +285,34 @@ class TestOffline:
             while browser.evaluate("document.title") != "heard!":
                 assert time.monotonic() < end
                 time.sleep(0.05)
+
+
+class TestReleaseNotes:
+    CHANGES = "\n\n".join(
+        (
+            "# Changes",
+            "## [Unreleased]",
+            "## [0.20.0]",
+            "ten",
+            "## [0.2.0] - 2026-11-26",
+            "You can fly.",
+            "## [0.1.0]",
+            "",
+        )
+    )
+
+    def test_a_section_ends_where_the_next_begins(self) -> None:
+        assert release_notes.notes(self.CHANGES, "0.2.0") == "You can fly."
+        assert [release_notes.notes(self.CHANGES, version) for version in ("0.1.0", "2.0", "0.2")] == ["", "", ""]
+
+    def test_a_tag_of_another_version_has_none(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert release_notes.main(["v99.0.0"]) == 1
+        assert capsys.readouterr().err.startswith("v99.0.0: pyproject.toml states ")
+        assert release_notes.main(["v1"]) == 2
+
+    def test_the_changes_of_this_version_have_addresses(self, capsys: pytest.CaptureFixture[str]) -> None:
+        version = re.findall(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text("utf-8"), re.MULTILINE)[0]
+        assert release_notes.main([f"v{version}"]) == 0
+        printed = capsys.readouterr().out
+        assert len(printed.split()) > 10
+        assert [link for link in re.findall(r"\]\((\S+)\)", printed) if not link.startswith("https://")] == []

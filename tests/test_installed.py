@@ -41,7 +41,7 @@ print(flights)
 def newest_python() -> str:
     """The newest interpreter of this machine that the package supports."""
     installed = Path(os.environ.get("PYENV_ROOT", "/nowhere")) / "versions"
-    for minor in (13, 12):
+    for minor in (14, 13, 12):
         candidates = [shutil.which(f"python3.{minor}"), *map(str, sorted(installed.glob(f"3.{minor}.*/bin/python")))]
         for candidate in candidates:
             if candidate and subprocess.run([candidate, "-c", "import venv, ensurepip"], check=False).returncode == 0:
