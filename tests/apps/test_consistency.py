@@ -50,7 +50,11 @@ def test_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     print_consistency([Row("velocity", 1.234, 1.1, 1.368, 9), Row("bias", 0.5, NAN, NAN, 1)])
     head, velocity, bias = capsys.readouterr().out.splitlines()[1:]
     assert head == "squared errors of the estimate divided by its reported covariance (ANEES; 1 if consistent)"
-    assert velocity.split(maxsplit=2) == ["velocity", "1.23", "95 % interval 1.10 to 1.37, errors exceed the reported ones"]
+    assert velocity.split(maxsplit=2) == [
+        "velocity",
+        "1.23",
+        "95 % interval 1.10 to 1.37, errors exceed the reported ones",
+    ]
     # One run has no interval.
     assert bias.split() == ["bias", "0.50"]
     print_consistency([Row("position", 27.0, NAN, NAN, 1)])
