@@ -44,7 +44,7 @@ class CascadeState:
 
 @record
 class CascadeController(Controller):
-    """Holds places, paths, velocities and heights in wind; for any vehicle that takes tilt and throttle."""
+    """Holds positions, paths, velocities and heights in wind; for any vehicle that takes tilt and throttle."""
 
     position_gain: Array = parameter(default=1.2, unit="1/s", doc="commanded horizontal speed per metre of error")
     height_gain: Array = parameter(default=1.0, unit="1/s", doc="commanded climb rate per metre of error")

@@ -87,7 +87,7 @@ class HeightController(QuadrotorController):
 
 @record
 class WaypointController(HeightController):
-    """Flies to a waypoint at a limited speed, holding height and heading."""
+    """Flies to a waypoint at a limited speed, and holds height and heading."""
 
     position_gain: Array = parameter(default=0.9, unit="1/s", doc="commanded speed per metre of error")
     speed_limit: Array = parameter(
@@ -138,7 +138,7 @@ class VelocityControllerState:
 
 @record
 class VelocityController(QuadrotorController):
-    """Flies at a velocity over ground, holding the heading."""
+    """Flies at a velocity over ground, and holds the heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
     climb: ClimbLoop = quantity(default=ClimbLoop(), doc="vertical loop")
@@ -191,7 +191,7 @@ class VelocityHeightState:
 
 @record
 class VelocityHeightController(HeightController):
-    """Flies at a horizontal velocity over ground, holding height and heading."""
+    """Flies at a horizontal velocity over ground, and holds height and heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
     height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
@@ -228,7 +228,7 @@ class VelocityHeightController(HeightController):
 
 @record
 class AttitudeHeightController(HeightController):
-    """Hands tilt to the platform's own stabilisation, holding height and heading."""
+    """Passes tilt to the platform's own stabilisation, and holds height and heading."""
 
     height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
     tilt_limit: Array = _tilt_limit()
@@ -256,7 +256,7 @@ class AttitudeHeightController(HeightController):
 
 @record
 class AttitudeController(QuadrotorController):
-    """Hands tilt and normalised thrust to the platform, holding the heading."""
+    """Passes tilt and normalised thrust to the platform, and holds the heading."""
 
     hover_throttle: Array = parameter(
         default=0.59,

@@ -39,7 +39,7 @@ class FixedWingControllerState:
 
 @record
 class FixedWingController(Controller):
-    """Flies along lines and round circles at a height and an airspeed; a place is a circle round it."""
+    """Flies along lines and circles at a height and an airspeed; for a place, it circles around it."""
 
     airspeed: Array = parameter(
         default=0.0, unit="m/s", doc="airspeed of set-points without one; 0: the vehicle's cruise airspeed", minimum=0.0

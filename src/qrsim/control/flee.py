@@ -15,7 +15,7 @@ from qrsim.core.vectors import Vec3
 
 @record
 class FleeGuidance(RouteGuidance):
-    """Flees from the vehicles of all other fleets at the height of the first waypoint (of the start without one).
+    """Flees from the vehicles of all other fleets, at the height of the first waypoint, or of the start without one.
 
     The direction is the sum over those who fly of d/|d|^2, d the horizontal offset from a pursuer to the one who
     flees, both where their sensors say they are.

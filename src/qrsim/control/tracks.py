@@ -83,7 +83,7 @@ class RoverGuidance(RouteGuidance):
 
 @record
 class FixedWingGuidance(RouteGuidance):
-    """Flies along the lines between waypoints, and round the last one; without waypoints round the start."""
+    """Flies along the lines between waypoints, and circles the last one; without waypoints, the start."""
 
     acceptance_radius: Array = parameter(
         default=40.0,

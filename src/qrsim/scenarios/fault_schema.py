@@ -94,7 +94,7 @@ class InjectableSpec(Strict):
         description="numbers of rotors, from 0, at most four, or all, of which the first four",
         json_schema_extra=or_all,
     )
-    battery: bool = Field(False, description="whether the battery may lose charge", strict=True)
+    battery: bool = Field(False, description="the battery can be made to lose charge", strict=True)
     delay_max: Finite = Field(0.0, description="longest delay of kind delayed [s]", ge=0, le=60)
 
 

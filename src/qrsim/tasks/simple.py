@@ -208,7 +208,7 @@ class Commanded(Task):
 
 @record
 class KeepSpot(Commanded):
-    """Stay at the start, with little effort; the costs of several vehicles are summed."""
+    """Stay at the start with little effort; the costs of several vehicles are added."""
 
     def sees(self, world: World) -> tuple[Axis, ...]:
         """Describe the numbers of an observation."""

@@ -18,7 +18,7 @@ _MIGRATION_GAIN = 0.25
 
 @record
 class FlockingGuidance(TeamGuidance):
-    """Flies as a flock at the height of the first waypoint, and to it, where ``migration`` is above zero.
+    """Flies as a flock at the height of the first waypoint, and towards it if ``migration`` is above zero.
 
     C. W. Reynolds, Flocks, herds and schools: a distributed behavioral model, SIGGRAPH 1987. The rules give velocities:
     away from who is nearer than ``separation``, the mean velocity of all that are known, and to their middle.

@@ -42,7 +42,7 @@ def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Arra
 
 @record
 class FormationGuidance(TeamGuidance):
-    """Holds the formation in which the first waypoints of the fleet (their starts without one) lie to each other.
+    """Holds the formation of the fleet's first waypoints, or of the starts without waypoints.
 
     With a leader, the first vehicle flies to its last waypoint, and the others follow: who knows it takes its velocity,
     and gives it ``leader_weight`` of the consensus, all others together the rest (W. Ren, Consensus strategies for

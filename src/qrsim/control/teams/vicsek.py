@@ -35,7 +35,7 @@ def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
 
 @record
 class VicsekGuidance(TeamGuidance):
-    """Flies at one speed in the mean direction of all within reach, at the height of the first waypoint.
+    """Flies at one speed in the mean direction of all neighbours, at the height of the first waypoint.
 
     The noise of the model is that of wind, receivers and links; it draws none of its own.
     """

@@ -60,7 +60,7 @@ class Sums(NamedTuple):
 
 @record
 class DrydenField(Turbulence):
-    """One turbulent field that all vehicles of a world fly through, with Dryden or von Karman spectra at each."""
+    """One turbulent field that all vehicles of a world share, with Dryden or von Karman spectra at each vehicle."""
 
     speed_20ft: Array = parameter(
         default=None,

@@ -18,7 +18,7 @@ PER_HEIGHT, AT_GROUND, FARTHEST = 0.8, 16.0, 300.0
 
 @record
 class RidgeLift(Updraft):
-    """Air that rises where the wind blows up a slope, and sinks where it blows down."""
+    """Air that rises on windward slopes and sinks on lee slopes."""
 
     decay_height: Array = parameter(
         default=150.0,

@@ -187,7 +187,7 @@ def _linear(values: Array, cells: tuple[tuple[Array, Array] | None, ...]) -> Arr
 
 @record
 class WindGridFile:
-    """A wind read from a NetCDF file: u to the east, v to the north and w upwards over x, y, z and perhaps time.
+    """A wind from a NetCDF file: u to the east, v to the north and w upwards over x, y, z and, optionally, time.
 
     x (east), y (north) and z (up) are in metres, evenly spaced in x and y; velocities in m/s. All of that stands in the
     file's attributes, as the CF conventions have it; what is missing or something else is refused. The file must cover

@@ -58,7 +58,7 @@ class Jammer:
 
 @record
 class Disc:
-    """A plain jammer: no receiver tracks any satellite within a radius."""
+    """A simple jammer: no receiver tracks any satellite within a radius."""
 
     position_ned: Array = parameter(unit="m", doc="position of its centre: north, east, down", length=3)
     radius: Array = parameter(default=100.0, unit="m", doc="radius around the centre", minimum=0.0)
@@ -68,7 +68,7 @@ class Disc:
 
 @record
 class Spoofer:
-    """A transmitter of satellites' signals that are false: it moves the fixes of those that take them for true."""
+    """A transmitter of false satellite signals, which moves the fixes of receivers that accept them."""
 
     position_ned: Array = parameter(unit="m", doc="centre of its range", length=3)
     offset_ned: Array = parameter(unit="m", doc="offset of a fix at the start", length=3)

@@ -114,7 +114,7 @@ class GaussianState:
 
 @record
 class GaussianPlume(Plume):
-    """A three-dimensional Gaussian around each source, at rest whatever the wind."""
+    """A three-dimensional Gaussian around each source, independent of the wind."""
 
     peak: Array = parameter(default=1.0, unit="1", doc="concentration in the middle", above=0.0)
     std_min: Array = parameter(default=3.0, unit="m", doc="smallest standard deviation along an axis", above=0.0)
@@ -225,7 +225,7 @@ class PuffState:
 
 @record
 class PuffPlume(Plume):
-    """Single puffs at random times, carried by the wind.
+    """Single puffs at random times, which the wind carries.
 
     c = q/(pi s)^1.5 exp(-((x' - u t)^2 + y'^2)/s) [exp(-(z-H)^2/s) + exp(-(z+H)^2/s)], t the age of the puff, zero
     upwind. The reference prints (2 pi s)^1.5, which loses 65 % of the mass; as it is here the time integral of puffs

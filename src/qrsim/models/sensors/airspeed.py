@@ -48,7 +48,7 @@ class AirspeedState:
 
 @record
 class Airspeed(Sensor):
-    """Dynamic pressure of the air from ahead, and the speeds that follow from it.
+    """Dynamic pressure of the air from ahead, and the airspeeds computed from it.
 
     Parameters that are not given are those of the preset. A root has no sign, so the speeds have none, and below
     ``speed_min``, where noise and offset are as large as what is measured, there are none.

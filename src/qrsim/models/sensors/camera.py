@@ -129,7 +129,7 @@ class PersonClassifier:
 
 @record
 class Camera(Sensor):
-    """Takes pictures straight down; a classifier gives each window a score, and from it a log-likelihood ratio.
+    """A camera that points straight down, with a classifier: a log-likelihood ratio for each window of the picture.
 
     Camera x is body y, camera y is minus body x, camera z is body z. A window is as large as a person looks in the
     middle of the picture, so a picture has the more windows the higher it is taken.

@@ -81,7 +81,7 @@ class ImuState:
 
 @record
 class Imu(Sensor):
-    """Gyroscope and accelerometer of one chip: noise, wandering bias, scale, misalignment, vibration, quantisation.
+    """Gyroscope and accelerometer of one chip: noise, bias, scale, misalignment, vibration, quantisation.
 
     Parameters that are not given are those of the preset. What is drawn once, as the turn-on bias, is drawn for each
     vehicle and episode. A reading is the mean over its period, in which the rates are taken to change linearly.

@@ -83,7 +83,7 @@ class MagnetometerState:
 
 @record
 class Magnetometer(Sensor):
-    """Earth's magnetic field with the errors of a chip and of the vehicle that it is on.
+    """Earth's magnetic field, with the errors of the chip and of its vehicle.
 
     Parameters that are not given are those of the preset. What is drawn once, as hard iron, is drawn for each vehicle
     and episode: what a calibration has left. A reading is the mean of the chip's samples over its period.

@@ -112,7 +112,7 @@ class Looking(Sensor):
 
 @record
 class NeighbourSensor(Looking):
-    """Relative positions of the K nearest others in view, with noise, missed detections and false alarms."""
+    """Relative positions of the K nearest neighbours in view, with noise, missed detections and false alarms."""
 
     slots: int = _slots()
     velocity: bool = _velocity()
@@ -192,7 +192,7 @@ class NeighbourSensor(Looking):
 
 @record
 class IdealNeighbours(Looking):
-    """The true relative positions of the K nearest others, all around and whatever stands in between."""
+    """The true relative positions of the K nearest neighbours, in all directions and through obstacles."""
 
     slots: int = _slots()
     velocity: bool = _velocity()

@@ -67,7 +67,7 @@ class OpticalFlowState:
 
 @record
 class OpticalFlow(Sensor):
-    """Flow and rotation since the last reading, between which both change linearly; quality by distance and light."""
+    """Flow and rotation since the last reading; the quality depends on distance and light."""
 
     preset: Literal["pmw3901", "paa3905"] = setting(
         default="pmw3901", doc="product that provides the parameters left out"
@@ -163,7 +163,7 @@ class OpticalFlow(Sensor):
 
 @record
 class IdealOpticalFlow(Sensor):
-    """The true flow and rotation since the last reading, of what is within a kilometre."""
+    """The true flow and rotation since the last reading, up to a kilometre."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0

@@ -50,7 +50,7 @@ class PressureState:
 
 @record
 class PressureAltimeter(Sensor):
-    """Static pressure by the standard atmosphere, with errors of chip, weather, wind and rotors.
+    """Static pressure and pressure altitude, with errors of chip, weather, wind and rotors.
 
     Parameters that are not given are those of the preset. The chip's offset is in the pressure, and in the height only
     where this is not set to that of the site at the start, as autopilots do (``zeroed``).

@@ -52,7 +52,7 @@ class RangefinderReading(Explained):
 
 @record
 class Rangefinder(Memoryless):
-    """Distance to the ground or to an obstacle along a beam, with noise that grows with it.
+    """Distance to the ground or to an obstacle along a beam, with noise that grows with distance.
 
     A surface that is seen at a slant, or that reflects less, is seen less far.
     """
@@ -113,7 +113,7 @@ class Rangefinder(Memoryless):
 
 @record
 class IdealRangefinder(Memoryless):
-    """The true distance along the beam, to whatever is within a kilometre."""
+    """The true distance along the beam, up to a kilometre."""
 
     axis: Axis = setting(default="down", doc="body axis of the beam")
     period: float = setting(

@@ -65,7 +65,7 @@ class RangingState:
 
 @record
 class Ranging(Sensor):
-    """Two-way ranges by radio: noise, a positive bias behind obstacles, losses with distance, turns on the channel."""
+    """Two-way ranges by radio: noise, a positive bias behind obstacles, losses with distance, a shared channel."""
 
     preset: Literal["generic", "dw1000"] = setting(
         default="generic", doc="product that provides the parameters left out"
@@ -177,7 +177,7 @@ class Ranging(Sensor):
 
 @record
 class IdealRanging(Memoryless):
-    """The true distances to beacons and to other vehicles, however far and whatever is in between."""
+    """The true distances to beacons and to other vehicles, at any distance and through obstacles."""
 
     beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons in world.beacons, or 'all'")
     vehicles: Literal["none", "fleet", "all"] = setting(default="all", doc="other vehicles in the measurement")

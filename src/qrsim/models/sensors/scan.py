@@ -66,7 +66,7 @@ class ScanReading(Explained):
 
 @record
 class Scan(Memoryless):
-    """Distances along rays in the plane of the body, all at once, to ground, obstacles and, if asked for, vehicles."""
+    """Distances along rays in the plane of the body, to ground, obstacles and, with ``sees_vehicles``, vehicles."""
 
     preset: Literal["generic", "rplidar_a1"] = setting(
         default="generic", doc="product that provides the parameters left out"

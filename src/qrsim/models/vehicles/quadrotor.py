@@ -66,7 +66,7 @@ class QuadrotorState:
 
 @record
 class Quadrotor(Vehicle):
-    """Parameters of the identified model; a number, or one per vehicle (n,)."""
+    """The identified AscTec Pelican with its stabilisation; each parameter is a number, or one per vehicle (n,)."""
 
     mass: Array = parameter(default=1.68, unit="kg", doc="take-off mass", above=0.0)
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", minimum=0.0)

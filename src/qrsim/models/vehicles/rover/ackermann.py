@@ -53,7 +53,7 @@ class _Motion:
 
 @record
 class Rover(Vehicle):
-    """A bicycle model of a car: lags of its drives, tyres that saturate, and the ground under it.
+    """A bicycle model of a car, with lags of its drives, tyres that saturate, and the ground below.
 
     Parameters that are not given are those of the preset.
     """

@@ -38,7 +38,7 @@ class _Motion:
 
 @record
 class DifferentialRover(Vehicle):
-    """Wheels with a lag on both sides; turning scrubs, so that it turns less than its wheels would have it."""
+    """Two driven sides with a lag; scrubbing reduces the yaw rate."""
 
     track: Array = parameter(default=0.4, unit="m", doc="distance between the left and right wheels", above=0.0)
     slip: Array = parameter(
