@@ -13,7 +13,7 @@ CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard docs/wr
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures docs docs-serve docs-pages proto dist clean help
+.PHONY: install tools run test test-long test-nightly mutation lint bench evidence pictures docs docs-serve docs-zip docs-publish docs-pages proto dist clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -39,8 +39,8 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 COMPILE := $(BIN)/python -m compileall -q -j 0 -x '[/\\]tests?[/\\]' .venv/lib || true
 
 $(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
-		echo "qrsim needs Python 3.11, 3.12 or 3.13, and '$(PYTHON)' is not one: $$($(PYTHON) --version 2>&1)"; \
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || { \
+		echo "qrsim needs Python 3.11 to 3.14, and '$(PYTHON)' is not one: $$($(PYTHON) --version 2>&1)"; \
 		echo "name another: make $(or $(firstword $(MAKECMDGOALS)),install) PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv .venv || { echo "no .venv could be made: on Debian or Ubuntu, install python3-venv"; exit 1; }
 	$(PIP) .
@@ -100,6 +100,12 @@ docs: $(DOCS)  ## build the documentation site into build/site; a broken link or
 
 docs-serve: $(DOCS)  ## serve the site at http://localhost:8000 and follow changes of the pages
 	@$(BIN)/python -m tools.site serve
+
+docs-zip: $(DOCS)  ## write the site for reading without a server into build/qrsim-docs-VERSION.zip
+	@$(BIN)/python -m tools.site zip
+
+docs-publish: $(DOCS)  ## commit the site to the branch gh-pages (ARGS=dev or ARGS=release)
+	@$(BIN)/python -m tools.publish_docs $(ARGS)
 
 docs-pages: $(TOOLS)  ## write the pages of docs/reference/ that are generated from the code
 	@$(BIN)/python -m tools.reference

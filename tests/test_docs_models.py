@@ -13,6 +13,7 @@ from evidence import docs
 from qrsim.models.gnss.receivers import Sky
 from qrsim.models.scene.area import StateLimits
 from qrsim.scenarios import catalogue
+from qrsim.studies.validate import parts
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -127,3 +128,10 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_no_page_cites_what_a_reader_does_not_have() -> None:
     for page in ALL_PAGES:
         assert not re.search(r"\[R\]|\[S\]|models\.md section|\bspec\.md", page.read_text("utf-8")), page
+
+
+def test_every_part_of_the_validation_is_in_the_table_of_the_paper() -> None:
+    page = (DOCS / "explanation" / "paper.md").read_text("utf-8")
+    rows = re.findall(r"^\|.*`qrsim validate --only (\w+)`", page, re.MULTILINE)
+    assert sorted(rows) == sorted(parts.PARTS)
+    assert "| `qrsim slam --seeds 8` |" in page

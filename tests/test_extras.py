@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from qrsim import extras
 from qrsim.extras import EXTRAS, ON_DEMAND, MissingExtraError, load, require
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -99,6 +100,18 @@ def test_what_is_missing_is_named_by_its_package(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(MissingExtraError) as caught:
         load("identify", "discovering laws", "deap.gp")
     assert str(caught.value) == "discovering laws needs deap: python -m pip install 'qrsim[identify]'"
+
+
+def test_a_python_without_wheels_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(extras, "_present", lambda name: name != "cyclonedds")
+    monkeypatch.setattr(sys, "version_info", (3, 14, 1))
+    with pytest.raises(MissingExtraError) as caught:
+        require("ros2", "qrsim ros2")
+    assert str(caught.value) == "qrsim ros2 needs cyclonedds, which Python 3.14 cannot install: use 3.11 to 3.13"
+    monkeypatch.setattr(sys, "version_info", (3, 13, 9))
+    with pytest.raises(MissingExtraError, match=r"qrsim ros2 needs cyclonedds: python -m pip install 'qrsim\[ros2\]'"):
+        require("ros2", "qrsim ros2")
+    assert "cyclonedds>=11.0,<12; python_version < '3.14'" in PROJECT["optional-dependencies"]["ros2"]
 
 
 def test_what_makes_machine_code_is_bounded_from_above():

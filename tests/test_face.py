@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +103,9 @@ def test_a_set_point_below_the_ground_is_told_that_z_is_down() -> None:
         checker.actions({"vehicles": qrsim.VelocityHeightSetpoint.of([[1.0, 0.0]], 0.5)})
 
 
-def test_the_citation_is_of_this_version() -> None:
+def test_citation_and_changes_are_of_the_version_that_pyproject_states() -> None:
     root = Path(qrsim.__file__).resolve().parents[2]
-    assert f"\nversion: {qrsim.__version__}\n" in (root / "CITATION.cff").read_text(encoding="utf-8")
+    version = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text(encoding="utf-8")
+    released = re.findall(r"^## \[(\d[^\]]*)\]", (root / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert released[0] == version

@@ -41,7 +41,7 @@ print(flights)
 def newest_python() -> str:
     """The newest interpreter of this machine that the package supports."""
     installed = Path(os.environ.get("PYENV_ROOT", "/nowhere")) / "versions"
-    for minor in (13, 12):
+    for minor in (14, 13, 12):
         candidates = [shutil.which(f"python3.{minor}"), *map(str, sorted(installed.glob(f"3.{minor}.*/bin/python")))]
         for candidate in candidates:
             if candidate and subprocess.run([candidate, "-c", "import venv, ensurepip"], check=False).returncode == 0:
@@ -171,6 +171,19 @@ def test_the_wheel_has_every_file_and_flies(unpacked: Path, tmp_path: Path):
         **variables,
     )
     assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+def test_the_readme_of_the_wheel_leads_to_the_tag(wheel: Path):
+    with zipfile.ZipFile(wheel) as packed:
+        (name,) = (name for name in packed.namelist() if name.endswith(".dist-info/METADATA"))
+        text = packed.read(name).decode("utf-8")
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    links = [link for link in re.findall(r"\]\(([^)\s]+)\)", text) if not link.startswith("#")]
+    assert len(links) > 20
+    assert [link for link in links if not link.startswith("https://")] == []
+    assert f"https://github.com/OWNER/qrsim/raw/v{version}/docs/images/turbulence_gust.gif" in links
+    assert f"https://github.com/OWNER/qrsim/blob/v{version}/docs/start/install.md" in links
 
 
 @pytest.mark.nightly

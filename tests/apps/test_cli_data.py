@@ -164,7 +164,7 @@ def test_where(upstream, tmp_path, monkeypatch, capsys):
         "  good     rig.csv",
         "  altered  flight.csv",
         "  missing  orbits.sp3",
-        "'qrsim data fetch' gets what is missing or altered",
+        "'qrsim data fetch' downloads missing and altered files",
     ]
     assert cli.main(["data", "where", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)

@@ -32,7 +32,7 @@ def test_the_cats_of_a_baseline_chase_the_mouse(
     ("arguments", "message"),
     [
         (["hover", "--policy", "baseline"], "--policy baseline: scenario hover has no task"),
-        (["cats_and_mouse/1A", "--policy", "baseline", "--policy-ticks", "5"], "is asked once in a step of its task"),
+        (["cats_and_mouse/1A", "--policy", "baseline", "--policy-ticks", "5"], "is called once per step of its task"),
     ],
 )
 def test_what_has_no_baseline_says_so(

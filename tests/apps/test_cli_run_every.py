@@ -66,7 +66,7 @@ def test_exported_events_stand_where_the_vehicle_was_last_logged(thin, tmp_path,
 
 def test_the_table_says_that_ticks_are_missing(fly):
     printed = fly("--duration", "1", "--no-figure", "--every", "wind=10").printed
-    assert "logged every Nth tick: wind 10; the table is of these ticks" in printed
+    assert "logged every Nth tick: wind 10; the table covers these ticks" in printed
     assert "every" not in fly("--duration", "1", "--no-figure", "--every", "1").printed
 
 

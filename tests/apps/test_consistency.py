@@ -22,7 +22,7 @@ def test_a_run_counts_once_with_the_mean_of_its_vehicles() -> None:
     [row] = consistency(flown(anees_position=[[0.5, 1.5], [2.0, NAN], [3.0, 3.0]]))
     assert (row.name, row.mean, row.runs) == ("position", 2.0, 3)
     assert (row.low, row.high) == pytest.approx((-0.484, 4.484), abs=1e-3)
-    assert row.verdict == "as it states"
+    assert row.verdict == "consistent"
 
 
 def test_a_run_in_which_nobody_states_anything_does_not_count() -> None:
@@ -36,9 +36,9 @@ def test_a_run_in_which_nobody_states_anything_does_not_count() -> None:
 @pytest.mark.parametrize(
     ("low", "high", "verdict"),
     [
-        (1.01, 1.4, "errs by more than it states"),
-        (0.6, 0.99, "errs by less than it states"),
-        (1.0, 1.2, "as it states"),
+        (1.01, 1.4, "errors exceed the reported ones"),
+        (0.6, 0.99, "errors are below the reported ones"),
+        (1.0, 1.2, "consistent"),
         (NAN, NAN, ""),
     ],
 )
@@ -49,21 +49,25 @@ def test_verdicts(low: float, high: float, verdict: str) -> None:
 def test_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     print_consistency([Row("velocity", 1.234, 1.1, 1.368, 9), Row("bias", 0.5, NAN, NAN, 1)])
     head, velocity, bias = capsys.readouterr().out.splitlines()[1:]
-    assert head == "squared errors of the estimate over those that it states (ANEES; 1 if it is right)"
-    assert velocity.split(maxsplit=2) == ["velocity", "1.23", "95 % interval 1.10 to 1.37, errs by more than it states"]
+    assert head == "squared errors of the estimate divided by its reported covariance (ANEES; 1 if consistent)"
+    assert velocity.split(maxsplit=2) == [
+        "velocity",
+        "1.23",
+        "95 % interval 1.10 to 1.37, errors exceed the reported ones",
+    ]
     # One run has no interval.
     assert bias.split() == ["bias", "0.50"]
     print_consistency([Row("position", 27.0, NAN, NAN, 1)])
     *_, means, where = capsys.readouterr().out.splitlines()
-    assert means.startswith("  Above 1 the estimate errs by more than it states: GNSS errors last for minutes")
+    assert means.startswith("  Above 1 the errors exceed the reported ones: GNSS errors last for minutes")
     assert where.endswith("(docs/explanation/consistency.md).")
     # Slow errors of fixes are the reason of those of the position alone, and an interval with 1 in it shows nothing.
     print_consistency([Row("position", 0.9, 0.8, 1.02, 9), Row("bias", 3.52, 3.27, 3.76, 9)])
     *_, last = capsys.readouterr().out.splitlines()
-    assert last == "  Above 1 the estimate errs by more than it states (docs/explanation/consistency.md)."
+    assert last == "  Above 1 the errors are larger than the estimator reports (docs/explanation/consistency.md)."
     print_consistency([Row("all errors", 2.19, -2.07, 6.45, 3)])
     *_, last = capsys.readouterr().out.splitlines()
-    assert last.split(maxsplit=3)[3] == "95 % interval 0.00 to 6.45, as it states"
+    assert last.split(maxsplit=3)[3] == "95 % interval 0.00 to 6.45, consistent"
     print_consistency([])
     assert capsys.readouterr().out == ""
 

@@ -117,7 +117,7 @@ def test_a_replay_shows_the_links_of_its_time(run: Any) -> None:
     ("words", "said"),
     [
         (["--panel", "radio", "--vehicle", "row_0"], "--panel radio is of all vehicles together; leave out --vehicle"),
-        (["--panel", "radio", "--panel", "truth.valid"], "--panel radio is a figure of its own; leave out the other"),
+        (["--panel", "radio", "--panel", "truth.valid"], "--panel radio is a separate figure; leave out the other"),
         (["--panel", "radio", "--from", "9"], "no period of the radio was logged in that span"),
     ],
 )

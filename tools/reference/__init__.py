@@ -20,6 +20,7 @@ MODULES = (
     "errors",
     "environment_variables",
     "builtin",
+    "mavlink",
 )
 NOTE = "<!-- Written by 'make docs-pages' from the code. Change it there. -->"
 

@@ -14,8 +14,8 @@ from tools.reference.tables import code, page, sentence, table
 HEAD = ("option", "value", "default", "meaning")
 _DEFAULT = re.compile(r"\s*\((?:default: (?P<default>.*)|(?P<word>required|repeatable|optional))\)$", re.DOTALL)
 CODES = (
-    ("0", "The command did what it was asked."),
-    ("1", "The run failed: a disk is full, data is missing, a log does not show what was asked of it."),
+    ("0", "The command succeeded."),
+    ("1", "The run failed: a disk is full, data is missing, a log does not show the requested constants."),
     ("2", "Wrong usage: an unknown name, a value out of its range, faults in a scenario."),
     ("130", "Interrupted by Ctrl-C; a run folder stays readable."),
     ("141", "The reader of the output went away, as in `qrsim list | head -1`."),

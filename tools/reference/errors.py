@@ -34,8 +34,8 @@ RAISED: tuple[tuple[type[errors.QrsimError], str, str, Callable[[], Any] | None]
     ),
     (
         errors.LogError,
-        "A flight log is damaged, or does not show what was asked of it.",
-        "Read `details`; fly a log that excites what is to be found.",
+        "A flight log is damaged, or does not show the requested constants.",
+        "Read `details`; record a log that excites the requested constants.",
         None,
     ),
     (

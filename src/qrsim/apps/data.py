@@ -71,7 +71,7 @@ class Where:
         for status in statuses:
             print(f"  {status.condition:<8} {status.name}")
         if not complete:
-            print("'qrsim data fetch' gets what is missing or altered")
+            print("'qrsim data fetch' downloads missing and altered files")
 
 
 def _bring(status: recordings.FileStatus, wanted: list[str]) -> None:

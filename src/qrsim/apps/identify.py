@@ -158,7 +158,7 @@ class Identify:
             if start["mass"] <= 0.0:
                 raise UsageError(f"--mass {self.mass}: expected a mass above 0 kg")
             if hint := grams_hint(start["mass"]):
-                raise UsageError(f"--mass {self.mass}: no quadrotor is so heavy{hint}")
+                raise UsageError(f"--mass {self.mass}: too heavy for a quadrotor{hint}")
         for name, prior in priors.items():
             start[name] = prior.mean
         names = tuple(name.strip() for name in self.fit.split(",")) if self.fit else ()

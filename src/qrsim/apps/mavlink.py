@@ -32,7 +32,7 @@ class Mavlink:
     the tenth vehicle on to 14549) and to 14550 for a ground station. docs/howto/mavlink_scripts.md has scripts,
     docs/reference/mavlink.md the supported messages.
 
-    Anybody who can send to its ports can fly. Connections are neither encrypted nor authenticated, so only programs on
+    Anyone who can send to its ports can fly. Connections are neither encrypted nor authenticated, so only programs on
     this machine can connect unless --allow-remote is given.
 
     Ctrl-C or SIGTERM ends it.
@@ -144,7 +144,7 @@ class Mavlink:
         try:
             address = socket.gethostbyname(self.gcs)
         except (OSError, UnicodeError):
-            raise UsageError(f"--gcs {self.gcs}: no machine is known by this name") from None
+            raise UsageError(f"--gcs {self.gcs}: no such host") from None
         if ipaddress.ip_address(address).is_loopback:
             if self.allow_remote:
                 _warn()

@@ -100,7 +100,7 @@ class Plot:
         if alone and not self.panel:
             raise UsageError(f"{', '.join(alone)}: only for panels; add --panel, for example truth.position_ned.z")
         if SKY in self.panel and len(self.panel) > 1:
-            raise UsageError(f"--panel {SKY} is a picture of its own; leave the other panels out")
+            raise UsageError(f"--panel {SKY} is a separate picture; leave out the other panels")
         if self.show and (self.panel or self.out):
             raise UsageError("--list draws nothing: leave out --panel and --out")
         for option, time in (("--from", self.start), ("--to", self.end)):
@@ -126,14 +126,14 @@ class Plot:
             from qrsim.runs.estimate_figure import draw_estimate
 
             if len(self.panel) > 1:
-                raise UsageError(f"--panel {ESTIMATE} is a figure of its own; leave out the other panels")
+                raise UsageError(f"--panel {ESTIMATE} is a separate figure; leave out the other panels")
             save_picture(lambda: draw_estimate(recorded, self.vehicle, self.start, self.end), path)
             return
         if RADIO in self.panel:
             from qrsim.runs.radio_figure import draw_radio
 
             if len(self.panel) > 1:
-                raise UsageError(f"--panel {RADIO} is a figure of its own; leave out the other panels")
+                raise UsageError(f"--panel {RADIO} is a separate figure; leave out the other panels")
             save_picture(lambda: draw_radio(recorded, self.vehicle, self.start, self.end), path)
             return
         from qrsim.runs.panels import draw_panels

@@ -37,7 +37,7 @@ class Ros2:
     setpoint_velocity/cmd_vel or setpoint_attitude/attitude in the namespace of the vehicle's name.
     docs/reference/ros2_topics.md lists the topics.
 
-    It uses DDS, like the default middleware of ROS 2, or zenoh. Anybody in the network with the same domain can fly.
+    It uses DDS, like the default middleware of ROS 2, or zenoh. Anyone in the network with the same domain can fly.
 
     Ctrl-C or SIGTERM ends it.
 
@@ -162,9 +162,7 @@ class Ros2:
 
             node = ZenohNode(types, domain, resend=self.reliable, router=self.router)
             if not node.has_router(ROUTER_S):
-                say(
-                    f"no zenoh router answers at {self.router} (rmw_zenohd); it is tried again, nobody hears until then"
-                )
+                say(f"no zenoh router answers at {self.router} (rmw_zenohd); no node receives messages until one does")
             return node
         from qrsim.links.ros2.participant import Participant
 

@@ -111,7 +111,7 @@ class Show:
         # Comments of YAML, so that what is printed can be saved and flown.
         mark = "" if self.derived else "# "
         for fleet, numbers in derived.items():
-            print(f"{mark}What follows for fleet '{fleet}':")
+            print(f"{mark}Derived values of fleet '{fleet}':")
             for name, value in numbers.items():
                 print(f"{mark}  {name}: {value:.4g}")
         for line in envelope_lines(scenario.spec):

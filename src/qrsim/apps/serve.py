@@ -31,7 +31,7 @@ class Serve:
     controls the simulation, others can watch it. With --pace barrier or free all clients share one world of SCENARIO:
     each claims vehicles and flies them.
 
-    Anybody who can connect can control the simulation. Connections are neither encrypted nor authenticated, so only
+    Anyone who can connect can control the simulation. Connections are neither encrypted nor authenticated, so only
     programs on this machine can connect unless --allow-remote is given.
 
     Ctrl-C or SIGTERM ends the server.
@@ -69,7 +69,7 @@ class Serve:
     motors."""
     hold: Annotated[float, SECONDS] = 0.5
     """Time without a command until a claimed vehicle takes this action; 0: never, it keeps its last command."""
-    timeout: Annotated[float, SECONDS, tyro.conf.arg(help_behavior_hint="(default: for ever)")] = 0.0
+    timeout: Annotated[float, SECONDS, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = 0.0
     """Wall-clock time that a barrier waits for a client before the world continues without it."""
     seed: int = 0
     """Seed of the first episode; with --episodes new, later episodes have the following seeds."""
@@ -185,7 +185,7 @@ class Serve:
             raise UsageError(f"--pace {self.pace}: expected {', '.join(PACES[:-1])} or {PACES[-1]}{near}")
         silence = checked_silence(self.on_silence, self.hold, "--on-silence")
         if not (math.isfinite(self.timeout) and self.timeout >= 0.0):
-            raise UsageError(f"--timeout {self.timeout:g}: expected a number of seconds, or 0 for ever")
+            raise UsageError(f"--timeout {self.timeout:g}: expected a number of seconds, or 0 for no limit")
         if self.pace == "owner":
             if self.allow_inject:
                 raise UsageError("--allow-inject: it is for --pace barrier and free; a session's wind is its client's")

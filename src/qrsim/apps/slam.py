@@ -104,7 +104,7 @@ class SlamCommand:
         if self.run_folder is not None:
             for name in ("noise", "gnss", "seeds", "first_seed", "duration", "sweep"):
                 if getattr(self, name) != getattr(SlamCommand, name):
-                    raise UsageError(f"--{name.replace('_', '-')}: not with --run, whose flight is what it is")
+                    raise UsageError(f"--{name.replace('_', '-')}: not with --run, because its flight is recorded")
         if self.out is not None and self.out.is_dir() and any(self.out.iterdir()):
             raise UsageError(f"--out {self.out}: it exists and is not empty; choose another folder")
         if self.sweep and self.noise == "white":

@@ -98,7 +98,7 @@ class Sweep:
         if 0 < len(missing) < len(files):
             raise UsageError(f"{missing[0]}: missing; TLS needs {', '.join(files)}")
         if not missing and self.scheduler is None:
-            raise UsageError("--tls-ca: without --scheduler; workers of this machine have keys of their own")
+            raise UsageError("--tls-ca: without --scheduler; workers of this machine use their own keys")
         changes = {name: value for name in ("seeds", "points") if (value := getattr(self, name)) is not None}
         return load_study(self.study, changes, self.set, self.values or 0)
 

@@ -44,41 +44,45 @@ class CascadeState:
 
 @record
 class CascadeController(Controller):
-    """Holds places, paths, velocities and heights in wind; for any vehicle that takes tilt and throttle."""
+    """Holds positions, paths, velocities and heights in wind; for any vehicle that takes tilt and throttle."""
 
-    position_gain: Array = parameter(default=1.2, unit="1/s", doc="wanted horizontal speed per metre of error")
-    height_gain: Array = parameter(default=1.0, unit="1/s", doc="wanted climb per metre of error")
-    speed_limit: Array = parameter(default=8.0, unit="m/s", doc="largest wanted horizontal speed", above=0.0)
-    climb_limit: Array = parameter(default=3.0, unit="m/s", doc="largest wanted speed upwards", above=0.0)
-    sink_limit: Array = parameter(default=1.5, unit="m/s", doc="largest wanted speed downwards", above=0.0)
-    velocity_gain: Array = parameter(default=2.2, unit="1/s", doc="horizontal acceleration per speed error")
-    velocity_integral_gain: Array = parameter(default=0.9, unit="1/s^2", doc="the same per integrated error")
-    velocity_derivative_gain: Array = parameter(default=0.2, unit="1", doc="the same per measured acceleration")
+    position_gain: Array = parameter(default=1.2, unit="1/s", doc="commanded horizontal speed per metre of error")
+    height_gain: Array = parameter(default=1.0, unit="1/s", doc="commanded climb rate per metre of error")
+    speed_limit: Array = parameter(default=8.0, unit="m/s", doc="largest commanded horizontal speed", above=0.0)
+    climb_limit: Array = parameter(default=3.0, unit="m/s", doc="largest commanded climb rate", above=0.0)
+    sink_limit: Array = parameter(default=1.5, unit="m/s", doc="largest commanded sink rate", above=0.0)
+    velocity_gain: Array = parameter(default=2.2, unit="1/s", doc="horizontal acceleration per velocity error")
+    velocity_integral_gain: Array = parameter(default=0.9, unit="1/s^2", doc="the same, per integrated error")
+    velocity_derivative_gain: Array = parameter(default=0.2, unit="1", doc="the same, per measured acceleration")
     derivative_lag: Array = parameter(default=0.05, unit="s", doc="time constant of the measured acceleration", above=0)
     velocity_integral_limit: Array = parameter(
         default=14.0, unit="m/s^2", doc="largest horizontal integral", minimum=0.0
     )
     climb_gain: Array = parameter(default=4.0, unit="1/s", doc="vertical acceleration per speed error")
-    climb_integral_gain: Array = parameter(default=2.0, unit="1/s^2", doc="the same per integrated error")
+    climb_integral_gain: Array = parameter(default=2.0, unit="1/s^2", doc="the same, per integrated error")
     climb_integral_limit: Array = parameter(default=6.0, unit="m/s^2", doc="largest vertical integral", minimum=0.0)
     tilt_limit: Array = parameter(
         default=0.611,
         unit="rad",
-        doc="largest wanted tilt of the thrust, as flown and not as commanded",
+        doc="largest tilt of the thrust, as flown and not as commanded",
         above=0.0,
         maximum=1.4,
     )
     thrust_fraction: Array = parameter(
-        default=0.98, unit="1", doc="part of the vehicle's largest thrust that may lift", above=0.0, maximum=1.0
+        default=0.98,
+        unit="1",
+        doc="share of the vehicle's largest thrust that the controller uses",
+        above=0.0,
+        maximum=1.0,
     )
     least_lift: Array = parameter(
-        default=0.3, unit="1", doc="part of the weight that is always carried", minimum=0.01, maximum=1.0
+        default=0.3, unit="1", doc="smallest lift, as a share of the weight", minimum=0.01, maximum=1.0
     )
     yaw_gain: Array = parameter(default=2.0, unit="1/s", doc="yaw rate per heading error")
-    yaw_rate_limit: Array = parameter(default=1.0, unit="rad/s", doc="largest wanted yaw rate", above=0.0)
+    yaw_rate_limit: Array = parameter(default=1.0, unit="rad/s", doc="largest commanded yaw rate", above=0.0)
     filter: ComplementaryFilter = quantity(default=ComplementaryFilter(), doc="estimator, with feed filter")
     feed: Literal["filter", "measurements", "truth"] = setting(
-        default="filter", doc="what the controller is fed with: its own filter, the bare sensors, or the truth"
+        default="filter", doc="input of the controller: its filter, the sensors' readings, or the truth"
     )
     nominal: Vehicle | None = derived(default=None, doc="the vehicle that it is fitted to")
 

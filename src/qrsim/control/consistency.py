@@ -24,11 +24,11 @@ class Truth:
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
     attitude: Euler = quantity(unit="rad", doc="Euler angles")
     position_low_ned: Vec3 | None = quantity(
-        default=None, unit="m", doc="what single precision leaves out of the position; None in double precision"
+        default=None, unit="m", doc="remainder of the position beyond single precision; None in double precision"
     )
-    gyroscope_bias: Vec3 | None = quantity(default=None, unit="rad/s", doc="error of rates; None where nobody knows")
+    gyroscope_bias: Vec3 | None = quantity(default=None, unit="rad/s", doc="error of the body rates; None if unknown")
     accelerometer_bias: Vec3 | None = quantity(
-        default=None, unit="m/s^2", doc="error of the specific force, body axes; None where nobody knows"
+        default=None, unit="m/s^2", doc="error of the specific force, body axes; None if unknown"
     )
 
 
@@ -39,11 +39,11 @@ class Consistency:
     Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4.
     """
 
-    every: Array = quantity(unit="1", doc="of all errors that are known")
-    position: Array = quantity(unit="1", doc="of the position")
-    velocity: Array = quantity(unit="1", doc="of the velocity")
-    attitude: Array = quantity(unit="1", doc="of the attitude")
-    bias: Array = quantity(unit="1", doc="of the biases of gyroscope and accelerometer; NaN where nobody knows them")
+    every: Array = quantity(unit="1", doc="NEES of all errors that are known")
+    position: Array = quantity(unit="1", doc="NEES of the position")
+    velocity: Array = quantity(unit="1", doc="NEES of the velocity")
+    attitude: Array = quantity(unit="1", doc="NEES of the attitude")
+    bias: Array = quantity(unit="1", doc="NEES of the biases of gyroscope and accelerometer; NaN if unknown")
 
 
 def normalised(covariance: Array, errors: Array) -> Array:

@@ -101,9 +101,9 @@ class Preflight:
     """What happened to vehicles (n,) before their start, for estimators that have ``first_normals``."""
 
     normals: tuple[Array, ...] = quantity(unit="1", doc="standard normals, as many as the estimator draws")
-    at_rest: Array | None = quantity(default=None, doc="bool: stands on the ground; None: all start in flight")
+    at_rest: Array | None = quantity(default=None, doc="bool: starts on the ground; None: all start in flight")
     rates_bias: Vec3 | None = quantity(
-        default=None, unit="rad/s", doc="error of the body rates of a level vehicle at rest; None where nobody knows"
+        default=None, unit="rad/s", doc="error of the body rates of a level vehicle at rest; None if unknown"
     )
 
 

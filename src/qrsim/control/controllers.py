@@ -45,7 +45,7 @@ def _battery() -> Array:
 
 
 def _feed() -> Any:
-    return setting(default="measurements", doc="what the controller is fed with")
+    return setting(default="measurements", doc="input of the controller: the sensors' readings, or the truth")
 
 
 def _hold(
@@ -87,11 +87,11 @@ class HeightController(QuadrotorController):
 
 @record
 class WaypointController(HeightController):
-    """Flies to a waypoint at a limited speed, holding height and heading."""
+    """Flies to a waypoint at a limited speed, and holds height and heading."""
 
-    position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error")
+    position_gain: Array = parameter(default=0.9, unit="1/s", doc="commanded speed per metre of error")
     speed_limit: Array = parameter(
-        default=5.0, unit="m/s", doc="largest wanted speed along each heading axis", above=0.0
+        default=5.0, unit="m/s", doc="largest commanded speed along each heading axis", above=0.0
     )
     velocity_gain: Array = parameter(default=0.09, unit="rad s/m", doc="tilt per speed error")
     tilt_limit: Array = _tilt_limit()
@@ -138,7 +138,7 @@ class VelocityControllerState:
 
 @record
 class VelocityController(QuadrotorController):
-    """Flies at a velocity over ground, holding the heading."""
+    """Flies at a velocity over ground, and holds the heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
     climb: ClimbLoop = quantity(default=ClimbLoop(), doc="vertical loop")
@@ -191,7 +191,7 @@ class VelocityHeightState:
 
 @record
 class VelocityHeightController(HeightController):
-    """Flies at a horizontal velocity over ground, holding height and heading."""
+    """Flies at a horizontal velocity over ground, and holds height and heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
     height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
@@ -228,7 +228,7 @@ class VelocityHeightController(HeightController):
 
 @record
 class AttitudeHeightController(HeightController):
-    """Hands tilt to the platform's own stabilisation, holding height and heading."""
+    """Passes tilt to the platform's own stabilisation, and holds height and heading."""
 
     height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
     tilt_limit: Array = _tilt_limit()
@@ -256,12 +256,12 @@ class AttitudeHeightController(HeightController):
 
 @record
 class AttitudeController(QuadrotorController):
-    """Hands tilt and normalised thrust to the platform, holding the heading."""
+    """Passes tilt and normalised thrust to the platform, and holds the heading."""
 
     hover_throttle: Array = parameter(
         default=0.59,
         unit="1",
-        doc="throttle that carries the weight, used until the first set-point",
+        doc="throttle of hover, used until the first set-point",
         minimum=0.0,
         maximum=1.0,
     )
@@ -298,9 +298,9 @@ class OffboardState:
 class OffboardController(HeightController):
     """Takes every kind of set-point, as an autopilot in offboard mode does: the gains of all the controllers."""
 
-    position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error, for waypoints")
+    position_gain: Array = parameter(default=0.9, unit="1/s", doc="commanded speed per metre of error, for waypoints")
     speed_limit: Array = parameter(
-        default=5.0, unit="m/s", doc="largest wanted speed along each heading axis, for waypoints", above=0.0
+        default=5.0, unit="m/s", doc="largest commanded speed along each heading axis, for waypoints", above=0.0
     )
     velocity_gain: Array = parameter(default=0.09, unit="rad s/m", doc="tilt per speed error, for waypoints")
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop, for velocities")

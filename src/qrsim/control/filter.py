@@ -29,13 +29,15 @@ class FilterState:
     """Memory of the filter, (n,)."""
 
     position_ned: Vec3 = quantity(unit="m", doc="estimated position")
-    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
+    position_low_ned: Vec3 = quantity(unit="m", doc="remainder of it beyond single precision")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="estimated velocity over ground")
     bias_ned: Vec3 = quantity(unit="m/s^2", doc="estimated error of the measured acceleration")
     attitude: Euler = quantity(unit="rad", doc="last attitude that was measured")
     since_fix: Array = quantity(unit="s", doc="time since the last reading that corrected the place")
     since_height: Array = quantity(unit="s", doc="time since the last reading that corrected the height")
-    turning: Turning | None = quantity(default=None, doc="of its own attitude; None where a sensor has it")
+    turning: Turning | None = quantity(
+        default=None, doc="state of its attitude filter; None if a sensor measures the attitude"
+    )
 
 
 @record
@@ -48,36 +50,47 @@ class ComplementaryFilter(Estimator):
     accelerometer, and the heading from a magnetometer or, of vehicles that fly nose first, from the course.
     """
 
-    position_gain: Array = parameter(default=0.5, unit="1/s", doc="horizontal place per its error", minimum=0.0)
-    height_gain: Array = parameter(default=1.5, unit="1/s", doc="height per its error", minimum=0.0)
-    velocity_gain: Array = parameter(default=1.0, unit="1/s", doc="horizontal velocity per its error", minimum=0.0)
-    climb_gain: Array = parameter(default=0.3, unit="1/s", doc="vertical velocity per its error", minimum=0.0)
+    position_gain: Array = parameter(
+        default=0.5, unit="1/s", doc="horizontal position correction per position error", minimum=0.0
+    )
+    height_gain: Array = parameter(default=1.5, unit="1/s", doc="height correction per height error", minimum=0.0)
+    velocity_gain: Array = parameter(
+        default=1.0, unit="1/s", doc="horizontal velocity correction per velocity error", minimum=0.0
+    )
+    climb_gain: Array = parameter(
+        default=0.3, unit="1/s", doc="vertical velocity correction per velocity error", minimum=0.0
+    )
     velocity_by_position: Array = parameter(
-        default=0.3, unit="1/s", doc="velocity per correction of the position", minimum=0.0
+        default=0.3, unit="1/s", doc="velocity correction per position correction", minimum=0.0
     )
-    bias_gain: Array = parameter(default=0.05, unit="1/s^2", doc="bias per error of velocity", minimum=0.0)
+    bias_gain: Array = parameter(
+        default=0.05, unit="1/s^2", doc="accelerometer bias correction per velocity error", minimum=0.0
+    )
     bias_by_position: Array = parameter(
-        default=0.3, unit="1/s", doc="error of position that counts for the bias as one of velocity", minimum=0.0
+        default=0.3,
+        unit="1/s",
+        doc="weight of a position error in the bias correction, relative to a velocity error",
+        minimum=0.0,
     )
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", minimum=0.0)
     longest: Array = parameter(
-        default=1.0, unit="s", doc="time that a reading corrects at most for, after others were missing", above=0.0
+        default=1.0, unit="s", doc="longest time that one reading corrects for, after missing readings", above=0.0
     )
 
     tilt_gain: Array = parameter(
-        default=0.3, unit="1/s", doc="own attitude per error of the direction of the specific force", minimum=0.0
+        default=0.3, unit="1/s", doc="attitude correction per error of the specific force's direction", minimum=0.0
     )
-    heading_gain: Array = parameter(default=0.3, unit="1/s", doc="own heading per its error", minimum=0.0)
+    heading_gain: Array = parameter(default=0.3, unit="1/s", doc="heading correction per heading error", minimum=0.0)
     gyroscope_bias_gain: Array = parameter(
-        default=0.02, unit="1/s^2", doc="bias of the rates per error of the own attitude", minimum=0.0
+        default=0.02, unit="1/s^2", doc="gyroscope bias correction per attitude error", minimum=0.0
     )
     heading: Literal["magnetometer", "course"] = setting(
-        default="magnetometer", doc="what the own heading follows: a magnetometer, where one is carried, or the course"
+        default="magnetometer", doc="reference of the heading: a magnetometer, if the vehicle has one, or the course"
     )
     course_least: Array = parameter(
-        default=3.0, unit="m/s", doc="speed over ground below which a course says nothing", minimum=0.0
+        default=3.0, unit="m/s", doc="speed over ground below which the course is ignored", minimum=0.0
     )
-    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
+    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: unknown")
 
     reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer")
     instead: ClassVar[Mapping[str, str]] = {"attitude_estimator": "gyroscope"}

@@ -39,31 +39,47 @@ class FixedWingControllerState:
 
 @record
 class FixedWingController(Controller):
-    """Flies along lines and round circles at a height and an airspeed; a place is a circle round it."""
+    """Flies along lines and circles at a height and an airspeed; for a place, it circles around it."""
 
     airspeed: Array = parameter(
-        default=0.0, unit="m/s", doc="where a set-point gives none; 0: the vehicle's own of cruise", minimum=0.0
+        default=0.0, unit="m/s", doc="airspeed of set-points without one; 0: the vehicle's cruise airspeed", minimum=0.0
     )
     loiter_radius: Array = parameter(
-        default=150.0, unit="m", doc="of the circle round a waypoint set-point; clockwise, negative: the other way"
+        default=150.0,
+        unit="m",
+        doc="radius of the circle around a waypoint; positive: clockwise, negative: anticlockwise",
     )
     roll_limit: Array = parameter(default=math.radians(45.0), unit="rad", doc="largest roll", above=0.0, maximum=1.0)
     pitch_limit: Array = parameter(default=0.35, unit="rad", doc="largest pitch", above=0.0, maximum=0.6)
-    l1_period: Array = parameter(default=12.0, unit="s", doc="period of the way back to a track", above=0.0)
-    l1_damping: Array = parameter(default=0.75, unit="1", doc="its damping ratio", above=0.0)
-    climb_limit: Array = parameter(default=3.0, unit="m/s", doc="largest wanted climb", above=0.0)
-    sink_limit: Array = parameter(default=3.0, unit="m/s", doc="largest wanted sink", above=0.0)
-    acceleration_limit: Array = parameter(default=2.0, unit="m/s^2", doc="largest wanted change of airspeed", above=0.0)
-    time_constant: Array = parameter(default=3.0, unit="s", doc="in which height and airspeed are wanted", above=0.0)
-    acceleration_lag: Array = parameter(default=0.5, unit="s", doc="of the measured change of airspeed", above=0.0)
-    energy_gain: Array = parameter(default=1.5, unit="1", doc="throttle by the error of the energy rate")
-    energy_forward: Array = parameter(default=2.0, unit="1", doc="throttle by the wanted energy rate")
-    energy_integral_gain: Array = parameter(default=1.0, unit="1/s", doc="throttle by the integrated error")
-    balance_gain: Array = parameter(default=0.4, unit="rad", doc="pitch by the error of the balance")
-    balance_forward: Array = parameter(default=0.8, unit="rad", doc="pitch by the wanted balance")
-    balance_integral_gain: Array = parameter(default=0.3, unit="rad/s", doc="pitch by the integrated error")
-    balance_integral_limit: Array = parameter(default=0.3, unit="rad", doc="largest part of that", minimum=0.0)
-    feed: Literal["measurements", "truth"] = setting(default="measurements", doc="what the controller is fed with")
+    l1_period: Array = parameter(default=12.0, unit="s", doc="period of the return to a track (L1)", above=0.0)
+    l1_damping: Array = parameter(default=0.75, unit="1", doc="damping ratio of the return to a track", above=0.0)
+    climb_limit: Array = parameter(default=3.0, unit="m/s", doc="largest commanded climb rate", above=0.0)
+    sink_limit: Array = parameter(default=3.0, unit="m/s", doc="largest commanded sink rate", above=0.0)
+    acceleration_limit: Array = parameter(
+        default=2.0, unit="m/s^2", doc="largest commanded rate of airspeed", above=0.0
+    )
+    time_constant: Array = parameter(
+        default=3.0, unit="s", doc="time constant of the height and airspeed responses", above=0.0
+    )
+    acceleration_lag: Array = parameter(
+        default=0.5, unit="s", doc="time constant of the measured rate of airspeed", above=0.0
+    )
+    energy_gain: Array = parameter(default=1.5, unit="1", doc="throttle per error of the energy rate")
+    energy_forward: Array = parameter(default=2.0, unit="1", doc="throttle per commanded energy rate")
+    energy_integral_gain: Array = parameter(
+        default=1.0, unit="1/s", doc="throttle per integrated error of the energy rate"
+    )
+    balance_gain: Array = parameter(default=0.4, unit="rad", doc="pitch per error of the energy balance")
+    balance_forward: Array = parameter(default=0.8, unit="rad", doc="pitch per commanded energy balance")
+    balance_integral_gain: Array = parameter(
+        default=0.3, unit="rad/s", doc="pitch per integrated error of the energy balance"
+    )
+    balance_integral_limit: Array = parameter(
+        default=0.3, unit="rad", doc="largest pitch by that integral", minimum=0.0
+    )
+    feed: Literal["measurements", "truth"] = setting(
+        default="measurements", doc="input of the controller: the sensors' readings, or the truth"
+    )
     nominal: Any = derived(default=None, doc="the vehicle that it is fitted to")
 
     setpoints: ClassVar[tuple[type, ...]] = (TrackSetpoint, WaypointSetpoint)

@@ -15,13 +15,13 @@ from qrsim.core.vectors import Vec3
 
 @record
 class FleeGuidance(RouteGuidance):
-    """Flees from the vehicles of all other fleets at the height of the first waypoint (of the start without one).
+    """Flees from the vehicles of all other fleets, at the height of the first waypoint, or of the start without one.
 
     The direction is the sum over those who fly of d/|d|^2, d the horizontal offset from a pursuer to the one who
     flees, both where their sensors say they are.
     """
 
-    speed: Array = parameter(default=3.0, unit="m/s", doc="speed of the flight", minimum=0.0, maximum=15.0)
+    speed: Array = parameter(default=3.0, unit="m/s", doc="speed of the evasion", minimum=0.0, maximum=15.0)
 
     gives: ClassVar[type] = VelocityHeightSetpoint
     sees_others: ClassVar[bool] = True

@@ -36,7 +36,7 @@ class RouteState:
     reached: Array = quantity(doc="int32 waypoints reached so far")
     overfull: Array | None = quantity(
         default=None,
-        doc="int32 looks for others in which some may have been missed for want of room; None: there always is room",
+        doc="int32 searches for neighbours that may have missed some for lack of room; None: there is always room",
     )
 
     @staticmethod
@@ -62,12 +62,12 @@ class RouteGuidance(Guidance):
 
 @record
 class RouteFollower(RouteGuidance):
-    """Hands out the next waypoint when the current one is near."""
+    """Gives the next waypoint when the current one is near."""
 
     acceptance_radius: Array = parameter(
         default=3.0, unit="m", doc="distance at which a waypoint counts as reached", above=0.0
     )
-    repeat: bool = setting(default=True, doc="start again after the last waypoint, else hold there")
+    repeat: bool = setting(default=True, doc="repeat the route after the last waypoint; if false, hold there")
 
     gives: ClassVar[type] = WaypointSetpoint
 
@@ -103,7 +103,7 @@ def _per_vehicle(value: Array, route: Route) -> Array:
 
 @record
 class VelocityGuidance(RouteGuidance):
-    """Asks for one velocity, at the vehicle's own heading."""
+    """Commands one velocity, at the vehicle's own heading."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
     velocity_east: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, east")
@@ -119,7 +119,7 @@ class VelocityGuidance(RouteGuidance):
 
 @record
 class VelocityHeightGuidance(RouteGuidance):
-    """Asks for one horizontal velocity at the height of the first waypoint (of the start without one)."""
+    """Commands one horizontal velocity at the height of the first waypoint, or of the start without one."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
     velocity_east: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, east")
@@ -134,7 +134,7 @@ class VelocityHeightGuidance(RouteGuidance):
 
 @record
 class AttitudeHeightGuidance(RouteGuidance):
-    """Asks for one tilt at the height of the first waypoint (of the start without one)."""
+    """Commands one tilt at the height of the first waypoint, or of the start without one."""
 
     roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
     pitch_rad: Array = parameter(default=0.0, unit="rad", doc="commanded pitch", minimum=-0.9, maximum=0.9)
@@ -149,7 +149,7 @@ class AttitudeHeightGuidance(RouteGuidance):
 
 @record
 class AttitudeGuidance(RouteGuidance):
-    """Asks for one tilt and one thrust."""
+    """Commands one tilt and one thrust."""
 
     roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
     pitch_rad: Array = parameter(default=0.0, unit="rad", doc="commanded pitch", minimum=-0.9, maximum=0.9)

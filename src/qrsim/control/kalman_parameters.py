@@ -51,10 +51,12 @@ class KalmanParameters(Estimator):
     airspeed_std: Array = _sensed(1.0, "m/s", "of an airspeed", positive=True)
     gnss_errors: Literal["coloured", "white"] = setting(
         default="coloured",
-        doc="whether the errors of successive fixes are one slow error, which more fixes do not average away, or white",
+        doc="errors of successive fixes: correlated, so that more fixes do not average them out, or white",
     )
     start: Literal["aligned", "truth"] = setting(
-        default="aligned", doc="alignment by readings on the ground and by a drawn error in flight, or no error"
+        default="aligned",
+        doc="attitude at the start: aligned from readings on the ground and with a random error in "
+        "flight, or the truth",
     )
     calibration_time: float = setting(
         default=2.0,
@@ -62,44 +64,52 @@ class KalmanParameters(Estimator):
         doc="time at rest before the flight over which the gyroscope is averaged; 0: none",
         minimum=0.0,
     )
-    tilt_std: Array = parameter(default=0.015, unit="rad", doc="of roll and pitch at a start in flight", minimum=0.0)
-    heading_std: Array = parameter(default=0.03, unit="rad", doc="of the yaw at a start in flight", minimum=0.0)
+    tilt_std: Array = parameter(
+        default=0.015, unit="rad", doc="std of roll and pitch at a start in flight", minimum=0.0
+    )
+    heading_std: Array = parameter(default=0.03, unit="rad", doc="std of the yaw at a start in flight", minimum=0.0)
     sampling: Array = parameter(
         default=0.2,
         unit="1",
-        doc="error of the turn in a tick over the change of rate in it, for motion in between",
+        doc="error of the rotation in a tick, relative to the change of rate within it",
         minimum=0.0,
     )
     gate: Array = parameter(
-        default=5.0, unit="1", doc="stds from what is expected beyond which nothing is believed", above=0.0
+        default=5.0, unit="1", doc="innovation, in standard deviations, beyond which a reading is rejected", above=0.0
     )
     reset_after: Array = parameter(
-        default=7.0, unit="s", doc="time without a believed fix after which the next is", above=0.0
+        default=7.0, unit="s", doc="time without an accepted fix after which the next one is accepted", above=0.0
     )
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", minimum=0.0)
     magnetometer: Literal["field", "heading"] = setting(
-        default="field", doc="what a magnetic field is taken for: three axes, with states of their own, or a heading"
+        default="field", doc="use of the magnetometer: three axes, with field and bias as states, or a heading"
     )
     earth_field_std: Array = parameter(
-        default=0.15, unit="uT", doc="of the Earth's field at the start, per axis", minimum=0.0
+        default=0.15, unit="uT", doc="std of the Earth's field at the start, per axis", minimum=0.0
     )
     field_walk: Array = parameter(
         default=0.005,
         unit="uT/sqrt(s)",
-        doc="random walk of the Earth's field as flown through, and of the bias",
+        doc="random walk of the Earth's field along the flight, and of the bias",
         minimum=0.0,
     )
-    airspeed_least: Array = parameter(default=5.0, unit="m/s", doc="airspeed below which none is believed", minimum=0.0)
-    wind_std: Array = parameter(default=6.0, unit="m/s", doc="of the wind at the start, per axis", minimum=0.0)
+    airspeed_least: Array = parameter(
+        default=5.0, unit="m/s", doc="airspeed below which readings are rejected", minimum=0.0
+    )
+    wind_std: Array = parameter(default=6.0, unit="m/s", doc="std of the wind at the start, per axis", minimum=0.0)
     wind_walk: Array = parameter(
         default=0.5, unit="m/s/sqrt(s)", doc="random walk of the wind, gusts included", minimum=0.0
     )
     height_bias: bool = setting(
-        default=False, doc="whether the barometer's error is estimated, so that fixes hold the height for long"
+        default=False, doc="the barometer's error is a state, so that fixes determine the height in the long run"
     )
-    height_bias_std: Array = parameter(default=0.5, unit="m", doc="of it at the start", minimum=0.0)
-    height_bias_walk: Array = parameter(default=0.02, unit="m/sqrt(s)", doc="its random walk", minimum=0.0)
-    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
+    height_bias_std: Array = parameter(
+        default=0.5, unit="m", doc="std of the barometer's error at the start", minimum=0.0
+    )
+    height_bias_walk: Array = parameter(
+        default=0.02, unit="m/sqrt(s)", doc="random walk of the barometer's error", minimum=0.0
+    )
+    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: unknown")
     ages: tuple[tuple[str, int], ...] = derived(
         default=(), doc="sensors by name, and ticks their readings are late by", static=True
     )

@@ -30,15 +30,17 @@ LOST_TURN_STD = 0.2
 class Innovations:
     """What each kind of reading said beside what was expected, (n,), in units of the std expected of it."""
 
-    position_ned: Array = quantity(unit="1", doc="of the last fix: largest axis, over its std")
-    velocity_ned: Array = quantity(unit="1", doc="of the last velocity: largest axis, over its std")
-    height: Array = quantity(unit="1", doc="of the last height, over its std")
-    yaw: Array = quantity(unit="1", doc="of the last heading, over its std")
+    position_ned: Array = quantity(unit="1", doc="innovation of the last fix: largest axis, divided by its std")
+    velocity_ned: Array = quantity(unit="1", doc="innovation of the last velocity: largest axis, divided by its std")
+    height: Array = quantity(unit="1", doc="innovation of the last height, divided by its std")
+    yaw: Array = quantity(unit="1", doc="innovation of the last heading, divided by its std")
     field: Array | None = quantity(
-        default=None, unit="1", doc="of the last magnetic field: largest axis, over its std; None without its states"
+        default=None,
+        unit="1",
+        doc="innovation of the last magnetic field: largest axis, divided by its std; None without its states",
     )
     airspeed: Array | None = quantity(
-        default=None, unit="1", doc="of the last airspeed, over its std; None without its states"
+        default=None, unit="1", doc="innovation of the last airspeed, divided by its std; None without its states"
     )
 
 
@@ -47,7 +49,7 @@ class Past:
     """Where the vehicles (n,) were, as far as is known now."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position")
-    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
+    position_low_ned: Vec3 = quantity(unit="m", doc="remainder of it beyond single precision")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
 
 
@@ -69,19 +71,19 @@ class KalmanState:
     """Memory of the filter, (n,) but for the covariance."""
 
     position_ned: Vec3 = quantity(unit="m", doc="estimated position")
-    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
+    position_low_ned: Vec3 = quantity(unit="m", doc="remainder of it beyond single precision")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="estimated velocity over ground")
     attitude: Quaternion = quantity(doc="estimated attitude")
-    inner: Inner = quantity(doc="all else that is estimated")
+    inner: Inner = quantity(doc="other estimated states")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates as last measured")
     force_ned: Vec3 = quantity(unit="m/s^2", doc="specific force of the last tick")
     covariance: Covariance = quantity(
-        doc="of position, velocity, rotation in NED, both biases, then field and its bias, wind and bias of the "
-        "height: blocks of three errors with three, see covariance.py, 15 to 24 errors"
+        doc="covariance of position, velocity, rotation in NED, both biases, then field and its bias, "
+        "wind and bias of the height: 3 by 3 blocks, see covariance.py, 15 to 24 errors"
     )
     lean: Vec3 = quantity(unit="1", doc="downward direction in body axes, averaged over LEAN_S")
-    since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
-    innovations: Innovations = quantity(doc="of the last readings")
+    since_fix: Array = quantity(unit="s", doc="time since the last accepted fix")
+    innovations: Innovations = quantity(doc="innovations of the last readings")
     past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
     slow: Vec3 | None = quantity(
         default=None,

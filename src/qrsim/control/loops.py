@@ -31,13 +31,13 @@ class HeightState:
 class HeightLoop:
     """PID from height error to throttle around the hover throttle."""
 
-    hover_throttle: Array = parameter(
-        default=0.59, unit="1", doc="throttle that carries the weight", minimum=0.0, maximum=1.0
-    )
+    hover_throttle: Array = parameter(default=0.59, unit="1", doc="throttle of hover", minimum=0.0, maximum=1.0)
     kp: Array = parameter(default=0.03, unit="1/m", doc="proportional gain")
     ki: Array = parameter(default=0.0008, unit="1/(m s)", doc="integral gain")
     kd: Array = parameter(default=0.04, unit="s/m", doc="derivative gain")
-    anti_windup: Array = parameter(default=2.0, unit="m s", doc="taken off the integral per unit of clipped throttle")
+    anti_windup: Array = parameter(
+        default=2.0, unit="m s", doc="reduction of the integral per unit of clipped throttle"
+    )
 
     def init(self, z: Array) -> HeightState:
         """Return the state before the first set-point; z is (n,) [m]."""
@@ -67,12 +67,10 @@ class HeightLoop:
 class ClimbLoop:
     """PI from the error of the body's vertical velocity to throttle around the hover throttle."""
 
-    hover_throttle: Array = parameter(
-        default=0.59, unit="1", doc="throttle that carries the weight", minimum=0.0, maximum=1.0
-    )
+    hover_throttle: Array = parameter(default=0.59, unit="1", doc="throttle of hover", minimum=0.0, maximum=1.0)
     kp: Array = parameter(default=0.2, unit="s/m", doc="proportional gain")
     ki: Array = parameter(default=0.1, unit="1/m", doc="integral gain; the published 0.002 per step of 0.02 s")
-    windup: Windup = setting(default="held", doc="what a saturated throttle does to the integral, as in velocity")
+    windup: Windup = setting(default="held", doc="integral while the throttle saturates, as for velocity")
 
     def step(self, integral: Array, error: Array, dt: float) -> tuple[Array, Array]:
         """Return the new integral [m] and the throttle [0, 1] for an error (n,) [m/s], wanted minus actual, down."""
@@ -105,11 +103,11 @@ class VelocityLoop:
     ki: Array = parameter(default=0.15, unit="rad/m", doc="integral gain; the published 0.003 per step of 0.02 s")
     kd: Array = parameter(default=0.05, unit="rad s^2/m", doc="derivative gain")
     speed_limit: Array = parameter(
-        default=3.0, unit="m/s", doc="largest wanted velocity along each body axis", above=0.0
+        default=3.0, unit="m/s", doc="largest commanded velocity along each body axis", above=0.0
     )
     windup: Windup = setting(
         default="held",
-        doc="what a saturated tilt does to the integral: it is held, or grows on as in the reference implementation",
+        doc="integral while the tilt saturates: held, or growing as in the reference implementation",
     )
 
     def init(self, like: Array) -> VelocityState:

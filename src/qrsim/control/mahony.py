@@ -24,7 +24,7 @@ class Turning:
     attitude: Quaternion = quantity(doc="estimated attitude")
     gyroscope_bias: Vec3 = quantity(unit="rad/s", doc="estimated error of the body rates")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates as last measured")
-    velocity_ned: Vec3 = quantity(unit="m/s", doc="of the last fix")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity of the last fix")
     acceleration_ned: Vec3 = quantity(unit="m/s^2", doc="by the last two fixes")
     since_fix: Array = quantity(unit="s", doc="time since the last velocity of a fix")
     since_heading: Array = quantity(unit="s", doc="time since the last heading")

@@ -67,7 +67,7 @@ class Mission:
     turn_s: Array = quantity(unit="s", doc="(W, n) time of the turn into the next leg")
     accept_radius: Array = quantity(unit="m", doc="(W, n) distance at which the end counts as reached")
     hold_s: Array = quantity(unit="s", doc="(W, n) time to stay there")
-    limit_s: Array = quantity(unit="s", doc="(W, n) time after which it is told that a leg is not reached")
+    limit_s: Array = quantity(unit="s", doc="(W, n) time after which a leg is reported as not reached")
     stops: Array = quantity(doc="(W, n) bool: the leg ends at rest")
     lands: Array = quantity(doc="(W, n) bool: the leg ends on the ground")
     number: Array = quantity(doc="(W, n) int32 number of the leg as its author counts")
@@ -76,7 +76,7 @@ class Mission:
         default=None, doc="(W, n) bool: a polynomial of fifth degree, from rest to rest"
     )
     circle: Orbits | None = quantity(default=None, doc="circles, None without any")
-    facing: Facing | None = quantity(default=None, doc="places to look at, None without any")
+    facing: Facing | None = quantity(default=None, doc="points that the heading follows, None without any")
 
     @property
     def rises(self) -> Array:
@@ -91,18 +91,18 @@ class MissionState:
     index: Array = quantity(doc="int32 leg that is flown")
     reached: Array = quantity(doc="int32 legs reached so far, as their author counts")
     time: Array = quantity(unit="s", doc="time on the path of the leg, which waits for the vehicle")
-    time_low: Array = quantity(unit="s", doc="what single precision leaves out of it")
+    time_low: Array = quantity(unit="s", doc="remainder of it beyond single precision")
     ticks: Array = quantity(doc="int32 ticks on the leg until its end was reached")
     waited: Array = quantity(doc="int32 ticks at its end; of a landing before that, held by the ground")
     near: Array = quantity(doc="bool: has been within the accept radius")
     arrived: Array = quantity(doc="bool: its end was reached, and the vehicle stays")
-    late: Array = quantity(doc="int32 legs that took longer than allowed")
-    behind: Array = quantity(unit="m", doc="distance from the point of the path that is due")
+    late: Array = quantity(doc="int32 number of legs that took longer than allowed")
+    behind: Array = quantity(unit="m", doc="distance from the scheduled point of the path")
     finished: Array = quantity(doc="bool: the last leg was reached, and nothing follows")
     shift_ned: Vec3 = quantity(
-        unit="m", doc="from the planned path to the one that is flown, as of who does not stand where it should"
+        unit="m", doc="offset of the flown path from the planned one, such as after a displaced start"
     )
-    low: Array = quantity(doc="bool: stands, or has not risen by LIFTED since")
+    low: Array = quantity(doc="bool: on the ground, or has not risen by LIFTED since")
 
 
 def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
@@ -119,16 +119,18 @@ class MissionGuidance(Guidance):
     """Flies legs with speed, stop, hold and heading, take-offs, landings and circles, on a path in time."""
 
     stretch_from: Array = parameter(
-        default=2.0, unit="m", doc="distance from the path's due point at which the path begins to wait", minimum=0.0
+        default=2.0, unit="m", doc="tracking error at which the path begins to slow down", minimum=0.0
     )
-    stretch_over: Array = parameter(default=3.0, unit="m", doc="distance beyond that at which it stands", above=0.0)
+    stretch_over: Array = parameter(
+        default=3.0, unit="m", doc="further tracking error at which the path stops", above=0.0
+    )
     stop_speed: Array = parameter(default=0.5, unit="m/s", doc="speed below which a vehicle has stopped", above=0.0)
     path: Literal["jerk_limited", "quintic"] = setting(
-        default="jerk_limited", doc="ramps and turns; or every leg from rest to rest by a polynomial of fifth degree"
+        default="jerk_limited", doc="ramps and turns, or a fifth-degree polynomial from rest to rest for every leg"
     )
-    speed: float = setting(default=5.0, unit="m/s", doc="speed of legs that give none", above=0.0, maximum=50.0)
+    speed: float = setting(default=5.0, unit="m/s", doc="speed of legs without one", above=0.0, maximum=50.0)
     accept_radius: float = setting(
-        default=2.0, unit="m", doc="distance at which a leg counts as reached, of legs that give none", above=0.0
+        default=2.0, unit="m", doc="distance at which a leg counts as reached, for legs without one", above=0.0
     )
     acceleration: float = setting(default=3.0, unit="m/s^2", doc="largest acceleration of the path", above=0.0)
     jerk: float = setting(default=8.0, unit="m/s^3", doc="largest jerk of the path", above=0.0)
@@ -136,18 +138,18 @@ class MissionGuidance(Guidance):
     sink_speed: float = setting(default=1.5, unit="m/s", doc="largest speed downwards", above=0.0)
     take_off_speed: float = setting(default=1.5, unit="m/s", doc="speed of a take-off", above=0.0)
     touchdown_speed: float = setting(default=0.7, unit="m/s", doc="speed of a landing near the ground", above=0.0)
-    slow_below: float = setting(default=10.0, unit="m", doc="height from which on a landing is slow", minimum=0.0)
+    slow_below: float = setting(default=10.0, unit="m", doc="height below which a landing is slow", minimum=0.0)
     settle: float = setting(default=1.0, unit="s", doc="time on the ground after which a vehicle has landed", above=0.0)
     join_speed: Array = parameter(
         default=1.0,
         unit="m/s",
-        doc="speed at which a path that began beside the planned one goes over to it",
+        doc="speed at which a path that starts off the planned one returns to it",
         above=0.0,
     )
     leg_timeout: float = setting(
-        default=30.0, unit="s", doc="how much longer than planned a leg may take before that is told", above=0.0
+        default=30.0, unit="s", doc="time beyond the planned one after which a leg is reported as late", above=0.0
     )
-    repeat: bool = setting(default=False, doc="start again after the last leg, else stay there")
+    repeat: bool = setting(default=False, doc="repeat the mission after the last leg; if false, stay there")
 
     gives: ClassVar[type] = PathSetpoint
     sees_motion: ClassVar[bool] = True

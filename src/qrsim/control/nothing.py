@@ -18,7 +18,7 @@ class NoSetpoint:
 
 @record
 class NoController(Controller):
-    """Commands nothing, of a vehicle that takes no commands."""
+    """No commands, for a vehicle that takes none."""
 
     setpoints: ClassVar[tuple[type, ...]] = (NoSetpoint,)
     gives: ClassVar[type] = NoCommand
@@ -34,7 +34,7 @@ class NoController(Controller):
 
 @record
 class NoGuidance(RouteGuidance):
-    """Asks for nothing."""
+    """No set-points."""
 
     gives: ClassVar[type] = NoSetpoint
 

@@ -30,32 +30,36 @@ BACK_SPEED, BACK_SHARE = 0.5, 1.4
 class RoverControllerState:
     """Memory of a rover's controller, (n,)."""
 
-    integral: Array = quantity(unit="m/s", doc="of the speed error")
-    resting: Array = quantity(doc="bool: has come to where it was to stop")
+    integral: Array = quantity(unit="m/s", doc="integral of the speed error")
+    resting: Array = quantity(doc="bool: has reached the place of its stop")
 
 
 @record
 class RoverController(Controller):
     """Drives along lines and circles, to places and at velocities; for any vehicle that takes speed and curvature."""
 
-    speed: Array = parameter(default=2.0, unit="m/s", doc="speed where a set-point gives none", above=0.0)
-    lookahead: Array = parameter(
-        default=1.0, unit="s", doc="how far ahead on the track it steers for, as time at its speed", above=0.0
-    )
-    lookahead_min: Array = parameter(default=1.5, unit="m", doc="the same, the least of it", above=0.0)
+    speed: Array = parameter(default=2.0, unit="m/s", doc="speed of set-points without one", above=0.0)
+    lookahead: Array = parameter(default=1.0, unit="s", doc="look-ahead time on the track", above=0.0)
+    lookahead_min: Array = parameter(default=1.5, unit="m", doc="smallest look-ahead distance", above=0.0)
     side_acceleration: Array = parameter(
-        default=3.0, unit="m/s^2", doc="largest acceleration to the side that it goes into a turn with", above=0.0
+        default=3.0, unit="m/s^2", doc="largest lateral acceleration on entering a turn", above=0.0
     )
-    deceleration: Array = parameter(default=1.0, unit="m/s^2", doc="with which it comes to a stop", above=0.0)
-    stop_radius: Array = parameter(default=0.3, unit="m", doc="distance at which it is where it stops", above=0.0)
+    deceleration: Array = parameter(default=1.0, unit="m/s^2", doc="deceleration of a stop", above=0.0)
+    stop_radius: Array = parameter(
+        default=0.3, unit="m", doc="distance at which the place of a stop counts as reached", above=0.0
+    )
     leave_radius: Array = parameter(
-        default=4.0, unit="m", doc="distance to there at which it begins to move again, as it seems", above=0.0
+        default=4.0, unit="m", doc="estimated distance from that place at which it moves again", above=0.0
     )
-    position_gain: Array = parameter(default=0.8, unit="1/s", doc="wanted speed per metre behind a moving point")
-    heading_gain: Array = parameter(default=2.0, unit="1/s", doc="yaw rate per heading error, at a wanted velocity")
+    position_gain: Array = parameter(
+        default=0.8, unit="1/s", doc="commanded speed per metre of error to a moving point"
+    )
+    heading_gain: Array = parameter(default=2.0, unit="1/s", doc="yaw rate per heading error, for velocity set-points")
     speed_integral_gain: Array = parameter(default=0.2, unit="1/s", doc="commanded speed per integrated speed error")
-    speed_integral_limit: Array = parameter(default=0.5, unit="m/s", doc="largest part of that", minimum=0.0)
-    feed: Literal["measurements", "truth"] = setting(default="measurements", doc="what the controller is fed with")
+    speed_integral_limit: Array = parameter(default=0.5, unit="m/s", doc="largest speed by that integral", minimum=0.0)
+    feed: Literal["measurements", "truth"] = setting(
+        default="measurements", doc="input of the controller: the sensors' readings, or the truth"
+    )
     nominal: Any = derived(default=None, doc="the vehicle that it is fitted to")
 
     setpoints: ClassVar[tuple[type, ...]] = (TrackSetpoint, WaypointSetpoint, VelocitySetpoint, PathSetpoint)

@@ -48,10 +48,10 @@ class Estimate:
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
     attitude: Euler = quantity(unit="rad", doc="Euler angles")
     position_low_ned: Vec3 | None = quantity(
-        default=None, unit="m", doc="what single precision leaves out of the position; None where nobody knows"
+        default=None, unit="m", doc="remainder of the position beyond single precision; None if unknown"
     )
     airspeed: Array | None = quantity(
-        default=None, unit="m/s", doc="speed through the air; None for a controller that does not look at it"
+        default=None, unit="m/s", doc="airspeed; None for a controller that does not use it"
     )
 
     def offset_from(self, place_ned: Vec3) -> Vec3:
@@ -94,7 +94,7 @@ class PathSetpoint:
     acceleration_ned: Vec3 = quantity(unit="m/s^2", doc="acceleration along the path")
     yaw: Array = quantity(unit="rad", doc="heading")
     idle: Array | None = quantity(default=None, doc="bool: motors idle; None: they never are")
-    level: Array | None = quantity(default=None, doc="bool: it does not lean; None: as its motion needs")
+    level: Array | None = quantity(default=None, doc="bool: it stays level; None: it tilts as its motion requires")
     blind: Array | None = quantity(default=None, doc="bool: level, for want of a position; None: none is")
 
     @staticmethod
@@ -118,11 +118,15 @@ class PathSetpoint:
 class TrackSetpoint:
     """A straight line to fly or drive along, or a circle to go round, (n,), for rovers and fixed wings."""
 
-    begin_ned: Vec3 = quantity(unit="m", doc="where the line begins; where it ends: straight there; not of a circle")
-    position_ned: Vec3 = quantity(unit="m", doc="where the line ends, or the centre of the circle; with the height")
-    radius: Array = quantity(unit="m", doc="of the circle, clockwise from above positive; 0: a line")
-    speed: Array = quantity(unit="m/s", doc="along it, of a fixed wing its airspeed; 0: that of the controller")
-    stops: Array = quantity(unit="1", doc="1: come to rest at the end of the line, who can; 0: go on")
+    begin_ned: Vec3 = quantity(
+        unit="m", doc="start of the line; equal to the end: fly straight there; unused for a circle"
+    )
+    position_ned: Vec3 = quantity(unit="m", doc="end of the line, or centre of the circle; with the height")
+    radius: Array = quantity(unit="m", doc="radius of the circle, positive clockwise from above; 0: a line")
+    speed: Array = quantity(
+        unit="m/s", doc="speed along the path, for a fixed wing its airspeed; 0: that of the controller"
+    )
+    stops: Array = quantity(unit="1", doc="1: stop at the end of the line, if the vehicle can; 0: continue")
 
     @staticmethod
     def line(begin_ned: object, end_ned: object, speed: object = 0.0, stops: object = 0.0) -> TrackSetpoint:

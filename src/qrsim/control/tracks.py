@@ -61,7 +61,7 @@ class RoverGuidance(RouteGuidance):
     acceptance_radius: Array = parameter(
         default=1.5, unit="m", doc="distance at which a waypoint counts as reached", above=0.0
     )
-    repeat: bool = setting(default=True, doc="start again after the last waypoint, else stop there")
+    repeat: bool = setting(default=True, doc="repeat the route after the last waypoint; if false, stop there")
 
     gives: ClassVar[type] = TrackSetpoint
 
@@ -83,21 +83,23 @@ class RoverGuidance(RouteGuidance):
 
 @record
 class FixedWingGuidance(RouteGuidance):
-    """Flies along the lines between waypoints, and round the last one; without waypoints round the start."""
+    """Flies along the lines between waypoints, and circles the last one; without waypoints, the start."""
 
     acceptance_radius: Array = parameter(
         default=40.0,
         unit="m",
-        doc="distance at which the next line begins, so that the turn is not overshot",
+        doc="distance at which the next line begins, to avoid overshoot",
         above=0.0,
     )
     radius: Array = parameter(
         default=150.0,
         unit="m",
-        doc="of the circle round the last waypoint, clockwise from above; negative: the other way",
+        doc="radius of the circle around the last waypoint; positive: clockwise, negative: anticlockwise",
     )
-    airspeed: Array = parameter(default=0.0, unit="m/s", doc="wanted airspeed; 0: that of the controller", minimum=0.0)
-    repeat: bool = setting(default=False, doc="start again after the last waypoint, else circle it")
+    airspeed: Array = parameter(
+        default=0.0, unit="m/s", doc="commanded airspeed; 0: that of the controller", minimum=0.0
+    )
+    repeat: bool = setting(default=False, doc="repeat the route after the last waypoint; if false, circle it")
 
     gives: ClassVar[type] = TrackSetpoint
 

@@ -25,7 +25,7 @@ class BeaconSpec(Strict):
     """A radio at a known place."""
 
     name: str = Field(description="name", min_length=1)
-    position_ned: Position = Field(description="where its antenna is [m]: north, east, down")
+    position_ned: Position = Field(description="position of its antenna [m]: north, east, down")
 
 
 def beacon_problems(scenario: Any) -> Iterator[str]:

@@ -69,7 +69,7 @@ class FaultSpec(Strict):
     range: Finite | None = Field(None, description="readings are drawn uniformly from - to + this (garbage)", ge=0)
     every: int | None = Field(None, description="one reading of so many is delivered (slow)", ge=1, le=1_000_000)
     by: Finite | None = Field(None, description="how late readings come [s] (delayed)", ge=0, le=600)
-    share: Finite | None = Field(None, description="part of the readings that is lost (intermittent)", ge=0, le=1)
+    share: Finite | None = Field(None, description="share of the readings that is lost (intermittent)", ge=0, le=1)
     on: Finite | None = Field(None, description="time with readings [s], then without (intermittent)", ge=0, le=1e6)
     off: Finite | None = Field(None, description="time without readings [s] (intermittent)", ge=0, le=1e6)
 
@@ -133,7 +133,7 @@ class InjectableSpec(Strict):
         description="numbers of rotors, from 0, at most four, or all, of which the first four",
         json_schema_extra=or_all,
     )
-    battery: bool = Field(False, description="whether the battery may lose charge", strict=True)
+    battery: bool = Field(False, description="the battery can be made to lose charge", strict=True)
     radio: bool = Field(False, description="whether the radio may fail", strict=True)
     delay_max: Finite = Field(0.0, description="longest delay of kind delayed [s]", ge=0, le=60)
 

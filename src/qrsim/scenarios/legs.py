@@ -70,7 +70,7 @@ class FlyLeg(_LegSpec):
 
 @_called("take_off")
 class TakeOffLeg(_LegSpec):
-    """Climb, straight up."""
+    """Climb straight up."""
 
     type: Literal["take_off"] = Field(description="what it is")
     height: Finite = Field(description="height above the site's origin to climb to [m], positive up")
@@ -78,7 +78,7 @@ class TakeOffLeg(_LegSpec):
 
 @_called("land")
 class LandLeg(_LegSpec):
-    """Come down to the ground, and let the motors idle there."""
+    """Land, and let the motors idle."""
 
     type: Literal["land"] = Field(description="what it is")
     at_ned: Corner | None = Field(None, description="where [m]: north, east; default: below")
@@ -87,7 +87,7 @@ class LandLeg(_LegSpec):
 
 @_called("loiter")
 class LoiterLeg(_LegSpec):
-    """Stay at a place, or circle round it: for a time, for some turns, or for ever."""
+    """Stay at a place, or circle it: for a time, for some turns, or without end."""
 
     type: Literal["loiter"] = Field(description="what it is")
     to_ned: Position | None = Field(None, description="where [m]: north, east, down; default: where the vehicle is")
@@ -114,7 +114,7 @@ class LoiterLeg(_LegSpec):
 
 @_called("return")
 class ReturnLeg(_LegSpec):
-    """Fly back to where the vehicle started, and land there."""
+    """Fly back to the start, and land there."""
 
     type: Literal["return"] = Field(description="what it is")
     height: Finite | None = Field(

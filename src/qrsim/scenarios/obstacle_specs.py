@@ -92,7 +92,7 @@ class MaskSpec(Strict):
 
     pitch: Finite | None = Field(
         None,
-        description="side of a cell [m]; default: 1, 2 or 4 m, the finest of which the table is small",
+        description="side of a cell [m]; default: 1, 2 or 4 m, the finest with a small table",
         ge=0.5,
         le=50,
     )
@@ -100,7 +100,7 @@ class MaskSpec(Strict):
 
 
 class BuildingsSpec(Strict):
-    """Buildings from a file, which become obstacles; and what obstacles hide of the sky."""
+    """Buildings from a file, as obstacles; and what obstacles hide of the sky."""
 
     file: str | None = Field(None, description="a .geojson file with polygons", min_length=1)
     frame: Literal["geodetic", "local"] = Field(
@@ -111,10 +111,10 @@ class BuildingsSpec(Strict):
     )
     trees: Finite | None = Field(
         None,
-        description="height [m] of woods and trees of OpenStreetMap without a height; default: they are left out",
+        description="height [m] of woods and trees of OpenStreetMap without one; default: they are left out",
         gt=0,
         le=1000,
     )
     table: MaskSpec = Field(
-        default_factory=lambda: MaskSpec.model_validate({}), description="what obstacles hide of the sky"
+        default_factory=lambda: MaskSpec.model_validate({}), description="table of the sky that obstacles hide"
     )

@@ -23,10 +23,12 @@ RadioModel: Any = Annotated[component_model("radio", Network, tagged=False), Bef
 class FleetRadioSpec(Strict):
     """What the radios of a fleet have of their own."""
 
-    power_dbm: Finite | None = Field(None, description="transmitted [dBm]; default: that of world.radio")
-    gain_db: Finite | None = Field(None, description="of the antenna [dB]; default: that of world.radio")
-    noise_figure_db: Finite | None = Field(None, description="of the receiver [dB]; default: that of world.radio", ge=0)
-    works: bool = Field(True, description="false, or none in place of all this: silent and deaf", strict=True)
+    power_dbm: Finite | None = Field(None, description="transmitted power [dBm]; default: that of world.radio")
+    gain_db: Finite | None = Field(None, description="gain of the antenna [dB]; default: that of world.radio")
+    noise_figure_db: Finite | None = Field(
+        None, description="noise figure of the receiver [dB]; default: that of world.radio", ge=0
+    )
+    works: bool = Field(True, description="false, or none instead of this mapping: no radio", strict=True)
 
     @model_validator(mode="before")
     @classmethod

@@ -185,7 +185,7 @@ class WorldSpec(Strict):
     terrain: TerrainSlot = Field({"type": "clear"}, description="cover of the ground", validate_default=True)
     persons: PersonsSlot = Field({"type": "none"}, description="persons to find", validate_default=True)
     obstacles: list[ObstacleSlot] = Field([], description="solid objects", max_length=MOST_OBSTACLES)
-    buildings: BuildingsSpec | None = Field(None, description="buildings from a file, which become obstacles")
+    buildings: BuildingsSpec | None = Field(None, description="buildings from a file, as obstacles")
     interference: list[InterferenceSlot] = Field(
         [], description="jammers, spoofers, outages and storms that affect receivers of type gnss", max_length=MOST
     )
@@ -197,7 +197,7 @@ class WorldSpec(Strict):
         description="what may change in flight: wind (over some time), gusts and jam, or all",
         json_schema_extra=or_all,
     )
-    radio: RadioModel | None = Field(None, description="messages between vehicles; default: no radios")
+    radio: RadioModel | None = Field(None, description="radios for messages between vehicles; default: none")
     beacons: list[BeaconSpec] = Field(
         [], description="radios at known places, for sensors of type ranging", max_length=MOST_BEACONS
     )
@@ -224,7 +224,7 @@ class FleetSpec(Strict):
         {}, description="sensors by name, or the name of a set of them", json_schema_extra=or_a_set
     )
     estimator: EstimatorSlot | None = Field(
-        None, description="runs on the readings and feeds the controller; default: the controller's own, if it has one"
+        None, description="estimator of the state for the controller; default: the controller's own, if it has one"
     )
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[AnyFault] = Field(
@@ -234,15 +234,15 @@ class FleetSpec(Strict):
         None, description="reactions to a low battery, a lost link and lost GNSS, by PX4's parameters; default: none"
     )
     injectable: InjectableModel | None = Field(
-        None, description="what may be made to fail in flight, or all; default: nothing", json_schema_extra=or_all
+        None, description="parts that can be made to fail in flight, or all; default: none", json_schema_extra=or_all
     )
     placement: PlacementSlot = Field(
         {"type": "given"},
-        description="where the vehicles start in an episode; their given positions count otherwise, and their heights",
+        description="starts of the vehicles in an episode; default: their positions in the scenario",
         validate_default=True,
     )
     radius: Finite | None = Field(
-        None, description="of the sphere that collides [m]; default: half of world.collision_distance", ge=0
+        None, description="radius of the collision sphere [m]; default: half of world.collision_distance", ge=0
     )
     ground: Literal["stop", "parked"] = Field(
         "stop",

@@ -38,7 +38,7 @@ class SiteSpec(Strict):
     )
     plan: PlanSpec | None = Field(
         None,
-        description="a .plan file, FILE or {file: FILE}, whose home it is, instead of the three numbers",
+        description="a .plan file, FILE or {file: FILE}, with its home as the site, instead of the three numbers",
         exclude=True,
         json_schema_extra=or_its_file,
     )

@@ -34,13 +34,14 @@ class Axis:
 
 def penalty() -> Array:
     """Return the field of the reward of the step in which a vehicle stops."""
-    return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle stops", maximum=0.0)
+    return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle's flight ends", maximum=0.0)
 
 
 def leaving() -> bool:
     """Return the field of whether agents that stop leave."""
     return setting(
-        default=False, doc="an agent that stops leaves, at the penalty, and the others fly on; else the episode ends"
+        default=False,
+        doc="an agent that stops leaves with the penalty, and the others continue; if false, the episode ends",
     )
 
 

@@ -27,7 +27,7 @@ SEEING = (Looking, Scan, IdealScan, Rangefinder, IdealRangefinder)
 def senses() -> tuple[str, ...]:
     """Return the field of the sensors that agents see by."""
     return setting(
-        default=(), doc="names of the agents' sensors neighbours, scan and rangefinder whose readings they observe"
+        default=(), doc="names of the agents' sensors of type neighbours, scan and rangefinder in their observations"
     )
 
 

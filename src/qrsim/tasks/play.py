@@ -37,7 +37,7 @@ class Judged:
 
     memory: Any = quantity(doc="of the task, after it")
     reward: Array = quantity(doc="(n,) of the agents")
-    goes_on: Array = quantity(doc="() bool: nobody has stopped, or where agents leave, not all have")
+    goes_on: Array = quantity(doc="() bool: no agent has stopped, or if agents leave, not all have")
     gone: Array | None = quantity(doc="as of ``Episode``")
 
 
@@ -45,7 +45,9 @@ class Judged:
 class Step:
     """Result of a step for the agents (n,)."""
 
-    observation: Any = quantity(doc="what each sees, (n, O) or a dict of arrays (n, ...); of several fleets by fleet")
+    observation: Any = quantity(
+        doc="observations of the agents, (n, O) or a dict of arrays (n, ...); of several fleets by fleet"
+    )
     reward: Array = quantity(doc="(n,)")
     terminated: Array = quantity(doc="() bool: a vehicle has stopped, and the episode has ended")
     truncated: Array = quantity(doc="() bool: the last step is done")
@@ -58,7 +60,7 @@ class Progress:
 
     episode: Episode = quantity()
     commands: tuple[Action, ...] = quantity(doc="held over the ticks of a step")
-    last: Step = quantity(doc="what the last step brought")
+    last: Step = quantity(doc="result of the last step")
     truth: Any = quantity(doc="after the last step, by name")
 
 
@@ -74,7 +76,7 @@ class EpisodeKeys:
 class Play:
     """A task, its world and the length of an episode; its numbers are leaves, so changing them does not recompile."""
 
-    task: Task = quantity(doc="what is to be done")
+    task: Task = quantity(doc="the task")
     world: World = quantity(doc="where")
     steps: int = setting(unit="1", doc="steps of an episode")
 

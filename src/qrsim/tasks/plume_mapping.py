@@ -33,7 +33,7 @@ SMALLEST_DISTANCE = 1e-12
 class PlumeMemory:
     """Memory of an episode."""
 
-    locations_ned: Vec3 = quantity(unit="m", doc="(L,) where the concentration is asked for")
+    locations_ned: Vec3 = quantity(unit="m", doc="(L,) locations of the concentration estimates")
     draw: Draw = quantity(doc="of what the score draws")
 
 
@@ -49,15 +49,19 @@ class PlumeMapping(Task):
     threshold: Array = parameter(
         default=1e-3,
         unit="1",
-        doc="concentration that a location of the plume has, in parts of the plume's scale",
+        doc="least concentration at a location in the plume, relative to the plume's scale",
         above=0.0,
     )
     sample_gap: Array = parameter(default=60.0, unit="s", doc="time between two reference samples of puffs", above=0.0)
     penalty: Array = penalty()
     leave: bool = leaving()
-    locations: int = setting(default=100, unit="1", doc="locations asked for", minimum=1, maximum=10_000)
-    anywhere: int = setting(default=20, unit="1", doc="of them, those anywhere in the area", minimum=0, maximum=10_000)
-    samples: int = setting(default=500, unit="1", doc="samples for each location of puffs", minimum=2, maximum=100_000)
+    locations: int = setting(default=100, unit="1", doc="number of locations", minimum=1, maximum=10_000)
+    anywhere: int = setting(
+        default=20, unit="1", doc="number of these placed anywhere in the area", minimum=0, maximum=10_000
+    )
+    samples: int = setting(
+        default=500, unit="1", doc="reference samples per location, for puffs", minimum=2, maximum=100_000
+    )
     fleet: str = setting(default="helicopters", doc="name of the fleet whose vehicles are the agents")
     sensor: str = setting(default="concentration", doc="name of their concentration sensor")
     period: float = action_period(1.0)

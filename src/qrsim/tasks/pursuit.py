@@ -36,13 +36,14 @@ class Pursuit(Task):
     vehicle stops brings the penalty to both sides, so that nobody gains by a crash.
     """
 
-    reach: Array = parameter(default=2.0, unit="1", doc="collision distances that are near enough", minimum=0.0)
+    reach: Array = parameter(default=2.0, unit="1", doc="distance of a catch, in collision distances", minimum=0.0)
     penalty: Array = penalty()
     leave: bool = leaving()
     fleet: str = setting(default="cats", doc="name of the fleet whose vehicles are the agents")
-    prey: str = setting(default="mice", doc="name of the fleet that is caught")
+    prey: str = setting(default="mice", doc="name of the fleet to catch")
     mouse: Literal["scripted", "agent"] = setting(
-        default="scripted", doc="who flies the fleet that is caught: its own guidance, or agents, by velocities as cats"
+        default="scripted",
+        doc="control of the fleet to catch: its guidance, or agents with velocity actions as cats have",
     )
     period: float = action_period(1.0)
     senses: tuple[str, ...] = senses()

@@ -82,9 +82,7 @@ class Effort:
     tilt: Array = parameter(default=2.0 / math.pi, unit="1/rad", doc="weight of pitch and of roll", minimum=0.0)
     throttle: Array = parameter(default=0.5, unit="1", doc="weight of the throttle", minimum=0.0)
     yaw_rate: Array = parameter(default=1.0, unit="s/rad", doc="weight of the yaw rate", minimum=0.0)
-    hover_throttle: Array = parameter(
-        default=0.59, unit="1", doc="throttle that costs nothing", minimum=0.0, maximum=1.0
-    )
+    hover_throttle: Array = parameter(default=0.59, unit="1", doc="throttle without cost", minimum=0.0, maximum=1.0)
 
     def rate(self, command: Any) -> Array:
         """Return the cost per second of commands (n,) of tilt, throttle and yaw rate."""
@@ -104,7 +102,7 @@ class Effort:
 class SimpleMemory:
     """Memory of vehicles (n,)."""
 
-    start_ned: Vec3 = quantity(unit="m", doc="where each started")
+    start_ned: Vec3 = quantity(unit="m", doc="start of each vehicle")
     cost: Array = quantity(doc="integral of what this step costs each")
     owed: Array = quantity(doc="squared distance and stake of each that have been paid")
     total: Array = quantity(doc="() rewards so far, the sum over all")
@@ -114,16 +112,16 @@ class SimpleMemory:
 class Commanded(Task):
     """Base of the simple tasks: flown by SI commands, at a cost."""
 
-    effort: Effort = quantity(default=Effort(), doc="what commands cost")
+    effort: Effort = quantity(default=Effort(), doc="cost of commands")
     penalty: Array = parameter(default=-1000.0, unit="1", doc="return of an episode that ends in a crash", maximum=0.0)
     crash: Crash = setting(
         default="worst",
-        doc="return after a crash: published, the penalty; worst, no more than anybody can have who does not crash",
+        doc="return after a crash; published: the penalty; worst: at most the lowest return without a crash",
     )
     stake: Array = parameter(
         default=0.5,
         unit="1",
-        doc="part of what a crash costs that is paid on the way there and given back",
+        doc="share of a crash's cost that is charged as the limits approach and repaid on retreat",
         minimum=0.0,
         maximum=1.0,
     )
@@ -210,7 +208,7 @@ class Commanded(Task):
 
 @record
 class KeepSpot(Commanded):
-    """Stay at the start, with little effort; the costs of several vehicles are summed."""
+    """Stay at the start with little effort; the costs of several vehicles are added."""
 
     def sees(self, world: World) -> tuple[Axis, ...]:
         """Describe the numbers of an observation."""

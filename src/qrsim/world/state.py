@@ -70,7 +70,7 @@ class Saying:
     """What is asked of the vehicles (n,) of a fleet, and what they have to say over the radio."""
 
     action: object = quantity(doc="a command, a set-point, Some of these, or None")
-    outbox: Outbox = quantity(doc="what they have to say")
+    outbox: Outbox = quantity(doc="messages to send")
 
 
 @record
@@ -81,7 +81,7 @@ class Piloted:
     the sticks of the next tick.
     """
 
-    command: object = quantity(doc="what the vehicles (n,) fly by, one of their own commands")
+    command: object = quantity(doc="commands of the vehicles (n,), of their command type")
 
 
 @record
@@ -100,22 +100,22 @@ class Fleet:
 
     vehicle: Vehicle = quantity(doc="vehicle model")
     controller: Controller = quantity(doc="control loops")
-    guidance: Guidance = quantity(doc="what hands out set-points")
+    guidance: Guidance = quantity(doc="source of the set-points")
     route: Route | Mission = quantity(doc="waypoints, or the legs of a mission")
     start: Start = quantity(doc="initial state")
     limits: StateLimits = quantity(doc="state limits")
     sensors: tuple[Sensor, ...] = quantity(doc="sensors, in the order of sensor_names")
-    battery: Battery = quantity(doc="where the battery voltage comes from")
+    battery: Battery = quantity(doc="source of the battery voltage")
     faults: tuple[Fault, ...] = quantity(doc="sensor faults, in the order in which they are applied")
     name: str = setting(doc="name, part of the names of its noise streams")
     sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
     placement: Placement = quantity(default=GivenPlaces(), doc="where the vehicles start in an episode")
     radius: Array | None = quantity(
-        default=None, unit="m", doc="of the sphere that collides; None: half of the world's collision_distance"
+        default=None, unit="m", doc="radius of the collision sphere; None: half of the world's collision_distance"
     )
     ground: Literal["stop", "parked"] = setting(
-        default="stop", doc="what touching the ground does to vehicles without a contact of their own"
+        default="stop", doc="effect of touching the ground on vehicles without a contact model"
     )
 
     rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
@@ -197,7 +197,7 @@ class Range:
     high: Array = quantity(doc="largest value")
     name: str = setting(doc="path of the number in the scenario, part of the name of its stream")
     paths: tuple[tuple[str | int, ...], ...] = setting(
-        doc="where in the World the number is, and where it is inherited"
+        doc="places of the number in the World, also where it is inherited"
     )
 
 
@@ -209,7 +209,7 @@ class World(Tabled):
     turbulence: Turbulence = quantity(doc="random gusts")
     gust: Gust = quantity(doc="discrete gust")
     sky: Sky = quantity(doc="GNSS space segment")
-    area: Area = quantity(doc="where vehicles may be")
+    area: Area = quantity(doc="area of flight")
     fleets: tuple[Fleet, ...] = quantity(doc="fleets")
     obstacles: Obstacles = quantity(doc="solid things in the area")
     collision_distance: Array = parameter(
@@ -218,12 +218,12 @@ class World(Tabled):
     time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
     contents: Contents = quantity(default=Contents(), doc="plume, cover of the ground, persons")
     ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
-    ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
-    skyline: Skyline | None = quantity(default=None, doc="what obstacles do to signals of satellites; None: nothing")
-    radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: nobody has a radio")
+    ground: Ground = quantity(default=FlatGround(), doc="surface of the ground")
+    skyline: Skyline | None = quantity(default=None, doc="effect of obstacles on satellite signals; None: none")
+    radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: no radios")
     air: SiteAir = quantity(default=SiteAir(), doc="the atmosphere above the site")
     updrafts: tuple[Updraft, ...] = quantity(
-        default=(), doc="rising air, and what terrain and buildings do to the wind"
+        default=(), doc="rising air, and the effects of terrain and buildings on the wind"
     )
     changes: Changes | None = quantity(default=None, doc="weather that changes in flight; None: none can")
     gust_scale: Array | None = quantity(default=None, doc="what random gusts are multiplied by; None: by nothing")
@@ -296,9 +296,9 @@ def replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
 class Belief:
     """Memory of an estimator, and its estimate of now."""
 
-    memory: object = quantity(doc="of the estimator")
-    estimate: Estimate = quantity(doc="at this instant, by all readings so far")
-    std: Estimate | None = quantity(default=None, doc="standard deviations that it states; None where it states none")
+    memory: object = quantity(doc="state of the estimator")
+    estimate: Estimate = quantity(doc="present estimate, from all readings so far")
+    std: Estimate | None = quantity(default=None, doc="reported standard deviations; None if it reports none")
 
     @staticmethod
     def of(estimator: Estimator, memory: object, estimate: Estimate) -> Belief:
@@ -317,7 +317,7 @@ class FleetState:
     gust_ned: Vec3 = quantity(
         unit="m/s", doc="gusts at the vehicle during the last step, random and discrete, and updrafts"
     )
-    gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None where the turbulence gives none")
+    gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None if the turbulence has none")
     estimate: Estimate = quantity(
         doc="what the controller was last fed with; keeps its last value where a reading is NaN, and is at rest once a "
         "vehicle is invalid"
@@ -327,7 +327,7 @@ class FleetState:
     setpoint: object = quantity(doc="last set-point")
     command: object = quantity(doc="last command, as flown")
     command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
-    violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
+    violation: Violation = quantity(doc="reason for a vehicle's end; code 0 while it flies")
     sensors: tuple[object, ...] = quantity(doc="sensor states")
     battery: object = quantity(doc="battery")
     readings: tuple[Record, ...] = quantity(
@@ -338,7 +338,9 @@ class FleetState:
     )
     passed_on: tuple[FaultMemory | None, ...] = quantity(doc="of each fault and slot what it remembers; else None")
     position_low_ned: Vec3 | None = quantity(
-        default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
+        default=None,
+        unit="m",
+        doc="remainder of vehicle.position_ned beyond single precision; None in double precision",
     )
     belief: Belief | None = quantity(default=None, doc="the controller's own estimator; None without one")
     fitted: tuple[Fitted | None, ...] = quantity(
@@ -353,7 +355,7 @@ class FleetState:
 class AirField:
     """What the air of an episode has drawn, of a world with updrafts."""
 
-    turbulence: object = quantity(doc="what its gusts share; None where they share nothing")
+    turbulence: object = quantity(doc="shared part of its gusts; None: none")
     updrafts: tuple[object, ...] = quantity(doc="of each updraft; None where it draws nothing")
 
 
@@ -367,11 +369,9 @@ class State:
     fleet_keys: tuple[StreamKeys, ...] = quantity(doc="keys of each fleet's randomness, constant during an episode")
     contents: ContentsState = quantity(default=ContentsState(), doc="plume, cover of the ground, persons")
     contents_keys: StreamKeys | None = quantity(default=None, doc="keys of the plume's randomness; None if it has none")
-    drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
+    drawn: tuple[Array, ...] = quantity(default=(), doc="numbers drawn in this episode for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
-    field: object = quantity(
-        default=None, doc="what the gusts of the episode share, or an AirField; None where nothing is"
-    )
+    field: object = quantity(default=None, doc="shared gusts of the episode, or an AirField; None: none")
     radio: object = quantity(default=None, doc="messages on their way and in inboxes; None without a radio")
 
 
@@ -386,7 +386,7 @@ class WorldKeys:
     """The keys of all random streams of an episode."""
 
     sky: StreamKeys = quantity(doc="of the sky")
-    sky_start: StreamKeys = quantity(doc="of the sky's first value")
+    sky_start: StreamKeys = quantity(doc="draw of the sky's first state")
     fleets: tuple[StreamKeys, ...] = quantity(doc="of each fleet")
     fleets_start: tuple[StreamKeys, ...] = quantity(doc="of each fleet's first values")
     episode: StreamKeys | None = quantity(default=None, doc="of what is drawn once an episode; None if nothing is")

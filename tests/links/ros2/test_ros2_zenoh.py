@@ -205,7 +205,7 @@ def test_a_router_that_does_not_answer_is_told(running: bool, port: int, capfd: 
     words = ["ros2", "hover_ideal", "--transport", "zenoh", "--router", f"tcp/127.0.0.1:{port}", "--duration", "0.04"]
     with router(port) if running else nullcontext():
         assert cli.main([*words, "--domain", "11"]) == 0
-    said = f"no zenoh router answers at tcp/127.0.0.1:{port} (rmw_zenohd); it is tried again, nobody hears until then"
+    said = f"no zenoh router answers at tcp/127.0.0.1:{port} (rmw_zenohd); no node receives messages until one does"
     told = capfd.readouterr().out
     assert (said in told) is not running
     assert f"zenoh by tcp/127.0.0.1:{port}" in told

@@ -106,7 +106,7 @@ def test_the_command_writes_a_vehicle_that_scenarios_fly(
         (["--fit", "kpq4"], ("no constant is called 'kpq4'", "kpq")),
         (["--fit", "kq1"], ("'kq1' is of pitch alone; add --separate",)),
         (["--mass", "-1"], ("--mass -1: expected a mass above 0 kg",)),
-        (["--mass", "1900"], ("--mass 1900: no quadrotor is so heavy", "1900 g are 1.9 kg")),
+        (["--mass", "1900"], ("--mass 1900: too heavy for a quadrotor", "1900 g are 1.9 kg")),
         (["--mass", "1.7:x"], ("--mass 1.7:x: 'x' is not a finite number",)),
         (["--prior", "kpq1=180"], ("expected NAME=VALUE:STD",)),
         (["--train", "1.5"], ("--train 1.5: expected a share",)),

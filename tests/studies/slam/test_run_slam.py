@@ -181,7 +181,7 @@ def test_the_command_solves_a_run(run: Path, tmp_path: Path, capsys: pytest.Capt
         (["--vehicle", "a"], "--vehicle: only with --run"),
         (["--run", "nowhere"], "no run at nowhere"),
         (["--run", "nowhere", "--sweep"], "--sweep: not with --run"),
-        (["--run", "nowhere", "--seeds", "3"], "--seeds: not with --run, whose flight is what it is"),
+        (["--run", "nowhere", "--seeds", "3"], "--seeds: not with --run, because its flight is recorded"),
         (["--run", "nowhere", "--noise", "white"], "--noise: not with --run"),
         (["--run", "nowhere", "--gnss", "m8n"], "--gnss: not with --run"),
         (["--run", "nowhere", "--duration", "3"], "--duration: not with --run"),

@@ -180,7 +180,7 @@ class Check:
             again += [] if self.policy is None else ["--policy", self.policy]
             again += [] if self.estimator is None else ["--estimator", self.estimator]
             again += [] if self.policy_ticks == 1 else ["--policy-ticks", str(self.policy_ticks)]
-            print(f"to look at the first that went wrong: {shlex.join(again)}")
+            print(f"to fly the first failed run again: {shlex.join(again)}")
         if picture:
             print(f"picture: {picture}")
 

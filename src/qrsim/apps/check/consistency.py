@@ -1,4 +1,4 @@
-"""Whether the fleets' estimators err by as much as they state, over many runs."""
+"""Errors of the fleets' estimators compared with their reported covariance, over many runs."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ ROWS = {
 # From this ratio of squared errors to the stated variance on, an explanation is printed.
 MUCH = 2.0
 EXPLAINED = """\
-  Above 1 the estimate errs by more than it states: GNSS errors last for minutes, and the filter takes them for white
-  noise. The flights above had these errors; what is stated is too small (docs/explanation/consistency.md)."""
+  Above 1 the errors exceed the reported ones: GNSS errors last for minutes, and the filter takes them for white
+  noise. The flights above had these errors; the reported covariance is too small (docs/explanation/consistency.md)."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Squared errors of an estimate over those that are stated, per error; 1 if the estimator is right.
+    """Squared errors of an estimate divided by its reported covariance, per error; 1 if it is consistent.
 
     Errors of a flight last long, and vehicles of a run see the same satellites: so a run counts once, with its mean.
 
@@ -47,12 +47,12 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """What that says of the estimator."""
+        """The verdict on the estimator, empty without an interval."""
         if self.low > 1.0:
-            return "errs by more than it states"
+            return "errors exceed the reported ones"
         if self.high < 1.0:
-            return "errs by less than it states"
-        return "as it states" if self.low <= 1.0 <= self.high else ""
+            return "errors are below the reported ones"
+        return "consistent" if self.low <= 1.0 <= self.high else ""
 
     def to_json(self) -> dict[str, object]:
         """Return the fields by name, what is not known as None."""
@@ -86,7 +86,7 @@ def print_consistency(rows: list[Row]) -> None:
     """Print a table, nothing without rows."""
     if not rows:
         return
-    print("\nsquared errors of the estimate over those that it states (ANEES; 1 if it is right)")
+    print("\nsquared errors of the estimate divided by its reported covariance (ANEES; 1 if consistent)")
     for row in rows:
         interval = (
             "" if row.low != row.low else f"95 % interval {max(row.low, 0.0):.2f} to {row.high:.2f}, {row.verdict}"
@@ -96,4 +96,4 @@ def print_consistency(rows: list[Row]) -> None:
     if "position" in much:
         print(EXPLAINED)
     elif much:
-        print("  Above 1 the estimate errs by more than it states (docs/explanation/consistency.md).")
+        print("  Above 1 the errors are larger than the estimator reports (docs/explanation/consistency.md).")

@@ -130,7 +130,7 @@ class Run:
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
         if self.policy_ticks != 1 and self.policy == BASELINE:
-            raise UsageError(f"--policy-ticks {self.policy_ticks}: the baseline is asked once in a step of its task")
+            raise UsageError(f"--policy-ticks {self.policy_ticks}: the baseline is called once per step of its task")
         overrides = list(self.set)
         if self.duration is not None:
             if not (math.isfinite(self.duration) and self.duration > 0):
@@ -231,7 +231,7 @@ class Run:
             print(f"{pace.overruns} chunks were late: this machine is too slow for real time here")
         if recorded.info.every:
             kept = ", ".join(f"{stream} {number}" for stream, number in recorded.info.every.items())
-            print(f"logged every Nth tick: {kept}; the table is of these ticks")
+            print(f"logged every Nth tick: {kept}; the table covers these ticks")
         if recorded.info.score is not None:
             from qrsim.runs.summary import score_text
 
@@ -375,4 +375,4 @@ def _print_json(
     try:
         print(json.dumps(result, indent=2, allow_nan=False))
     except ValueError:
-        raise RunError(f"{folder}: an event holds a value that is not finite, which JSON cannot say") from None
+        raise RunError(f"{folder}: an event holds a value that is not finite, which JSON cannot represent") from None

@@ -177,29 +177,29 @@ def _safe(value: Array) -> Array:
 
 @record
 class AvoidanceGuidance(TeamGuidance):
-    """Flies to the last waypoint (holds the start without one), and does its half of every avoidance on the way.
+    """Flies to the last waypoint, or holds the start without one, and does its half of every avoidance.
 
     Optimal reciprocal collision avoidance: as long as all do the same and know each other in time, nobody comes nearer
     than twice the radius. Where no velocity is allowed by all, the one that is the least outside is taken.
     """
 
-    speed: Array = parameter(default=3.0, unit="m/s", doc="speed on the way", above=0.0, maximum=20.0)
+    speed: Array = parameter(default=3.0, unit="m/s", doc="cruise speed", above=0.0, maximum=20.0)
     radius: Array = parameter(
-        default=2.0, unit="m", doc="half of the least distance between centres", above=0.0, maximum=1e3
+        default=2.0, unit="m", doc="half of the smallest distance between centres", above=0.0, maximum=1e3
     )
-    horizon: Array = parameter(
-        default=8.0, unit="s", doc="how far ahead collisions are avoided", above=0.0, maximum=1e3
-    )
+    horizon: Array = parameter(default=8.0, unit="s", doc="time horizon of the avoidance", above=0.0, maximum=1e3)
     keep_right_rad: Array = parameter(
         default=0.1,
         unit="rad",
-        doc="what is wanted is turned to the right by this while somebody is known",
+        doc="rotation of the preferred velocity to the right while other vehicles are known",
         minimum=-1.5,
         maximum=1.5,
     )
-    gain: Array = parameter(default=0.5, unit="1/s", doc="velocity for each metre to the waypoint", above=0.0)
-    reach: Array = parameter(default=60.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
-    mates: int = setting(default=6, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=16)
+    gain: Array = parameter(default=0.5, unit="1/s", doc="velocity per metre to the waypoint", above=0.0)
+    reach: Array = parameter(
+        default=60.0, unit="m", doc="distance within which other vehicles are considered", above=0.0, maximum=1e5
+    )
+    mates: int = setting(default=6, unit="1", doc="number of nearest vehicles considered", minimum=1, maximum=16)
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from qrsim.core.vectors import Vec3
 
 @record
 class CoverageGuidance(TeamGuidance):
-    """Spreads over a rectangle: to the centroid of the part of it that is nearer to oneself than to who is known.
+    """Spreads over a rectangle: flies to the centroid of the part nearer to the vehicle than to its neighbours.
 
     J. Cortés, S. Martínez, T. Karataş, F. Bullo, Coverage control for mobile sensing networks, IEEE TRA 20 (2004),
     eq. 9 with a uniform density; Lloyd's algorithm in continuous time. The rectangle is looked at in ``cells`` times
@@ -26,11 +26,13 @@ class CoverageGuidance(TeamGuidance):
     north_max: Array = parameter(unit="m", doc="northern edge")
     east_min: Array = parameter(unit="m", doc="western edge")
     east_max: Array = parameter(unit="m", doc="eastern edge")
-    gain: Array = parameter(default=0.5, unit="1/s", doc="velocity for each metre to the centroid", above=0.0)
+    gain: Array = parameter(default=0.5, unit="1/s", doc="velocity per metre to the centroid", above=0.0)
     speed: Array = parameter(default=4.0, unit="m/s", doc="largest speed", above=0.0, maximum=20.0)
     cells: int = setting(default=24, unit="1", doc="points along each side", minimum=4, maximum=128)
-    reach: Array = parameter(default=1000.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
-    mates: int = setting(default=8, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+    reach: Array = parameter(
+        default=1000.0, unit="m", doc="distance within which other vehicles are considered", above=0.0, maximum=1e5
+    )
+    mates: int = setting(default=8, unit="1", doc="number of nearest vehicles considered", minimum=1, maximum=64)
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def centroid(self, position_ned: Vec3, mates: Mates) -> tuple[Array, Array]:

@@ -18,22 +18,32 @@ _MIGRATION_GAIN = 0.25
 
 @record
 class FlockingGuidance(TeamGuidance):
-    """Flies as a flock at the height of the first waypoint, and to it, where ``migration`` is above zero.
+    """Flies as a flock at the height of the first waypoint, and towards it if ``migration`` is above zero.
 
     C. W. Reynolds, Flocks, herds and schools: a distributed behavioral model, SIGGRAPH 1987. The rules give velocities:
     away from who is nearer than ``separation``, the mean velocity of all that are known, and to their middle.
     """
 
     speed: Array = parameter(default=4.0, unit="m/s", doc="largest speed", above=0.0, maximum=20.0)
-    separation: Array = parameter(default=8.0, unit="m", doc="distance below which two part", above=0.0, maximum=1e3)
-    separation_gain: Array = parameter(default=1.0, unit="1/s", doc="parting for each metre too near", minimum=0.0)
-    alignment: Array = parameter(
-        default=0.9, unit="1", doc="part of the others' mean velocity that is taken", minimum=0.0, maximum=1.0
+    separation: Array = parameter(
+        default=8.0, unit="m", doc="distance below which two vehicles repel each other", above=0.0, maximum=1e3
     )
-    cohesion_gain: Array = parameter(default=0.05, unit="1/s", doc="way to the others' middle", minimum=0.0)
-    migration: Array = parameter(default=0.0, unit="m/s", doc="towards the first waypoint", minimum=0.0, maximum=20.0)
-    reach: Array = parameter(default=100.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
-    mates: int = setting(default=7, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+    separation_gain: Array = parameter(
+        default=1.0, unit="1/s", doc="repulsion per metre below that distance", minimum=0.0
+    )
+    alignment: Array = parameter(
+        default=0.9, unit="1", doc="weight of the neighbours' mean velocity", minimum=0.0, maximum=1.0
+    )
+    cohesion_gain: Array = parameter(
+        default=0.05, unit="1/s", doc="weight of the distance to the neighbours' centre", minimum=0.0
+    )
+    migration: Array = parameter(
+        default=0.0, unit="m/s", doc="weight of the distance to the first waypoint", minimum=0.0, maximum=20.0
+    )
+    reach: Array = parameter(
+        default=100.0, unit="m", doc="distance within which other vehicles are considered", above=0.0, maximum=1e5
+    )
+    mates: int = setting(default=7, unit="1", doc="number of nearest vehicles considered", minimum=1, maximum=64)
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:

@@ -42,22 +42,24 @@ def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Arra
 
 @record
 class FormationGuidance(TeamGuidance):
-    """Holds the formation in which the first waypoints of the fleet (their starts without one) lie to each other.
+    """Holds the formation of the fleet's first waypoints, or of the starts without waypoints.
 
     With a leader, the first vehicle flies to its last waypoint, and the others follow: who knows it takes its velocity,
     and gives it ``leader_weight`` of the consensus, all others together the rest (W. Ren, Consensus strategies for
     cooperative control of vehicle formations, IET CTA 1 (2007)).
     """
 
-    gain: Array = parameter(default=0.5, unit="1/s", doc="velocity for each metre of mean disagreement", above=0.0)
+    gain: Array = parameter(default=0.5, unit="1/s", doc="velocity per metre of mean disagreement", above=0.0)
     speed: Array = parameter(default=4.0, unit="m/s", doc="largest speed", above=0.0, maximum=20.0)
-    leader_speed: Array = parameter(default=2.0, unit="m/s", doc="of the first vehicle", above=0.0, maximum=20.0)
+    leader_speed: Array = parameter(default=2.0, unit="m/s", doc="speed of the first vehicle", above=0.0, maximum=20.0)
     leader_weight: Array = parameter(
-        default=0.5, unit="1", doc="the leader's part of the consensus", minimum=0.0, maximum=1.0
+        default=0.5, unit="1", doc="weight of the leader in the consensus", minimum=0.0, maximum=1.0
     )
-    leader: bool = setting(default=True, doc="whether the first vehicle leads, else all hold where they agree")
-    reach: Array = parameter(default=200.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
-    mates: int = setting(default=8, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+    leader: bool = setting(default=True, doc="the first vehicle leads; if false, all hold where they agree")
+    reach: Array = parameter(
+        default=200.0, unit="m", doc="distance within which other vehicles are considered", above=0.0, maximum=1e5
+    )
+    mates: int = setting(default=8, unit="1", doc="number of nearest vehicles considered", minimum=1, maximum=64)
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:

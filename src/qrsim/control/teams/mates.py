@@ -22,11 +22,13 @@ KNOWS = "whom it knows of: all, at once; heard: whose beacons its radio has rece
 class Mates:
     """Up to K others of the fleet of each of n vehicles, nearest first; rows of nobody are zero and not known."""
 
-    number: Array = quantity(doc="(K, n) int32 which vehicle of the fleet; -1: nobody")
-    position_ned: Vec3 = quantity(unit="m", doc="(K, n) where it said it was")
-    velocity_ned: Vec3 = quantity(unit="m/s", doc="(K, n) how fast it said it was")
-    age: Array = quantity(unit="s", doc="(K, n) since it said so")
-    overfull: Array | None = quantity(default=None, doc="(n,) bool: it may have missed some; None: nobody has")
+    number: Array = quantity(doc="(K, n) int32 number of the vehicle in the fleet; -1: none")
+    position_ned: Vec3 = quantity(unit="m", doc="(K, n) its reported position")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="(K, n) its reported velocity")
+    age: Array = quantity(unit="s", doc="(K, n) age of that report")
+    overfull: Array | None = quantity(
+        default=None, doc="(n,) bool: its neighbour list may be incomplete; None: all are complete"
+    )
 
     @property
     def known(self) -> Array:

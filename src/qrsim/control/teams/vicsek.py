@@ -35,14 +35,16 @@ def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
 
 @record
 class VicsekGuidance(TeamGuidance):
-    """Flies at one speed in the mean direction of all within reach, at the height of the first waypoint.
+    """Flies at one speed in the mean direction of all neighbours, at the height of the first waypoint.
 
     The noise of the model is that of wind, receivers and links; it draws none of its own.
     """
 
     speed: Array = parameter(default=3.0, unit="m/s", doc="speed", above=0.0, maximum=20.0)
-    reach: Array = parameter(default=50.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
-    mates: int = setting(default=12, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+    reach: Array = parameter(
+        default=50.0, unit="m", doc="distance within which other vehicles are considered", above=0.0, maximum=1e5
+    )
+    mates: int = setting(default=12, unit="1", doc="number of nearest vehicles considered", minimum=1, maximum=64)
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:

@@ -32,7 +32,7 @@ class BuildingWakes(Updraft):
     """Slower and reversed air behind the obstacles of a world."""
 
     least_height: float = setting(
-        default=2.0, unit="m", doc="lower obstacles have no wake", minimum=0.1, maximum=1000.0
+        default=2.0, unit="m", doc="height below which obstacles have no wake", minimum=0.1, maximum=1000.0
     )
     corners: Any = derived(default=None, doc="north and east (B, V) of each footprint's corners, from its centroid [m]")
     middle: Any = derived(default=None, doc="north and east (B,) of its centroid [m]")

@@ -311,7 +311,8 @@ class Dryden(Turbulence):
     )
     airspeed: Literal["relative", "ground"] = setting(
         default="relative",
-        doc="speed that carries the gusts past: through the mean wind; 'ground': 0.5 m/s + speed over ground",
+        doc="speed at which the vehicle crosses the gusts: relative to the mean wind, or 'ground': 0.5 "
+        "m/s plus the speed over ground",
     )
     near_ground: NearGround = setting(default="blocked", doc=NEAR_GROUND)
 

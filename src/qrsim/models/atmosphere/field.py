@@ -60,7 +60,7 @@ class Sums(NamedTuple):
 
 @record
 class DrydenField(Turbulence):
-    """One turbulent field that all vehicles of a world fly through, with Dryden or von Karman spectra at each."""
+    """One turbulent field that all vehicles of a world share, with Dryden or von Karman spectra at each vehicle."""
 
     speed_20ft: Array = parameter(
         default=None,
@@ -92,13 +92,14 @@ class DrydenField(Turbulence):
     lifetime: Array = parameter(
         default=100.0,
         unit="s",
-        doc="time in which each wave fades in and out; then it returns with a new phase",
+        doc="time in which each wave fades in and out, before it returns with a new phase",
         minimum=10.0,
         maximum=10000.0,
     )
     evolution: Literal["lifetime", "frozen"] = setting(
         default="lifetime",
-        doc="'frozen': Taylor's hypothesis with waves that last for ever, which are tones for a vehicle that hovers",
+        doc="'lifetime': waves fade; 'frozen': Taylor's hypothesis, in which waves are permanent and a "
+        "hovering vehicle feels steady tones",
     )
     near_ground: NearGround = setting(default="blocked", doc=NEAR_GROUND)
     severity: int = setting(
@@ -107,7 +108,8 @@ class DrydenField(Turbulence):
     spectrum: Literal["dryden", "von_karman"] = setting(default="dryden", doc="form of the spectra of MIL-F-8785C")
     residual: Literal["none", "filter"] = setting(
         default="none",
-        doc="'filter' adds gusts smaller than the shortest wave, of each vehicle's own; 'none' keeps one pure field",
+        doc="'filter' adds gusts smaller than the shortest wave, independent for each vehicle; 'none' "
+        "keeps one pure field",
     )
     chains: int = setting(
         default=16, unit="1", doc="chains of waves in each of two segments, a multiple of 4", minimum=8, maximum=64

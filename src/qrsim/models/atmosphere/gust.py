@@ -36,7 +36,7 @@ class DiscreteGust(Gust):
 
     start_time: Array = parameter(
         unit="s",
-        doc="when the gust begins; 'travelling': when it reaches the site's origin",
+        doc="start of the gust; for a 'travelling' gust, its arrival at the site's origin",
         minimum=0.0,
         maximum=1e7,
     )
@@ -44,21 +44,26 @@ class DiscreteGust(Gust):
     speed: Array | None = parameter(
         default=None,
         unit="m/s",
-        doc="speed at which it is met: the vehicle's airspeed; 'travelling': at which it moves, null: the turbulence's",
+        doc="speed at which the vehicle crosses it, null: its airspeed; for a 'travelling' gust, its "
+        "speed, null: that of the turbulence",
         above=0.0,
         nullable=True,
     )
     wind_from_rad: Array | None = parameter(
         default=None,
         unit="rad",
-        doc="bearing the gust comes from, clockwise from north; null: that of what carries the turbulence",
+        doc="bearing the gust comes from, clockwise from north; null: that of the wind that carries the turbulence",
         minimum=-2 * math.pi,
         maximum=2 * math.pi,
         nullable=True,
     )
     along: Array = parameter(default=0.0, unit="m/s", doc="amplitude along the moving air", minimum=-50.0, maximum=50.0)
     across: Array = parameter(
-        default=0.0, unit="m/s", doc="amplitude across it, right of its way positive", minimum=-50.0, maximum=50.0
+        default=0.0,
+        unit="m/s",
+        doc="amplitude across the moving air, positive to the right of its motion",
+        minimum=-50.0,
+        maximum=50.0,
     )
     down: Array = parameter(default=0.0, unit="m/s", doc="amplitude downwards", minimum=-50.0, maximum=50.0)
     shape: Literal["ramp", "pulse"] = setting(

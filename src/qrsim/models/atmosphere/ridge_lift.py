@@ -18,12 +18,12 @@ PER_HEIGHT, AT_GROUND, FARTHEST = 0.8, 16.0, 300.0
 
 @record
 class RidgeLift(Updraft):
-    """Air that rises where the wind blows up a slope, and sinks where it blows down."""
+    """Air that rises on windward slopes and sinks on lee slopes."""
 
     decay_height: Array = parameter(
         default=150.0,
         unit="m",
-        doc="height above ground over which it falls to 1/e: the distance from valley to valley over 2 pi",
+        doc="height above ground over which the lift falls to 1/e; the spacing of valleys divided by 2 pi",
         minimum=1.0,
         maximum=5000.0,
     )

@@ -65,7 +65,7 @@ class SiteAir:
     aviation (S30).
     """
 
-    temperature: Array = quantity(default=TEMPERATURE, unit="K", doc="of the air at the origin of the site")
+    temperature: Array = quantity(default=TEMPERATURE, unit="K", doc="temperature of the air at the origin of the site")
     pressure: Array = quantity(default=PRESSURE, unit="Pa", doc="there")
 
     @staticmethod

@@ -45,21 +45,25 @@ class Thermals(Updraft):
     z_i: Array = parameter(
         default=1200.0,
         unit="m",
-        doc="depth of the mixed layer, above which there are none",
+        doc="depth of the mixed layer, the upper limit of thermals",
         minimum=100.0,
         maximum=8000.0,
     )
     count: int = setting(
-        default=0, unit="1", doc="thermals without places; 0: by their mean spacing", minimum=0, maximum=MOST_THERMALS
+        default=0,
+        unit="1",
+        doc="number of thermals without given places; 0: from their mean spacing",
+        minimum=0,
+        maximum=MOST_THERMALS,
     )
-    drifts: bool = setting(default=True, doc="drift with the wind; else they stay where they are")
+    drifts: bool = setting(default=True, doc="thermals drift with the wind; if false, they stay in place")
     drift_height: Array = parameter(
-        default=100.0, unit="m", doc="height whose mean wind they drift with", minimum=1.0, maximum=3000.0
+        default=100.0, unit="m", doc="height whose mean wind carries the thermals", minimum=1.0, maximum=3000.0
     )
-    sink: bool = setting(default=True, doc="sink between them that balances the rising air")
+    sink: bool = setting(default=True, doc="sinking air between thermals balances the rising air")
     corner: Any = derived(default=None, doc="north and east of the area's south-western corner [m]")
     sides: Any = derived(default=None, doc="length of the area to the north and to the east [m]")
-    number: int = derived(default=0, doc="of thermals", static=True)
+    number: int = derived(default=0, doc="number of thermals", static=True)
 
     reads: ClassVar[tuple[str, ...]] = ("wind", "drawn")
 

@@ -35,8 +35,8 @@ class WindGrid(Wind):
     levels: Array = quantity(unit="m", doc="(Z,) increasing heights")
     seconds: Array = quantity(unit="s", doc="(T,) int32, whole seconds since the start of the run")
     fraction: Array = quantity(unit="s", doc="(T,) the rest, in [0, 1)")
-    heights: Literal["ground", "origin"] = setting(default="ground", doc="what the levels are counted from")
-    file: str = setting(default="", doc="where it is from")
+    heights: Literal["ground", "origin"] = setting(default="ground", doc="reference of the levels")
+    file: str = setting(default="", doc="source, for messages")
     mean_ned: Vec3 = quantity(default=None, unit="m/s", doc="(Z,) mean over time and all places of each level")
 
     reads: ClassVar[tuple[str, ...]] = ("position_ned",)
@@ -187,7 +187,7 @@ def _linear(values: Array, cells: tuple[tuple[Array, Array] | None, ...]) -> Arr
 
 @record
 class WindGridFile:
-    """A wind read from a NetCDF file: u to the east, v to the north and w upwards over x, y, z and perhaps time.
+    """A wind from a NetCDF file: u to the east, v to the north and w upwards over x, y, z and, optionally, time.
 
     x (east), y (north) and z (up) are in metres, evenly spaced in x and y; velocities in m/s. All of that stands in the
     file's attributes, as the CF conventions have it; what is missing or something else is refused. The file must cover
@@ -199,13 +199,13 @@ class WindGridFile:
     v: str = setting(default="v", doc="name of the velocity to the north")
     w: str = setting(default="w", doc="name of the upward velocity")
     heights: Literal["ground", "origin"] = setting(
-        default="ground", doc="what z is counted from: the ground below, or z = 0 of the local frame"
+        default="ground", doc="reference of z: the ground below, or z = 0 of the local frame"
     )
-    origin_north: float = setting(default=0.0, unit="m", doc="its y at the site's origin")
-    origin_east: float = setting(default=0.0, unit="m", doc="its x at the site's origin")
-    start: float = setting(default=0.0, unit="s", doc="time in the file, since its first, at which the run starts")
+    origin_north: float = setting(default=0.0, unit="m", doc="y of the file at the site's origin")
+    origin_east: float = setting(default=0.0, unit="m", doc="x of the file at the site's origin")
+    start: float = setting(default=0.0, unit="s", doc="time at which the run starts, from the first time in the file")
     missing: Literal["refuse", "calm"] = setting(
-        default="refuse", doc="points without a velocity, as inside of buildings: refused, or of air that stands still"
+        default="refuse", doc="points without a velocity, as inside buildings: an error, or calm air"
     )
 
     def at(self, duration: float) -> WindGrid:

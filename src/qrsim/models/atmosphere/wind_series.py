@@ -136,7 +136,7 @@ class VeeringShear(Wind):
         maximum=math.pi,
     )
     exponent: Array = parameter(
-        default=0.143, unit="1", doc="of the power law; 1/7 over open country", minimum=0.0, maximum=1.0
+        default=0.143, unit="1", doc="exponent of the power law; 1/7 over open country", minimum=0.0, maximum=1.0
     )
     profile: Literal["log", "power"] = setting(
         default="log", doc="speed with height: 'log' as log_shear, 'power' (h/20 ft)^exponent"

@@ -30,7 +30,9 @@ class BaseState:
     """Processes of unit variance."""
 
     code: GaussMarkov2State = quantity(doc="(S,) multipath of the base, at the next knot")
-    tilt: tuple[GaussMarkov2State, ...] = quantity(doc="(1,) each: of north, east, down per way north, then east")
+    tilt: tuple[GaussMarkov2State, ...] = quantity(
+        doc="(1,) each: error of north, east, down per distance north, then east"
+    )
     carrier: Vec3 = quantity(unit="1", doc="(1,) error of its carrier phase, in position")
     coordinates: Vec3 = quantity(unit="1", doc="(1,) error of its stated position")
 
@@ -39,17 +41,17 @@ class BaseState:
 class BaseSeen:
     """What receivers know of a base station, or suffer from it; its multipath is of the satellites in K slots."""
 
-    position_ned: Vec3 = quantity(unit="m", doc="() where it is")
-    coordinates: Vec3 = quantity(unit="m", doc="(1,) error of where it says that it is")
+    position_ned: Vec3 = quantity(unit="m", doc="() position")
+    coordinates: Vec3 = quantity(unit="m", doc="(1,) error of its stated position")
     carrier: Vec3 = quantity(unit="1", doc="(1,) error of its carrier phase, of unit variance")
     tilt_north: Vec3 = quantity(unit="1", doc="(1,) error of a fixed position per way north, of unit variance")
     tilt_east: Vec3 = quantity(unit="1", doc="(1,) the same, east")
     code_before: Array = quantity(unit="1", doc="(K,) its multipath at the last knot, of unit variance")
     code_after: Array = quantity(unit="1", doc="(K,) at the next")
     multipath: Array = quantity(unit="1", doc="() its multipath per that of an airborne antenna")
-    age: Array = quantity(unit="s", doc="() time since it last sent corrections, while it does")
-    sends: Array = quantity(doc="() bool: it does")
-    reach: Array = quantity(unit="m", doc="() distance up to which it is heard")
+    age: Array = quantity(unit="s", doc="() time since its last corrections, while it sends any")
+    sends: Array = quantity(doc="() bool: it sends corrections")
+    reach: Array = quantity(unit="m", doc="() range of its radio")
 
 
 @record
@@ -59,11 +61,13 @@ class BaseStation:
     It uses all satellites of theirs. An error of its stated position moves all that it corrects.
     """
 
-    position_ned: Array = parameter(unit="m", doc="where its antenna is: north, east, down", length=3)
-    silent: Array = quantity(unit="s", doc="(M, 2) from when to when it sends nothing")
+    position_ned: Array = parameter(unit="m", doc="position of its antenna: north, east, down", length=3)
+    silent: Array = quantity(unit="s", doc="(M, 2) start and end of each time without corrections")
     survey_error: Array = parameter(default=0.0, unit="m", doc="std of its stated position, per axis", minimum=0.0)
-    multipath: Array = parameter(default=1.0, unit="1", doc="multipath per that of an airborne antenna", minimum=0.0)
-    interval: Array = parameter(default=1.0, unit="s", doc="between corrections", above=0.0)
+    multipath: Array = parameter(
+        default=1.0, unit="1", doc="multipath relative to that of an airborne antenna", minimum=0.0
+    )
+    interval: Array = parameter(default=1.0, unit="s", doc="interval between corrections", above=0.0)
     reach: Array = parameter(default=1.0e6, unit="m", doc="distance up to which corrections are received", minimum=0.0)
 
     def init(self, draw: Draw) -> BaseState:

@@ -84,9 +84,9 @@ class GaussMarkov2Step:
     x' = decay x + coupling y + own n1 + shared n2, y' = drive_decay y + drive_noise n2.
     """
 
-    decay: Array = quantity(unit="1", doc="of the error x")
-    coupling: Array = quantity(unit="1", doc="of the drive y into x")
-    drive_decay: Array = quantity(unit="1", doc="of the drive")
+    decay: Array = quantity(unit="1", doc="decay of the error x")
+    coupling: Array = quantity(unit="1", doc="gain of the drive y into x")
+    drive_decay: Array = quantity(unit="1", doc="decay of the drive y")
     own: Array = quantity(unit="1", doc="noise of x alone")
     shared: Array = quantity(unit="1", doc="noise that x shares with y")
     drive_noise: Array = quantity(unit="1", doc="noise of y")
@@ -104,7 +104,9 @@ class GaussMarkov2(RangeErrors):
 
     std: Array = parameter(default=0.58878, unit="m", doc="stationary std of each satellite's range error", minimum=0.0)
     time_constant: Array = parameter(default=40.1, unit="s", doc="time constant of the error itself", above=0.0)
-    drive_time_constant: Array = parameter(default=4.0, unit="s", doc="time constant of what drives it", above=0.0)
+    drive_time_constant: Array = parameter(
+        default=4.0, unit="s", doc="time constant of the process that drives it", above=0.0
+    )
     normals: ClassVar[int] = 2
 
     def init(self, draw: Noise) -> GaussMarkov2State:
@@ -203,7 +205,9 @@ class ConsumerErrors(GaussMarkov2):
         default=PRESETS["consumer"]["std"], unit="m", doc="stationary std of each satellite's range error", minimum=0.0
     )
     time_constant: Array = parameter(default=1100.0, unit="s", doc="time constant of the error itself", above=0.0)
-    drive_time_constant: Array = parameter(default=100.0, unit="s", doc="time constant of what drives it", above=0.0)
+    drive_time_constant: Array = parameter(
+        default=100.0, unit="s", doc="time constant of the process that drives it", above=0.0
+    )
 
 
 @record
@@ -214,4 +218,6 @@ class SurveyErrors(GaussMarkov2):
         default=PRESETS["survey"]["std"], unit="m", doc="stationary std of each satellite's range error", minimum=0.0
     )
     time_constant: Array = parameter(default=1100.0, unit="s", doc="time constant of the error itself", above=0.0)
-    drive_time_constant: Array = parameter(default=100.0, unit="s", doc="time constant of what drives it", above=0.0)
+    drive_time_constant: Array = parameter(
+        default=100.0, unit="s", doc="time constant of the process that drives it", above=0.0
+    )

@@ -22,7 +22,8 @@ class GnssFix(GnssReading):
     """Reading of a ``gnss`` receiver; its position and velocity, dilutions and accuracies are NaN without a fix."""
 
     fix_type: Array = quantity(
-        unit="1", doc="as GPS_FIX_TYPE of MAVLink has them: 0 none, 3 single, 4 SBAS or DGPS, 5 RTK float, 6 RTK fixed"
+        unit="1",
+        doc="type of the fix, as in MAVLink's GPS_FIX_TYPE: 0 none, 3 single, 4 SBAS or DGPS, 5 RTK float, 6 RTK fixed",
     )
     horizontal_accuracy: Array = quantity(
         unit="m", doc="standard deviation of the horizontal error, both axes together"
@@ -31,19 +32,19 @@ class GnssFix(GnssReading):
     speed_accuracy: Array = quantity(unit="m/s", doc="standard deviation of the velocity error, all axes together")
     satellites_seen: Array = quantity(unit="1", doc="satellites above the mask")
     satellites_blocked: Array | None = quantity(
-        default=None, unit="1", doc="of these, those that obstacles hide; None in worlds without obstacles"
+        default=None, unit="1", doc="number of these that obstacles hide; None in worlds without obstacles"
     )
     satellites_reflected: Array | None = quantity(
-        default=None, unit="1", doc="of these, those of which a reflection alone is tracked; None without obstacles"
+        default=None, unit="1", doc="number of these that are tracked by a reflection alone; None without obstacles"
     )
     correction_age: Array | None = quantity(
         default=None, unit="s", doc="age of the base station's corrections; None for receivers that take none"
     )
     jamming: Array | None = quantity(
-        default=None, unit="1", doc="share of the C/N0 at the zenith that is lost to jammers; None where there are none"
+        default=None, unit="1", doc="share of the C/N0 at the zenith that is lost to jammers; None without jammers"
     )
     satellites_jammed: Array | None = quantity(
-        default=None, unit="1", doc="satellites above the mask that are lost to jammers; None where there are none"
+        default=None, unit="1", doc="satellites above the mask that are lost to jammers; None without jammers"
     )
     # With per_satellite, for each of K slots (n,).
     cn0: tuple[Array, ...] | None = quantity(
@@ -52,13 +53,16 @@ class GnssFix(GnssReading):
     satellite_state: tuple[Array, ...] | None = quantity(
         default=None,
         unit="1",
-        doc="of it: 0 not tracked, 1 in line of sight, 2 by a reflection alone, 3 hidden, 4 lost to jammers",
+        doc="state of that satellite: 0 not tracked, 1 in line of sight, 2 by a reflection alone, 3 "
+        "hidden, 4 lost to jammers",
     )
     satellite: tuple[Array, ...] | None = quantity(
-        default=None, unit="1", doc="number of it, see satellite_name; -1 of a free slot"
+        default=None, unit="1", doc="number of that satellite, see satellite_name; -1 in a free slot"
     )
-    azimuth: tuple[Array, ...] | None = quantity(default=None, unit="rad", doc="of it, from north to east")
-    elevation: tuple[Array, ...] | None = quantity(default=None, unit="rad", doc="of it")
+    azimuth: tuple[Array, ...] | None = quantity(
+        default=None, unit="rad", doc="azimuth of that satellite, clockwise from north"
+    )
+    elevation: tuple[Array, ...] | None = quantity(default=None, unit="rad", doc="elevation of that satellite")
 
 
 @record
@@ -74,9 +78,9 @@ class GnssState:
     outer: Vec3 = quantity(unit="m", doc="error after the second lag: that of the fix")
     fixes: Array = quantity(unit="1", doc="fixes since the filter started")
     coasted: Array = quantity(unit="1", doc="periods without enough satellites")
-    bias: tuple[Array, ...] = quantity(unit="m", doc="of each system but the first, against that one")
+    bias: tuple[Array, ...] = quantity(unit="m", doc="offset of each system but the first, relative to the first")
     true_ned: Vec3 = quantity(unit="m", doc="true position at the last fix")
-    true_low_ned: Any = quantity(unit="m", doc="what single precision leaves out of it, or None")
+    true_low_ned: Any = quantity(unit="m", doc="remainder of it beyond single precision, or None")
     ranges: Any = quantity(doc="(K,) or (K, n) error of the carrier at the last fix, where it is needed, else None")
     apart: Apart | None = quantity(doc="common errors where each receiver has its own, else None")
     history: tuple[GnssFix, ...] = quantity(doc="the last fixes, oldest first: as many as the delay, at least one")

@@ -48,13 +48,13 @@ _UNIFORM_PAIR, _NORMAL_PAIR = 40, 48
 class Link:
     """What n receivers remember of a base station's corrections."""
 
-    age: Array = quantity(unit="s", doc="of the corrections in use")
+    age: Array = quantity(unit="s", doc="age of the corrections in use")
     on: Array = quantity(doc="bool: they are used")
     fixed: Array = quantity(doc="bool: carrier phase is fixed")
     stage: Array = quantity(unit="1", doc="stages of fixing it that are done")
     carrier: Vec3 = quantity(unit="1", doc="error of carrier phase, of unit variance")
     wrong: Vec3 = quantity(unit="m", doc="error of a wrong fix, else zero")
-    drift: Vec3 = quantity(unit="m", doc="what common errors have changed since the last corrections")
+    drift: Vec3 = quantity(unit="m", doc="change of the common errors since the last corrections")
     said: Vec3 = quantity(unit="m", doc="error of the last fix")
 
 
@@ -62,13 +62,13 @@ class Link:
 class Received:
     """Corrections as n receivers get them at an epoch, and what they make of the errors."""
 
-    way: Vec3 = quantity(unit="m", doc="from the base")
+    way: Vec3 = quantity(unit="m", doc="vector from the base")
     live: Array = quantity(doc="bool: corrections have just come")
     on: Array = quantity(doc="bool: corrections are used")
-    age: Array = quantity(unit="s", doc="of them")
+    age: Array = quantity(unit="s", doc="age of the corrections")
     error: Vec3 = quantity(unit="m", doc="error of the code solution, relative to the base where corrections are used")
-    moved_on: Vec3 = quantity(unit="m", doc="its change by common errors")
-    drift: Vec3 = quantity(unit="m", doc="what common errors have changed since the last corrections")
+    moved_on: Vec3 = quantity(unit="m", doc="change of that error by common errors")
+    drift: Vec3 = quantity(unit="m", doc="change of the common errors since the last corrections")
 
 
 @record
@@ -78,7 +78,7 @@ class Quality:
     fix_type: Array | float = quantity(unit="1", doc="as GPS_FIX_TYPE of MAVLink has them")
     horizontal: Array = quantity(unit="m", doc="accuracy, both axes together")
     vertical: Array = quantity(unit="m", doc="accuracy of the height")
-    age: Array | None = quantity(default=None, unit="s", doc="of the corrections; None without any")
+    age: Array | None = quantity(default=None, unit="s", doc="age of the corrections; None without any")
 
 
 def _picked(value: Array, base: Array) -> Array:

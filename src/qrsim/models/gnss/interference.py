@@ -39,46 +39,49 @@ _NEAREST = 1.0
 
 
 def _start() -> Array:
-    return parameter(default=0.0, unit="s", doc="when it begins", minimum=0.0)
+    return parameter(default=0.0, unit="s", doc="start of the interference", minimum=0.0)
 
 
 def _end() -> Array:
-    return parameter(default=None, unit="s", doc="when it ends; null: not before the run", above=0.0, nullable=True)
+    return parameter(
+        default=None, unit="s", doc="end of the interference; null: the end of the run", above=0.0, nullable=True
+    )
 
 
 @record
 class Jammer:
     """A transmitter of noise on the frequency of the satellites."""
 
-    position_ned: Array = parameter(unit="m", doc="where it is: north, east, down", length=3)
-    power_w: Array = parameter(default=0.01, unit="W", doc="power that it radiates", minimum=0.0)
+    position_ned: Array = parameter(unit="m", doc="position: north, east, down", length=3)
+    power_w: Array = parameter(default=0.01, unit="W", doc="radiated power", minimum=0.0)
     start: Array = _start()
     end: Array = _end()
-    band: Literal["wide", "narrow"] = choice(default="wide", doc="as wide as the signals, or a single tone")
+    band: Literal["wide", "narrow"] = choice(default="wide", doc="noise as wide as the signals, or a single tone")
 
 
 @record
 class Disc:
-    """A plain jammer: no receiver tracks any satellite within a radius."""
+    """A simple jammer: no receiver tracks any satellite within a radius."""
 
-    position_ned: Array = parameter(unit="m", doc="where its centre is: north, east, down", length=3)
-    radius: Array = parameter(default=100.0, unit="m", doc="around the centre", minimum=0.0)
+    position_ned: Array = parameter(unit="m", doc="position of its centre: north, east, down", length=3)
+    radius: Array = parameter(default=100.0, unit="m", doc="radius around the centre", minimum=0.0)
     start: Array = _start()
     end: Array = _end()
 
 
 @record
 class Spoofer:
-    """A transmitter of satellites' signals that are false: it moves the fixes of those that take them for true."""
+    """A transmitter of false satellite signals, which moves the fixes of receivers that accept them."""
 
-    position_ned: Array = parameter(unit="m", doc="centre of where it is heard", length=3)
-    offset_ned: Array = parameter(unit="m", doc="by which it moves a fix at the start", length=3)
-    rate_ned: Array = parameter(unit="m/s", doc="by which it moves it on", length=3)
-    radius: Array = parameter(
-        default=None, unit="m", doc="within which it is heard; null: everywhere", minimum=0.0, nullable=True
-    )
+    position_ned: Array = parameter(unit="m", doc="centre of its range", length=3)
+    offset_ned: Array = parameter(unit="m", doc="offset of a fix at the start", length=3)
+    rate_ned: Array = parameter(unit="m/s", doc="rate at which the offset grows", length=3)
+    radius: Array = parameter(default=None, unit="m", doc="range; null: everywhere", minimum=0.0, nullable=True)
     jam_first: Array = parameter(
-        default=0.0, unit="s", doc="for which it jams at first, so that the true signals are lost", minimum=0.0
+        default=0.0,
+        unit="s",
+        doc="duration of jamming before spoofing, so that receivers lose the true signals",
+        minimum=0.0,
     )
     start: Array = _start()
     end: Array = _end()
@@ -97,7 +100,7 @@ class Outage:
 class IonoStorm:
     """A storm of the ionosphere: its delay and slopes are multiplied, ramped over a minute."""
 
-    factor: Array = parameter(default=3.0, unit="1", doc="by which they are multiplied", minimum=0.0)
+    factor: Array = parameter(default=3.0, unit="1", doc="factor of the ionosphere's delay and slopes", minimum=0.0)
     start: Array = _start()
     end: Array = _end()
 
@@ -106,8 +109,10 @@ class IonoStorm:
 class Emitter:
     """A jammer at an epoch."""
 
-    position_ned: Vec3 = quantity(unit="m", doc="() where it is")
-    strength: Array = quantity(unit="m^2", doc="() what it adds at 1 m to the inverse of C/N0, 1 at 45 dB-Hz; 0 if off")
+    position_ned: Vec3 = quantity(unit="m", doc="() position")
+    strength: Array = quantity(
+        unit="m^2", doc="() increase of the inverse of C/N0 at 1 m, relative to 45 dB-Hz; 0 if off"
+    )
 
 
 @record
@@ -122,10 +127,10 @@ class Circle:
 class Lie:
     """A spoofer at an epoch."""
 
-    where: Circle = quantity(doc="where it is heard")
+    where: Circle = quantity(doc="range of its signals")
     jams: Array = quantity(doc="() bool: it still jams")
-    offset_ned: Vec3 = quantity(unit="m", doc="() by which it moves fixes now")
-    rate_ned: Vec3 = quantity(unit="m/s", doc="() by which it moves velocities")
+    offset_ned: Vec3 = quantity(unit="m", doc="() present offset of fixes")
+    rate_ned: Vec3 = quantity(unit="m/s", doc="() present offset of velocities")
 
 
 @record
@@ -142,12 +147,12 @@ class Interfering:
 class Effect:
     """What interference does to receivers (n,) at an epoch."""
 
-    jam: Array = quantity(unit="1", doc="what it adds to the inverse of C/N0, 1 at 45 dB-Hz")
-    misled: Array | None = quantity(doc="bool: they believe a spoofer; None where there is none")
-    offset_ned: Any = quantity(unit="m", doc="by which spoofers move their positions, or None")
-    rate_ned: Any = quantity(unit="m/s", doc="by which they move their velocities, or None")
+    jam: Array = quantity(unit="1", doc="increase of the inverse of C/N0, relative to 45 dB-Hz")
+    misled: Array | None = quantity(doc="bool: the receiver is spoofed; None without spoofers")
+    offset_ned: Any = quantity(unit="m", doc="offset of positions by spoofers, or None")
+    rate_ned: Any = quantity(unit="m/s", doc="offset of velocities by spoofers, or None")
     above: Array = quantity(unit="1", doc="satellites above the mask that send")
-    lost: Array = quantity(unit="1", doc="of these, those lost to jammers")
+    lost: Array = quantity(unit="1", doc="number of these that are lost to jammers")
 
 
 @record

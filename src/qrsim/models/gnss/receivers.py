@@ -182,7 +182,9 @@ class ReceiverState:
     true_ned: Any = quantity(unit="m", doc="true position at the last solution; None for a solution of two parts")
     pending: tuple[GnssReading, ...] = quantity(doc="readings that the delay holds back, oldest first")
     listed: Array | None = quantity(default=None, doc="(S, n) bool: satellites kept of the hand list, else None")
-    position_low_ned: Any = quantity(default=None, unit="m", doc="what position_ned leaves out, or None")
+    position_low_ned: Any = quantity(
+        default=None, unit="m", doc="remainder of position_ned beyond single precision, or None"
+    )
 
 
 # The satellites "from a typical flight day" of the reference implementation; each receiver keeps 10 to 13 of them.
@@ -211,9 +213,11 @@ class GnssReceiver(Sensor):
     doppler_noise_std: Array = parameter(
         default=0.05, unit="m/s", doc="white noise of each range rate, for velocity 'doppler'", minimum=0.0
     )
-    delay: int = setting(default=1, unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50)
-    velocity: Literal["differenced", "doppler"] = setting(default="differenced", doc="where the velocity comes from")
-    satellites: Literal["mask", "hand_list"] = setting(default="mask", doc="which satellites are used")
+    delay: int = setting(default=1, unit="periods", doc="age of a fix at its report", minimum=0, maximum=50)
+    velocity: Literal["differenced", "doppler"] = setting(
+        default="differenced", doc="source of the velocity: Doppler shifts, or differenced positions"
+    )
+    satellites: Literal["mask", "hand_list"] = setting(default="mask", doc="satellites in the solution")
     period: float = setting(
         default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
     )

@@ -49,7 +49,7 @@ _BIAS_PAIR = 8
 
 @record
 class Gnss(ReceiverParameters, Sensor):
-    """A GNSS receiver with multipath and noise of its own, a filter, and honest accuracies.
+    """A GNSS receiver with shared and independent errors, a filter, and reported accuracies.
 
     It needs a sky with slots, which every scenario with such a sensor has. ``velocity: differenced`` takes the velocity
     from successive fixes. With fewer than 4 satellites it coasts on its last velocity for a while.

@@ -30,7 +30,7 @@ class Sight:
     elevation: Array = quantity(unit="rad", doc="elevation")
     ionosphere: Array = quantity(unit="1", doc="slant over vertical delay of the ionosphere")
     troposphere: Array = quantity(unit="1", doc="slant over zenith delay of the troposphere")
-    pierce_north: Array = quantity(unit="km", doc="where the ray crosses the ionosphere, north of the site")
+    pierce_north: Array = quantity(unit="km", doc="crossing of the ray and the ionosphere, north of the site")
     pierce_east: Array = quantity(unit="km", doc="the same, east")
 
 

@@ -38,7 +38,9 @@ class Skyline:
     rows: int = setting(doc="cells to the north")
     columns: int = setting(doc="cells to the east")
     azimuths: int = setting(doc="directions")
-    solids: Obstacles | None = quantity(default=None, doc="what hides jammers, which stand near; None without any")
+    solids: Obstacles | None = quantity(
+        default=None, doc="obstacles on the lines of sight to jammers; None without any"
+    )
 
     def sees(self, position_ned: Vec3, point_ned: Vec3) -> Array:
         """Return whether no obstacle stands between receivers (n,) and a place, exactly."""

@@ -25,9 +25,9 @@ JITTER_SIGMA = 0.5
 class FleetRadios:
     """What the radios of fleets have of their own, each (n,); NaN: that of the network."""
 
-    power_dbm: Array = quantity(unit="dBm", doc="transmitted")
-    gain_db: Array = quantity(unit="dB", doc="of the antenna")
-    noise_figure_db: Array = quantity(unit="dB", doc="of the receiver")
+    power_dbm: Array = quantity(unit="dBm", doc="transmitted power")
+    gain_db: Array = quantity(unit="dB", doc="gain of the antenna")
+    noise_figure_db: Array = quantity(unit="dB", doc="noise figure of the receiver")
     works: Array = quantity(doc="bool: there is a radio")
 
     def power(self, usual: Array) -> Array:
@@ -53,27 +53,27 @@ class Channel:
 
     presets: ClassVar[Presets] = PRESETS
 
-    preset: PresetName = setting(default="sik_915", doc="what says all that is not given")
-    frequency_mhz: Array = parameter(default=915.0, unit="MHz", doc="of the carrier", above=0.0)
-    power_dbm: Array = parameter(default=20.0, unit="dBm", doc="transmitted")
-    gain_db: Array = parameter(default=0.0, unit="dB", doc="of each antenna")
-    bandwidth_khz: float = setting(default=250.0, unit="kHz", doc="of the receiver's filter", above=0.0)
-    rate_kbps: float = setting(default=64.0, unit="kbit/s", doc="on the air", above=0.0)
-    noise_figure_db: Array = parameter(default=6.0, unit="dB", doc="of the receiver", minimum=0.0)
+    preset: PresetName = setting(default="sik_915", doc="radio that provides the parameters left out")
+    frequency_mhz: Array = parameter(default=915.0, unit="MHz", doc="carrier frequency", above=0.0)
+    power_dbm: Array = parameter(default=20.0, unit="dBm", doc="transmitted power")
+    gain_db: Array = parameter(default=0.0, unit="dB", doc="gain of each antenna")
+    bandwidth_khz: float = setting(default=250.0, unit="kHz", doc="bandwidth of the receiver's filter", above=0.0)
+    rate_kbps: float = setting(default=64.0, unit="kbit/s", doc="bit rate on the air", above=0.0)
+    noise_figure_db: Array = parameter(default=6.0, unit="dB", doc="noise figure of the receiver", minimum=0.0)
     man_made: ManMade = setting(
         default="residential",
-        doc="land by whose man-made noise the noise of receivers grows; none: thermal noise alone",
+        doc="land use that sets the man-made noise at receivers; none: thermal noise alone",
     )
-    size: int = setting(default=6, doc="numbers of a message (D)", minimum=1, maximum=256)
+    size: int = setting(default=6, doc="numbers in a message (D)", minimum=1, maximum=256)
     beacon: bool = setting(
-        default=True, doc="who has nothing to say sends its own estimate of position and velocity in every period"
+        default=True, doc="vehicles without a message send their estimated position and velocity in every period"
     )
-    path_loss: PathLoss = quantity(default=PathLoss(), doc="what a signal loses on its way")
-    packet: Packet = quantity(default=Packet(), doc="a packet, and when it is lost")
-    mac: Mac = quantity(default=Mac(), doc="who may send when")
-    delay: Delay = quantity(default=Delay(), doc="what is added to the time on the air")
-    inbox: InboxSize = quantity(default=InboxSize(), doc="what a vehicle keeps of what it has heard")
-    own: FleetRadios | None = derived(default=None, doc="what fleets have of their own, a FleetRadios; None: nothing")
+    path_loss: PathLoss = quantity(default=PathLoss(), doc="path loss")
+    packet: Packet = quantity(default=Packet(), doc="packets, and the law by which they are lost")
+    mac: Mac = quantity(default=Mac(), doc="medium access")
+    delay: Delay = quantity(default=Delay(), doc="latency in addition to the time on the air")
+    inbox: InboxSize = quantity(default=InboxSize(), doc="messages that a vehicle keeps")
+    own: FleetRadios | None = derived(default=None, doc="parameters of single fleets, a FleetRadios; None: none")
 
     @property
     def field_ids(self) -> int:

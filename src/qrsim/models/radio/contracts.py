@@ -37,11 +37,9 @@ class Outbox:
     """What vehicles (n,) have to say."""
 
     payload: Array = quantity(doc="(D, n) numbers")
-    send: Array = quantity(doc="(n,) bool: it is said now")
-    to: Array = quantity(doc="(n,) int32 number in the world of who alone hears it; -1: all")
-    beacons: Array | None = quantity(
-        default=None, doc="(n,) bool: has nothing to say, and goes on to send beacons; None: nobody does"
-    )
+    send: Array = quantity(doc="(n,) bool: it is sent now")
+    to: Array = quantity(doc="(n,) int32 number in the world of the only recipient; -1: all")
+    beacons: Array | None = quantity(default=None, doc="(n,) bool: has no message, and sends beacons; None: none does")
 
 
 @record
@@ -50,7 +48,9 @@ class Surfaces:
 
     position_ned: Vec3 = quantity(unit="m", doc="true position of each vehicle (n,)")
     works: Array = quantity(doc="(n,) bool: has a radio that is on, and flies")
-    obstacles: Obstacles | None = quantity(default=None, doc="of the world; None: nothing is in the way")
+    obstacles: Obstacles | None = quantity(
+        default=None, doc="obstacles of the world; None: every line of sight is free"
+    )
     height: Array | None = quantity(
         default=None, unit="m", doc="(n,) above the ground, for radios that ask; None: unknown"
     )

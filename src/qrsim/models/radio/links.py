@@ -41,9 +41,9 @@ class Outcome:
 class Links:
     """The links of the last period to each vehicle (n,), from the nearest first (K)."""
 
-    sender: Array = quantity(doc="(K, n) int32; -1: nobody sends")
+    sender: Array = quantity(doc="(K, n) int32 number of the sender; -1: none")
     rssi: Array = quantity(unit="dBm", doc="(K, n)")
-    error: Array = quantity(unit="", doc="(K, n) chance that the packet is lost if nobody else sends")
+    error: Array = quantity(unit="", doc="(K, n) chance that the packet is lost without interference")
     outcome: Array = quantity(doc="(K, n) int32 what became of the packet, see Outcome")
 
     @staticmethod

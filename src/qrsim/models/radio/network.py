@@ -29,7 +29,7 @@ class Waiting:
     """Messages of each vehicle (n,) that wait for the radio, the oldest first (q)."""
 
     payload: Array = quantity(doc="(q, D, n) numbers")
-    to: Array = quantity(doc="(q, n) int32 who alone hears it; -1: all")
+    to: Array = quantity(doc="(q, n) int32 number of the only recipient; -1: all")
     since: Array = quantity(doc="(q, n) int32 tick at which it was handed over; -1: none")
 
 
@@ -37,14 +37,14 @@ class Waiting:
 class Counts:
     """Packets since the start, of each vehicle (n,) int32."""
 
-    sent: Array = quantity(doc="that it has sent")
-    heard: Array = quantity(doc="that it has heard")
-    lost_range: Array = quantity(doc="that it has missed because they were too weak: more than 90 % of such are lost")
-    lost_noise: Array = quantity(doc="that it has missed by chance")
-    lost_collision: Array = quantity(doc="that it has missed because others sent too, or itself")
-    lost_queue: Array = quantity(doc="messages of it that were lost in its own queue")
+    sent: Array = quantity(doc="packets sent")
+    heard: Array = quantity(doc="packets received")
+    lost_range: Array = quantity(doc="packets lost because they were too weak, with a chance of loss above 90 %")
+    lost_noise: Array = quantity(doc="packets lost by chance")
+    lost_collision: Array = quantity(doc="packets lost to other transmissions, or its own")
+    lost_queue: Array = quantity(doc="messages dropped from its send queue")
     deferred: Array = quantity(doc="periods in which csma found no free time for it")
-    overfull: Array = quantity(doc="exchanges in which more were around it than there was room for in the search")
+    overfull: Array = quantity(doc="exchanges with more vehicles within reach than the search has room for")
 
 
 @record

@@ -20,29 +20,34 @@ PresetName = Literal["sik_915", "xbee_pro_900", "wifi_2g4", "lora_sf7", "lora_sf
 class PathLoss:
     """What a signal loses on its way."""
 
-    exponent: Array = parameter(
-        default=2.2, unit="", doc="by which power falls with distance; 2: free space", above=0.0
-    )
+    exponent: Array = parameter(default=2.2, unit="", doc="exponent of the path loss; 2: free space", above=0.0)
     shadowing_db: Array = parameter(
-        default=3.0, unit="dB", doc="standard deviation of the shadowing, the same for both directions", minimum=0.0
+        default=3.0, unit="dB", doc="standard deviation of the shadowing, equal in both directions", minimum=0.0
     )
     correlation_distance: Array = parameter(
-        default=50.0, unit="m", doc="an end moved by it, the shadowing's correlation is 1/e", above=0.0
+        default=50.0,
+        unit="m",
+        doc="displacement of one end over which the shadowing's correlation falls to 1/e",
+        above=0.0,
     )
     blocked_db: Array = parameter(
-        default=20.0, unit="dB", doc="loss for each obstacle in the way, at most twice", minimum=0.0
+        default=20.0, unit="dB", doc="loss for each obstacle on the line of sight, at most two", minimum=0.0
     )
-    waves: int = setting(default=32, doc="whose sum the shadowing is", minimum=1, maximum=1024)
+    waves: int = setting(default=32, doc="number of waves that the shadowing is the sum of", minimum=1, maximum=1024)
     ground: Literal["two_ray", "none"] = setting(
         default="two_ray",
-        doc="two_ray: the ground mirrors, and far away power falls with the fourth power of distance; none: no ground",
+        doc="two_ray: the ground reflects, so that power falls with the fourth power of distance at long "
+        "range; none: no ground",
     )
     air_to_ground: Land = setting(
         default="none",
-        doc="land between a station or a person on the ground and who is above; none: all links are alike",
+        doc="land use between a radio near the ground and one above; none: all links are alike",
     )
     ground_height: float = setting(
-        default=5.0, unit="m", doc="up to which height above the ground one is on it, for air_to_ground", minimum=0.0
+        default=5.0,
+        unit="m",
+        doc="height above ground below which a radio counts as near the ground, for air_to_ground",
+        minimum=0.0,
     )
 
 
@@ -54,21 +59,28 @@ class Packet:
         default="fsk",
         doc="law of the packet error rate: of a modulation, of a receiver's threshold, or of distance alone",
     )
-    bytes: int = setting(default=60, doc="length on the air, headers and check sums included", minimum=1, maximum=65535)
+    bytes: int = setting(default=60, doc="length on the air, with headers and checksums", minimum=1, maximum=65535)
     snr50_db: Array = parameter(
-        default=10.0, unit="dB", doc="model 'threshold': signal to noise ratio at which half is lost"
+        default=10.0, unit="dB", doc="model 'threshold': signal-to-noise ratio at which half of the packets are lost"
     )
-    width_db: Array = parameter(default=0.5, unit="dB", doc="model 'threshold': its steepness", above=0.0)
-    range: Array = parameter(default=300.0, unit="m", doc="model 'probability': beyond it nothing is heard", above=0.0)
+    width_db: Array = parameter(default=0.5, unit="dB", doc="model 'threshold': width of the transition", above=0.0)
+    range: Array = parameter(default=300.0, unit="m", doc="model 'probability': longest range", above=0.0)
     probability: Array = parameter(
-        default=1.0, unit="", doc="model 'probability': that a packet is heard within range", minimum=0.0, maximum=1.0
+        default=1.0,
+        unit="",
+        doc="model 'probability': chance that a packet is received within range",
+        minimum=0.0,
+        maximum=1.0,
     )
     capture_db: Array = parameter(
-        default=6.0, unit="dB", doc="a packet this much stronger than the others together is heard in spite of them"
+        default=6.0, unit="dB", doc="margin over the sum of all other packets at which a packet is still received"
     )
     preamble: float = setting(default=0.0, unit="s", doc="time on the air before the first byte", minimum=0.0)
     spreading_factor: int = setting(
-        default=0, doc="of LoRa, which then says how long a packet is on the air; 0: no LoRa", minimum=0, maximum=12
+        default=0,
+        doc="spreading factor of LoRa, which sets the time of a packet on the air; 0: no LoRa",
+        minimum=0,
+        maximum=12,
     )
 
 
@@ -78,19 +90,19 @@ class Mac:
 
     type: Literal["ideal", "tdma", "aloha", "csma"] = setting(
         default="ideal",
-        doc="ideal: all at once, undisturbed; tdma: each in its slot; aloha: at any time; csma: who listens first",
+        doc="ideal: all at once, without collisions; tdma: each in its slot; aloha: at any time; csma: after listening",
     )
-    period: float = setting(default=0.2, unit="s", doc="a multiple of the time step", above=0.0)
-    slots: int = setting(default=20, doc="of tdma in a period; vehicle i has slot i modulo slots", minimum=1)
+    period: float = setting(default=0.2, unit="s", doc="period of the exchange, a multiple of the time step", above=0.0)
+    slots: int = setting(default=20, doc="tdma: slots in a period; vehicle i has slot i modulo slots", minimum=1)
     queue: int = setting(
-        default=4, doc="messages that wait with a vehicle; of more, the oldest are lost", minimum=1, maximum=64
+        default=4, doc="length of a vehicle's send queue; the oldest messages are dropped first", minimum=1, maximum=64
     )
     sense: Literal["packet", "noise"] = setting(
         default="packet",
-        doc="whom csma waits for; packet: whose packets can be received there; noise: who is above the noise there",
+        doc="transmissions that csma defers to; packet: those it can receive; noise: those above the noise",
     )
     attempts: int = setting(
-        default=4, doc="of csma in a period, until a message has to wait for the next", minimum=1, maximum=16
+        default=4, doc="csma: attempts in a period before a message waits for the next one", minimum=1, maximum=16
     )
 
 
@@ -98,9 +110,9 @@ class Mac:
 class Delay:
     """What is added to the time on the air."""
 
-    fixed: float = setting(default=0.005, unit="s", doc="processing at both ends", minimum=0.0)
+    fixed: float = setting(default=0.005, unit="s", doc="processing time at both ends", minimum=0.0)
     jitter: float = setting(
-        default=0.002, unit="s", doc="median of what comes on top, log-normal with sigma 0.5", minimum=0.0
+        default=0.002, unit="s", doc="median of a further random latency, log-normal with sigma 0.5", minimum=0.0
     )
 
 
@@ -108,11 +120,15 @@ class Delay:
 class InboxSize:
     """What a vehicle keeps of what it has heard, and how far is looked for who could be heard."""
 
-    size: int = setting(default=8, doc="senders whose newest message is kept (K)", minimum=1, maximum=64)
-    forget: float = setting(default=2.0, unit="s", doc="older messages are dropped", above=0.0)
-    reach: Array = parameter(default=300.0, unit="m", doc="nobody farther is looked for", above=0.0)
+    size: int = setting(
+        default=8, doc="number of senders for which the newest message is kept (K)", minimum=1, maximum=64
+    )
+    forget: float = setting(default=2.0, unit="s", doc="age at which a message is dropped", above=0.0)
+    reach: Array = parameter(
+        default=300.0, unit="m", doc="largest distance at which other vehicles are searched", above=0.0
+    )
     candidates: int = setting(
-        default=24, doc="the nearest within reach, who can be heard at all", minimum=1, maximum=256
+        default=24, doc="number of nearest vehicles within reach that can be received", minimum=1, maximum=256
     )
 
 

@@ -100,7 +100,7 @@ class Violation:
 
 @record
 class BoxArea(Area):
-    """A box in NED; z = 0 is the ground, so z_max above 0 would be below it."""
+    """A box in NED; z = 0 is the ground, and z points down."""
 
     x_min: Array = parameter(default=-1000.0, unit="m", doc="southern limit")
     x_max: Array = parameter(default=1000.0, unit="m", doc="northern limit")

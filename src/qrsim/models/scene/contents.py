@@ -31,7 +31,7 @@ class Contents:
 
     plume: Any = quantity(default=NoPlume(), doc="concentration field")
     terrain: GroundCover = quantity(default=ClearGround(), doc="cover of the ground")
-    persons: People = quantity(default=NoPersons(), doc="who is to be found")
+    persons: People = quantity(default=NoPersons(), doc="persons to find")
 
     @property
     def random(self) -> bool:
@@ -45,7 +45,7 @@ class ContentsState:
 
     plume: Any = quantity(default=None, doc="sources and puffs")
     terrain: Any = quantity(default=None, doc="classes of the ground")
-    persons: Any = quantity(default=None, doc="persons and who is found")
+    persons: Any = quantity(default=None, doc="persons, and those found")
 
 
 @record
@@ -55,14 +55,14 @@ class Surroundings:
     contents: Contents = quantity(doc="components")
     state: ContentsState = quantity(doc="their state")
     wind: contracts.Wind = quantity(doc="mean wind")
-    area: Area = quantity(doc="where vehicles may be")
+    area: Area = quantity(doc="area of flight")
     tick: Array = quantity(doc="() int32")
     time_step: float = setting(unit="s", doc="simulation step")
-    ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
-    skyline: Any = quantity(default=None, doc="what obstacles do to signals of satellites; None where they do nothing")
+    ground: Ground = quantity(default=FlatGround(), doc="surface of the ground")
+    skyline: Any = quantity(default=None, doc="effect of obstacles on satellite signals; None: none")
     obstacles: Obstacles | None = quantity(default=None, doc="solid things, an ``Obstacles``")
     traffic: Traffic | None = quantity(
-        default=None, doc="all vehicles of the world, a ``Traffic``; None where nobody looks"
+        default=None, doc="all vehicles of the world, a ``Traffic``; None if no sensor uses them"
     )
 
     def over_ground(self, position_ned: Vec3) -> Vec3:

@@ -155,14 +155,14 @@ class ElevationFile:
 
     file: str = setting(doc="the grid, in metres or in degrees of latitude and longitude")
     frame: Literal["auto", "local", "geodetic"] = setting(
-        default="auto", doc="what its coordinates are; auto: degrees where its cells are smaller than 0.1"
+        default="auto", doc="kind of its coordinates; auto: degrees if its cells are smaller than 0.1"
     )
-    origin_north: float = setting(default=0.0, unit="m", doc="of a local one: its northing at the site's origin")
-    origin_east: float = setting(default=0.0, unit="m", doc="of a local one: its easting at the site's origin")
+    origin_north: float = setting(default=0.0, unit="m", doc="frame 'local': northing of the site's origin in the grid")
+    origin_east: float = setting(default=0.0, unit="m", doc="frame 'local': easting of the site's origin in the grid")
     height_of_zero: float | None = setting(
         default=None,
         unit="m",
-        doc="its height that is z = 0; default: that of the ground at the site's origin",
+        doc="height in the grid at z = 0; default: the ground at the site's origin",
         minimum=-1000.0,
         maximum=10_000.0,
     )

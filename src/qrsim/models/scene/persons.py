@@ -44,14 +44,20 @@ class PersonsState:
 class Persons(People):
     """Persons at rest; one is found when a vehicle hovers near, checked once a period."""
 
-    size: Array = parameter(default=0.5, unit="m", doc="side of the square that a person is", above=0.0)
-    found_distance: Array = parameter(default=5.0, unit="m", doc="a vehicle this near finds, in 3-D", above=0.0)
-    found_speed: Array = parameter(default=0.1, unit="m/s", doc="a vehicle no faster than this finds", minimum=0.0)
-    on_clutter: Array = parameter(default=0.0, unit="1", doc="chance to be on clutter", minimum=0.0, maximum=1.0)
-    on_occlusion: Array = parameter(default=0.0, unit="1", doc="chance to be occluded", minimum=0.0, maximum=1.0)
+    size: Array = parameter(default=0.5, unit="m", doc="side of the square that represents a person", above=0.0)
+    found_distance: Array = parameter(
+        default=5.0, unit="m", doc="distance in 3-D within which a vehicle finds a person", above=0.0
+    )
+    found_speed: Array = parameter(
+        default=0.1, unit="m/s", doc="largest speed at which a vehicle finds a person", minimum=0.0
+    )
+    on_clutter: Array = parameter(default=0.0, unit="1", doc="chance of lying on clutter", minimum=0.0, maximum=1.0)
+    on_occlusion: Array = parameter(default=0.0, unit="1", doc="chance of being occluded", minimum=0.0, maximum=1.0)
     fewest: int = setting(default=5, unit="1", doc="fewest persons of an episode", minimum=1, maximum=1000)
     most: int = setting(default=10, unit="1", doc="most persons of an episode", minimum=1, maximum=1000)
-    period: float = setting(default=1.0, unit="s", doc="interval between looks, a multiple of the time step", above=0.0)
+    period: float = setting(
+        default=1.0, unit="s", doc="interval between checks, a multiple of the time step", above=0.0
+    )
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw, cells: Array, area: Any) -> PersonsState:

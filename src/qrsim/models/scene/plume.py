@@ -60,8 +60,8 @@ class Wind:
     """The mean wind that carries a plume, ()."""
 
     speed: Array = quantity(unit="m/s", doc="speed 6 m above the ground")
-    north: Array = quantity(unit="1", doc="where it blows to, unit vector")
-    east: Array = quantity(unit="1", doc="where it blows to, unit vector")
+    north: Array = quantity(unit="1", doc="direction of the wind, unit vector downwind")
+    east: Array = quantity(unit="1", doc="direction of the wind, unit vector downwind")
 
     @staticmethod
     def of(velocity_ned: Vec3) -> Wind:
@@ -114,7 +114,7 @@ class GaussianState:
 
 @record
 class GaussianPlume(Plume):
-    """A three-dimensional Gaussian around each source, at rest whatever the wind."""
+    """A three-dimensional Gaussian around each source, independent of the wind."""
 
     peak: Array = parameter(default=1.0, unit="1", doc="concentration in the middle", above=0.0)
     std_min: Array = parameter(default=3.0, unit="m", doc="smallest standard deviation along an axis", above=0.0)
@@ -225,7 +225,7 @@ class PuffState:
 
 @record
 class PuffPlume(Plume):
-    """Single puffs at random times, carried by the wind.
+    """Single puffs at random times, which the wind carries.
 
     c = q/(pi s)^1.5 exp(-((x' - u t)^2 + y'^2)/s) [exp(-(z-H)^2/s) + exp(-(z+H)^2/s)], t the age of the puff, zero
     upwind. The reference prints (2 pi s)^1.5, which loses 65 % of the mass; as it is here the time integral of puffs
@@ -243,7 +243,7 @@ class PuffPlume(Plume):
         default=256, unit="1", doc="most puffs of a source in the air at once", minimum=1, maximum=100_000
     )
     period: float = setting(
-        default=0.5, unit="s", doc="interval between looks for a release, a multiple of the time step", above=0.0
+        default=0.5, unit="s", doc="interval between checks for a release, a multiple of the time step", above=0.0
     )
     needs_wind: ClassVar[bool] = True
     changes: ClassVar[bool] = True

@@ -64,10 +64,14 @@ class PatchyGround(GroundCover):
 
     clutter_share: Array = parameter(default=0.2, unit="1", doc="share of clutter", minimum=0.0, maximum=0.5)
     occlusion_share: Array = parameter(default=0.05, unit="1", doc="share of occlusion", minimum=0.0, maximum=0.5)
-    jump: Array = parameter(default=4.0, unit="1", doc="mean length of a jump in cells", minimum=0.0, maximum=1000.0)
-    drops_least: Array = parameter(default=10.0, unit="1", doc="fewest drops of a place", minimum=1.0, maximum=1e4)
+    jump: Array = parameter(
+        default=4.0, unit="1", doc="mean length of a jump between places, in cells", minimum=0.0, maximum=1000.0
+    )
+    drops_least: Array = parameter(
+        default=10.0, unit="1", doc="least number of drops poured at a place", minimum=1.0, maximum=1e4
+    )
     drops_spread: Array = parameter(
-        default=100.0, unit="1", doc="drops of a place beyond the fewest, at most", minimum=0.0, maximum=1e4
+        default=100.0, unit="1", doc="largest number of drops beyond drops_least", minimum=0.0, maximum=1e4
     )
     side: int = setting(default=50, unit="1", doc="cells along each side", minimum=2, maximum=500)
     random: ClassVar[bool] = True

@@ -19,7 +19,7 @@ class Traffic:
     radius: Array = quantity(unit="m", doc="(N,) radius of the sphere that collides")
     fleets: tuple[str, ...] = setting(doc="names of the fleets")
     sizes: tuple[int, ...] = setting(doc="vehicles of each")
-    first: int = setting(default=0, doc="number of the first vehicle of the fleet that looks")
+    first: int = setting(default=0, doc="number of the first vehicle of the observing fleet")
 
     @property
     def count(self) -> int:

@@ -25,11 +25,13 @@ def _number(name: str, unit: str, doc: str) -> Array:
 class AirspeedReading(Explained):
     """What a pitot tube says of the air."""
 
-    differential_pressure: Array = quantity(unit="Pa", doc="measured: that in the tube over the static pressure")
+    differential_pressure: Array = quantity(unit="Pa", doc="measured pressure in the tube above the static pressure")
     indicated_airspeed: Array = quantity(
-        unit="m/s", doc="speed at which air as at sea level would have it, without its sign; NaN below speed_min"
+        unit="m/s", doc="indicated airspeed: that of the same pressure at sea level, unsigned; NaN below speed_min"
     )
-    true_airspeed: Array = quantity(unit="m/s", doc="the same of air as the standard has it there")
+    true_airspeed: Array = quantity(
+        unit="m/s", doc="true airspeed, for the standard density at that height, unsigned; NaN below speed_min"
+    )
 
     def reason(self, vehicle: int) -> str:
         """Return why a vehicle has no airspeed."""
@@ -40,33 +42,31 @@ class AirspeedReading(Explained):
 class AirspeedState:
     """Errors of n sensors."""
 
-    offset: Array = quantity(unit="Pa", doc="what zeroing has left")
+    offset: Array = quantity(unit="Pa", doc="residual offset after zeroing")
     scale: Array = quantity(unit="1", doc="error of the scale")
 
 
 @record
 class Airspeed(Sensor):
-    """Dynamic pressure of the air from ahead, and the speeds that follow from it.
+    """Dynamic pressure of the air from ahead, and the airspeeds computed from it.
 
     Parameters that are not given are those of the preset. A root has no sign, so the speeds have none, and below
     ``speed_min``, where noise and offset are as large as what is measured, there are none.
     """
 
-    preset: Literal["ms4525do", "sdp33"] = setting(
-        default="sdp33", doc="which chip the parameters that are not given are of"
-    )
+    preset: Literal["ms4525do", "sdp33"] = setting(default="sdp33", doc="chip that provides the parameters left out")
     noise_std: Array = _number("noise_std", "Pa", "white noise of each reading")
     offset_std: Array = _number("offset_std", "Pa", "std of the offset per episode")
     scale: Array = _number("scale", "1", "std of the scale error per episode, tube and hoses included")
     reverse: Array = parameter(
         default=0.3,
         unit="1",
-        doc="suction by air from behind, over the pressure by the same air from ahead",
+        doc="suction by air from behind, relative to the pressure by air from ahead",
         minimum=0.0,
         maximum=1.0,
     )
     speed_min: Array = parameter(
-        default=5.0, unit="m/s", doc="indicated airspeed below which none is said; 0: always one", minimum=0.0
+        default=5.0, unit="m/s", doc="indicated airspeed below which the reading is NaN; 0: never NaN", minimum=0.0
     )
     range: float = setting(default=default_airspeed("range"), unit="Pa", doc="largest pressure; 0: any", minimum=0.0)
     resolution: float = setting(

@@ -56,7 +56,7 @@ class Picture:
     east: Array = quantity(unit="m", doc="(n, R + 1, C + 1) corners of the windows on the ground")
     rows: Array = quantity(doc="(n,) int32 rows of the grid")
     columns: Array = quantity(doc="(n,) int32 columns of the grid")
-    seen: Array = quantity(doc="(n, R, C) bool: a missing person is really in the window; not for the one who searches")
+    seen: Array = quantity(doc="(n, R, C) bool: a missing person is in the window; the truth, for evaluation only")
 
 
 @record
@@ -77,21 +77,25 @@ class _View:
 class PersonClassifier:
     """Mean and spread of the score of a window, with and without a person, by the distance r to the ground it shows."""
 
-    range_limit: Array = parameter(default=50.0, unit="m", doc="r is taken to be no more than this", above=0.0)
-    near: Array = parameter(default=11.0, unit="m", doc="r below which the mean changes fast", above=0.0)
-    person_mean: Array = parameter(default=0.55, unit="1", doc="with a person: middle of the mean for near r")
-    person_swing: Array = parameter(default=0.11, unit="1", doc="with a person: amplitude of the mean for near r")
-    person_slope: Array = parameter(default=0.005, unit="1/m", doc="with a person: loss of the mean beyond")
-    occlusion_loss: Array = parameter(default=0.1, unit="1", doc="with a person: loss of the mean if occluded")
+    range_limit: Array = parameter(
+        default=50.0, unit="m", doc="range limit: larger ranges r are clipped to it", above=0.0
+    )
+    near: Array = parameter(default=11.0, unit="m", doc="range r below which the mean changes fast", above=0.0)
+    person_mean: Array = parameter(default=0.55, unit="1", doc="with a person: middle of the mean for short r")
+    person_swing: Array = parameter(default=0.11, unit="1", doc="with a person: amplitude of the mean for short r")
+    person_slope: Array = parameter(default=0.005, unit="1/m", doc="with a person: decrease of the mean beyond")
+    occlusion_loss: Array = parameter(default=0.1, unit="1", doc="with a person: decrease of the mean if occluded")
     person_std: Array = parameter(default=0.16, unit="1", doc="with a person: std at r = 0", above=0.0)
-    person_std_slope: Array = parameter(default=-0.0061, unit="1/m", doc="with a person: its slope")
-    person_std_curve: Array = parameter(default=7.4e-5, unit="1/m^2", doc="with a person: its curvature")
-    none_mean: Array = parameter(default=0.34, unit="1", doc="without: mean at r = 0")
-    none_rise: Array = parameter(default=0.076, unit="1", doc="without: rise of the mean for near r, constant beyond")
-    none_std: Array = parameter(default=0.09, unit="1", doc="without: std at r = 0", above=0.0)
-    none_std_slope: Array = parameter(default=-0.0016, unit="1/m", doc="without: its slope")
-    none_std_curve: Array = parameter(default=2.4e-5, unit="1/m^2", doc="without: its curvature")
-    clutter_std: Array = parameter(default=0.04, unit="1", doc="without: more std on clutter", minimum=0.0)
+    person_std_slope: Array = parameter(default=-0.0061, unit="1/m", doc="with a person: slope of the std")
+    person_std_curve: Array = parameter(default=7.4e-5, unit="1/m^2", doc="with a person: curvature of the std")
+    none_mean: Array = parameter(default=0.34, unit="1", doc="without a person: mean at r = 0")
+    none_rise: Array = parameter(
+        default=0.076, unit="1", doc="without a person: rise of the mean for short r, constant beyond"
+    )
+    none_std: Array = parameter(default=0.09, unit="1", doc="without a person: std at r = 0", above=0.0)
+    none_std_slope: Array = parameter(default=-0.0016, unit="1/m", doc="without a person: slope of the std")
+    none_std_curve: Array = parameter(default=2.4e-5, unit="1/m^2", doc="without a person: curvature of the std")
+    clutter_std: Array = parameter(default=0.04, unit="1", doc="without a person: further std on clutter", minimum=0.0)
 
     def person(self, distance: Array, ground: Array) -> tuple[Array, Array]:
         """Return mean and std of the score of windows with a person, of any shape.
@@ -126,7 +130,7 @@ class PersonClassifier:
 
 @record
 class Camera(Sensor):
-    """Takes pictures straight down; a classifier gives each window a score, and from it a log-likelihood ratio.
+    """A camera that points straight down, with a classifier: a log-likelihood ratio for each window of the picture.
 
     Camera x is body y, camera y is minus body x, camera z is body z. A window is as large as a person looks in the
     middle of the picture, so a picture has the more windows the higher it is taken.
@@ -135,14 +139,14 @@ class Camera(Sensor):
     focal_length: Array = parameter(default=2280.0, unit="1", doc="focal length in pixels", above=0.0)
     principal_x: Array = parameter(default=640.0, unit="1", doc="principal point in pixels from the left")
     principal_y: Array = parameter(default=480.0, unit="1", doc="principal point in pixels from the top")
-    classifier: PersonClassifier = quantity(default=PersonClassifier(), doc="what scores are like")
+    classifier: PersonClassifier = quantity(default=PersonClassifier(), doc="distribution of the scores")
     width: int = setting(default=1280, unit="1", doc="width of a picture in pixels", minimum=1, maximum=20_000)
     height: int = setting(default=960, unit="1", doc="height of a picture in pixels", minimum=1, maximum=20_000)
     most_columns: int = setting(
-        default=90, unit="1", doc="room for columns of windows; 90 are for 80 m", minimum=1, maximum=1000
+        default=90, unit="1", doc="largest number of columns of windows; 90 suffice up to 80 m", minimum=1, maximum=1000
     )
     most_rows: int = setting(
-        default=68, unit="1", doc="room for rows of windows; 68 are for 80 m", minimum=1, maximum=1000
+        default=68, unit="1", doc="largest number of rows of windows; 68 suffice up to 80 m", minimum=1, maximum=1000
     )
     period: float = setting(
         default=1.0, unit="s", doc="interval between pictures, a multiple of the time step", above=0.0

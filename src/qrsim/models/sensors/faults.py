@@ -36,14 +36,14 @@ class FaultNumbers:
     """How large a fault is; each number is one for all vehicles or (n,), those of fields are a tuple with one each."""
 
     amounts: tuple[Array, ...] = quantity(
-        doc="of each field: what is added (wrong), its rate [1/s] (drift), a standard deviation (noisy), what it is "
-        "drawn within (garbage)"
+        doc="of each field: offset (wrong), its rate [1/s] (drift), standard deviation (noisy), range of "
+        "random values (garbage)"
     )
-    scales: tuple[Array, ...] = quantity(doc="of each field: what it is multiplied by; 0 of garbage")
-    limit: Array = quantity(doc="the most that is added (drift)")
-    share: Array = quantity(doc="part of the readings that is lost (intermittent)")
-    every: Array = quantity(doc="int32: of so many readings the first is delivered (slow)")
-    readings: Array = quantity(doc="int32: how many readings late (delayed)")
+    scales: tuple[Array, ...] = quantity(doc="of each field: factor; 0 for garbage")
+    limit: Array = quantity(doc="largest offset (drift)")
+    share: Array = quantity(doc="share of the readings that is lost (intermittent)")
+    every: Array = quantity(doc="int32: number of readings of which the first is delivered (slow)")
+    readings: Array = quantity(doc="int32: delay in readings (delayed)")
     on_ticks: Array = quantity(doc="int32 ticks with readings (intermittent); 0: by share")
     off_ticks: Array = quantity(doc="int32 ticks without (intermittent)")
 
@@ -185,7 +185,7 @@ class _Fault:
 class Fault(_Fault):
     """One fault of a scenario, of one sensor of some vehicles during [start, end)."""
 
-    kind: Kind = setting(default="off", doc="what happens to the readings")
+    kind: Kind = setting(default="off", doc="kind of the fault")
     order: int = setting(default=0, doc="number among the faults of its kind that begin at the same time")
 
     @property

@@ -33,7 +33,7 @@ class Fitting:
     position_body: Vec3 | None = quantity(default=None, unit="m", doc="from the centre of mass; None: there")
     attitude: Euler | None = quantity(default=None, unit="rad", doc="against the body axes; None: along them")
     delay: float = setting(default=0.0, unit="periods", doc="mean time from reading to delivery", minimum=0.0)
-    jitter: float = setting(default=0.0, unit="s", doc="std of the time of delivery", minimum=0.0)
+    jitter: float = setting(default=0.0, unit="s", doc="std of the time of delivery; 0: constant", minimum=0.0)
 
     @property
     def is_late(self) -> bool:

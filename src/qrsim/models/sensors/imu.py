@@ -77,19 +77,19 @@ class ImuState:
     rates: Vec3 = quantity(unit="rad/s", doc="true rates at the last reading")
     angle: Vec3 = quantity(unit="rad", doc="last measured step of the angle")
     low_pass: Any = quantity(doc="two memories of each axis; None without a filter")
-    phase: Any = quantity(unit="1", doc="of the rotors [turns]; None without vibration")
+    phase: Any = quantity(unit="1", doc="phase of the rotors [turns]; None without vibration")
 
 
 @record
 class Imu(Sensor):
-    """Gyroscope and accelerometer of one chip: noise, wandering bias, scale, misalignment, vibration, quantisation.
+    """Gyroscope and accelerometer of one chip: noise, bias, scale, misalignment, vibration, quantisation.
 
     Parameters that are not given are those of the preset. What is drawn once, as the turn-on bias, is drawn for each
     vehicle and episode. A reading is the mean over its period, in which the rates are taken to change linearly.
     """
 
     preset: Literal["mpu6000", "icm20689", "bmi088", "icm42688p", "adis16470", "pelican"] = setting(
-        default="icm42688p", doc="which chip the parameters that are not given are of"
+        default="icm42688p", doc="chip that provides the parameters left out"
     )
     gyroscope_noise: Array = _number("gyroscope_noise", "rad/s^0.5", "N, angle random walk")
     gyroscope_bias_instability: Array = _number("gyroscope_bias_instability", "rad/s", "B, flicker noise")
@@ -106,9 +106,9 @@ class Imu(Sensor):
     accelerometer_turn_on_bias: Array = _number("accelerometer_turn_on_bias", "m/s^2", "std per episode and axis")
     accelerometer_scale: Array = _number("accelerometer_scale", "1", "std of the scale error of each axis")
     accelerometer_misalignment: Array = _number("accelerometer_misalignment", "rad", "std of each angle between axes")
-    vibration_levels: Vibration = quantity(default=Vibration(), doc="for vibration 'rotors': how strong")
+    vibration_levels: Vibration = quantity(default=Vibration(), doc="levels of vibration 'rotors'")
     vibration: Literal["none", "rotors", "measured"] = setting(
-        default="none", doc="of the airframe: by its own levels, or as in the recording of the real vehicle"
+        default="none", doc="vibration of the airframe: from vibration_levels, or as recorded on the real vehicle"
     )
     gyroscope_range: float = _structure("gyroscope_range", "rad/s", "largest rate; 0: any")
     gyroscope_resolution: float = _structure("gyroscope_resolution", "rad/s", "step of a sample; 0: none")
@@ -117,17 +117,17 @@ class Imu(Sensor):
     sample_rate: float = setting(
         default=default("sample_rate"),
         unit="Hz",
-        doc="of the chip; a reading is the mean of its samples, in steps as much smaller than those of a sample",
+        doc="sample rate of the chip; a reading is the mean of its samples, and its steps are finer by their number",
         above=0.0,
     )
     bandwidth_hz: float = setting(
         default=0.0,
         unit="Hz",
-        doc="-3 dB of the chip's low-pass, a Butterworth filter of 2nd order; 0: none",
+        doc="-3 dB frequency of the chip's low-pass, a second-order Butterworth filter; 0: none",
         minimum=0.0,
     )
     subsamples: int = setting(
-        default=1, unit="1", doc="parts of a period that are measured one by one", minimum=1, maximum=32
+        default=1, unit="1", doc="parts of a period that are measured separately", minimum=1, maximum=32
     )
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0

@@ -83,14 +83,14 @@ class MagnetometerState:
 
 @record
 class Magnetometer(Sensor):
-    """Earth's magnetic field with the errors of a chip and of the vehicle that it is on.
+    """Earth's magnetic field, with the errors of the chip and of its vehicle.
 
     Parameters that are not given are those of the preset. What is drawn once, as hard iron, is drawn for each vehicle
     and episode: what a calibration has left. A reading is the mean of the chip's samples over its period.
     """
 
     preset: Literal["hmc5883l", "ist8310", "lis3mdl", "rm3100"] = setting(
-        default="rm3100", doc="which chip the parameters that are not given are of"
+        default="rm3100", doc="chip that provides the parameters left out"
     )
     noise: Array = _number("noise", "uT/sqrt(Hz)", "N, white noise")
     drift_std: Array = _number("drift_std", "uT", "stationary std of the slow error of each axis")
@@ -100,27 +100,28 @@ class Magnetometer(Sensor):
     scale: Array = _number("scale", "1", "std of the scale error of each axis")
     misalignment: Array = _number("misalignment", "rad", "std of each angle between axes")
     hard_iron: Array = parameter(
-        default=0.5, unit="uT", doc="std per episode and axis of what the vehicle's magnets add", minimum=0.0
+        default=0.5, unit="uT", doc="std per episode and axis of the field of the vehicle's magnets", minimum=0.0
     )
     soft_iron: Array = parameter(
-        default=0.01, unit="1", doc="std of each element of what the vehicle's steel does to the field", minimum=0.0
+        default=0.01, unit="1", doc="std of each element of the field's distortion by the vehicle's steel", minimum=0.0
     )
     interference: Array = parameter(
         default=1.0,
         unit="uT",
-        doc="field of the motors' currents in hover, in a direction drawn for each vehicle; it "
-        "is proportional to the thrust",
+        doc="field of the motors' currents in hover, proportional to the thrust, in a direction drawn for each vehicle",
         minimum=0.0,
     )
-    interference_x: Array = parameter(default=0.0, unit="uT", doc="more of it in a known direction, along body x")
-    interference_y: Array = parameter(default=0.0, unit="uT", doc="the same along body y")
-    interference_z: Array = parameter(default=0.0, unit="uT", doc="the same along body z")
+    interference_x: Array = parameter(
+        default=0.0, unit="uT", doc="further field of the motors' currents in hover, along body x"
+    )
+    interference_y: Array = parameter(default=0.0, unit="uT", doc="the same, along body y")
+    interference_z: Array = parameter(default=0.0, unit="uT", doc="the same, along body z")
     range: float = _structure("range", "uT", "largest field of an axis; 0: any")
     resolution: float = _structure("resolution", "uT", "step of a sample; 0: none")
     sample_rate: float = setting(
         default=default("sample_rate"),
         unit="Hz",
-        doc="of the chip; a reading is the mean of its samples, in steps as much smaller than those of a sample",
+        doc="sample rate of the chip; a reading is the mean of its samples, and its steps are finer by their number",
         above=0.0,
     )
     period: float = setting(

@@ -36,14 +36,16 @@ ROOM = 64
 class NeighboursReading(Explained):
     """Up to K others, the nearest first by what was measured; what a slot lacks is NaN."""
 
-    position: tuple[Vec3, ...] = quantity(unit="m", doc="of another, against the sensor, in its axes")
-    distance: tuple[Array, ...] = quantity(unit="m", doc="of another, as measured")
-    vehicle: tuple[Array, ...] = quantity(unit="1", doc="number of the vehicle in the world, -1: not known who")
-    count: Array = quantity(unit="1", doc="slots that are taken")
+    position: tuple[Vec3, ...] = quantity(
+        unit="m", doc="position of a neighbour relative to the sensor, in the sensor's axes"
+    )
+    distance: tuple[Array, ...] = quantity(unit="m", doc="distance of a neighbour, as measured")
+    vehicle: tuple[Array, ...] = quantity(unit="1", doc="number of the neighbour in the world; -1: unknown")
+    count: Array = quantity(unit="1", doc="number of slots in use")
     velocity: tuple[Vec3, ...] = quantity(
         default=(),
         unit="m/s",
-        doc="of another against the vehicle, in the axes of position; empty if not asked for",
+        doc="velocity of a neighbour relative to the vehicle, in the axes of position; empty unless `velocity` is true",
     )
 
     def reason(self, vehicle: int) -> str:
@@ -52,11 +54,11 @@ class NeighboursReading(Explained):
 
 
 def _slots() -> int:
-    return setting(default=4, unit="1", doc="others that a reading has room for, K", minimum=1, maximum=MOST)
+    return setting(default=4, unit="1", doc="largest number of neighbours in a reading (K)", minimum=1, maximum=MOST)
 
 
 def _velocity() -> bool:
-    return setting(default=False, doc="whether it measures how fast others move against the vehicle")
+    return setting(default=False, doc="readings contain the relative velocity of neighbours")
 
 
 class Looking(Sensor):
@@ -110,32 +112,40 @@ class Looking(Sensor):
 
 @record
 class NeighbourSensor(Looking):
-    """Relative positions of the K nearest others in view, with noise, missed detections and false alarms."""
+    """Relative positions of the K nearest neighbours in view, with noise, missed detections and false alarms."""
 
     slots: int = _slots()
     velocity: bool = _velocity()
-    identity: bool = setting(default=True, doc="whether it knows who they are")
+    identity: bool = setting(default=True, doc="readings contain the identity of neighbours")
     field_of_view_rad: float = setting(
         default=2.0 * math.pi,
         unit="rad",
-        doc="full angle of the cone about its x axis",
+        doc="full angle of the field of view, a cone about the sensor's x axis",
         above=0.0,
         maximum=2.0 * math.pi,
     )
-    range_max: Array = parameter(default=50.0, unit="m", doc="how far it sees", above=0.0)
+    range_max: Array = parameter(default=50.0, unit="m", doc="largest range", above=0.0)
     bearing_noise: Array = parameter(
-        default=0.02, unit="rad", doc="white noise across the line of sight, over the distance", minimum=0.0
+        default=0.02, unit="rad", doc="white noise across the line of sight, relative to the distance", minimum=0.0
     )
-    range_noise: Array = parameter(default=0.0, unit="m", doc="white noise along it at distance 0", minimum=0.0)
+    range_noise: Array = parameter(
+        default=0.0, unit="m", doc="white noise along the line of sight at distance 0", minimum=0.0
+    )
     range_noise_share: Array = parameter(
-        default=0.05, unit="1", doc="what that grows by with the distance", minimum=0.0
+        default=0.05, unit="1", doc="increase of that noise with the distance", minimum=0.0
     )
     velocity_noise: Array = parameter(
         default=0.5, unit="m/s", doc="white noise of each component of the velocity", minimum=0.0
     )
-    missed: Array = parameter(default=0.05, unit="1", doc="share of others that are missed", minimum=0.0, maximum=1.0)
+    missed: Array = parameter(
+        default=0.05, unit="1", doc="share of neighbours that are missed", minimum=0.0, maximum=1.0
+    )
     false_alarms: Array = parameter(
-        default=0.01, unit="1", doc="probability that a reading has one who is not there", minimum=0.0, maximum=1.0
+        default=0.01,
+        unit="1",
+        doc="probability that a reading contains a neighbour that does not exist",
+        minimum=0.0,
+        maximum=1.0,
     )
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
@@ -182,11 +192,11 @@ class NeighbourSensor(Looking):
 
 @record
 class IdealNeighbours(Looking):
-    """The true relative positions of the K nearest others, all around and whatever stands in between."""
+    """The true relative positions of the K nearest neighbours, in all directions and through obstacles."""
 
     slots: int = _slots()
     velocity: bool = _velocity()
-    range_max: Array = parameter(default=200.0, unit="m", doc="how far it sees", above=0.0)
+    range_max: Array = parameter(default=200.0, unit="m", doc="largest range", above=0.0)
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )

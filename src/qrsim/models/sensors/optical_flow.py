@@ -47,7 +47,7 @@ class OpticalFlowReading(Explained):
     flow_x: Array = quantity(unit="rad", doc="flow about the sensor's x axis, NaN where status is not 0")
     flow_y: Array = quantity(unit="rad", doc="flow about the sensor's y axis, NaN where status is not 0")
     delta_angle: Vec3 = quantity(unit="rad", doc="rotation about the sensor's axes, by its own gyroscope")
-    quality: Array = quantity(unit="1", doc="of the picture, 0 to 1")
+    quality: Array = quantity(unit="1", doc="quality of the image, 0 to 1")
     status: Array = quantity(
         unit="1", doc="0: measured, 1: too near, 2: nothing within reach, 3: too dark, 4: too fast"
     )
@@ -67,24 +67,33 @@ class OpticalFlowState:
 
 @record
 class OpticalFlow(Sensor):
-    """Flow and rotation since the last reading, between which both change linearly; quality by distance and light."""
+    """Flow and rotation since the last reading; the quality depends on distance and light."""
 
     preset: Literal["pmw3901", "paa3905"] = setting(
-        default="pmw3901", doc="which one the parameters that are not given are of"
+        default="pmw3901", doc="product that provides the parameters left out"
     )
     noise_rate: Array = parameter(
-        default=0.05, unit="rad/s", doc="white noise of the mean flow of a reading, over its quality", minimum=0.0
+        default=0.05,
+        unit="rad/s",
+        doc="white noise of a reading's mean flow at quality 1; it grows as 1/quality",
+        minimum=0.0,
     )
     gyroscope_noise: Array = parameter(
-        default=0.003, unit="rad/s", doc="white noise of the mean rotation of a reading", minimum=0.0
+        default=0.003, unit="rad/s", doc="white noise of a reading's mean rotation", minimum=0.0
     )
-    range_min: Array = _number("range_min", "m", "below which the picture is not sharp", minimum=0.0)
-    range_max: Array = parameter(default=50.0, unit="m", doc="beyond which it sees nothing", above=0.0)
-    range_half: Array = parameter(default=15.0, unit="m", doc="at which the quality is half", above=0.0)
+    range_min: Array = _number("range_min", "m", "shortest range, below which the image is blurred", minimum=0.0)
+    range_max: Array = parameter(default=50.0, unit="m", doc="largest range", above=0.0)
+    range_half: Array = parameter(default=15.0, unit="m", doc="range at which the quality is one half", above=0.0)
     flow_max: Array = _number("flow_max", "rad/s", "fastest flow", above=0.0)
-    illuminance: Array = parameter(default=10_000.0, unit="lux", doc="of the ground; 10 000 under clouds", minimum=0.0)
-    illuminance_half: Array = _number("illuminance_half", "lux", "at which the quality is half", above=0.0)
-    quality_min: Array = parameter(default=0.1, unit="1", doc="below which there is no flow", minimum=0.0, maximum=1.0)
+    illuminance: Array = parameter(
+        default=10_000.0, unit="lux", doc="illuminance of the ground; 10 000 under clouds", minimum=0.0
+    )
+    illuminance_half: Array = _number(
+        "illuminance_half", "lux", "illuminance at which the quality is one half", above=0.0
+    )
+    quality_min: Array = parameter(
+        default=0.1, unit="1", doc="quality below which the flow is NaN", minimum=0.0, maximum=1.0
+    )
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
@@ -154,7 +163,7 @@ class OpticalFlow(Sensor):
 
 @record
 class IdealOpticalFlow(Sensor):
-    """The true flow and rotation since the last reading, of what is within a kilometre."""
+    """The true flow and rotation since the last reading, up to a kilometre."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0

@@ -24,7 +24,7 @@ from qrsim.models.vehicles.contracts import Load
 
 def _port(side: str) -> Array:
     return parameter(
-        default=-0.1, unit="1", doc=f"pressure at the port over the dynamic pressure, for air that comes {side}"
+        default=-0.1, unit="1", doc=f"pressure at the port relative to the dynamic pressure, for air {side}"
     )
 
 
@@ -33,7 +33,7 @@ class PressureReading:
     """Static pressure, and the height that it stands for in the standard atmosphere."""
 
     height: Array = quantity(unit="m", doc="pressure altitude above that of the site's origin, positive up")
-    height_rate: Array = quantity(unit="m/s", doc="its rate of change, low-passed, positive up")
+    height_rate: Array = quantity(unit="m/s", doc="rate of change of that altitude, low-passed, positive up")
     pressure: Array = quantity(unit="Pa", doc="measured static pressure")
     temperature: Array = quantity(unit="K", doc="temperature of the air")
 
@@ -42,7 +42,7 @@ class PressureReading:
 class PressureState:
     """State of n altimeters."""
 
-    drift: Array = quantity(unit="m", doc="slow error by the weather")
+    drift: Array = quantity(unit="m", doc="drift by the weather")
     offset: Array = quantity(unit="Pa", doc="error of the chip")
     height: Array = quantity(unit="m", doc="previous reading")
     rate: Array = quantity(unit="m/s", doc="low-passed rate")
@@ -50,14 +50,14 @@ class PressureState:
 
 @record
 class PressureAltimeter(Sensor):
-    """Static pressure by the standard atmosphere, with errors of chip, weather, wind and rotors.
+    """Static pressure and pressure altitude, with errors of chip, weather, wind and rotors.
 
     Parameters that are not given are those of the preset. The chip's offset is in the pressure, and in the height only
     where this is not set to that of the site at the start, as autopilots do (``zeroed``).
     """
 
     preset: Literal["ms5611", "bmp280", "bmp390"] = setting(
-        default="ms5611", doc="which chip the parameters that are not given are of"
+        default="ms5611", doc="chip that provides the parameters left out"
     )
     noise_std: Array = parameter(
         default=default_altimeter("noise_std"), unit="Pa", doc="white noise of each reading", minimum=0.0
@@ -68,28 +68,30 @@ class PressureAltimeter(Sensor):
     drift_std: Array = parameter(default=0.26, unit="m", doc="stationary std of the weather's drift", minimum=0.0)
     drift_time_constant: Array = parameter(default=300.0, unit="s", doc="time constant of the drift", above=0.0)
     warmer: Array = parameter(
-        default=0.0, unit="K", doc="temperature there over that of the site's day", minimum=-60.0, maximum=60.0
+        default=0.0, unit="K", doc="air temperature in addition to site.temperature_offset", minimum=-60.0, maximum=60.0
     )
     port_forward: Array = _port("from ahead")
     port_backward: Array = _port("from behind")
     port_right: Array = _port("from the right")
     port_left: Array = _port("from the left")
     port_vertical: Array = parameter(
-        default=0.0, unit="1", doc="the same for air that comes from below, or with the other sign from above"
+        default=0.0, unit="1", doc="the same for air from below; with the opposite sign for air from above"
     )
     rotor_wash: Array = parameter(
-        default=-6.0, unit="Pa", doc="pressure by the rotors' flow in hover; it is proportional to the thrust"
+        default=-6.0, unit="Pa", doc="pressure by the rotors' flow in hover, proportional to the thrust"
     )
     ground_effect: Array = parameter(
-        default=12.0, unit="Pa", doc="pressure under the rotors in hover on the ground, gone a rotor diameter above"
+        default=12.0,
+        unit="Pa",
+        doc="pressure under the rotors in hover on the ground; it vanishes a rotor diameter above",
     )
     rotor_diameter: Array = parameter(
-        default=0.0, unit="m", doc="of one rotor; 0: that of the vehicle's, 0.25 m where it says none", minimum=0.0
+        default=0.0, unit="m", doc="diameter of one rotor; 0: the vehicle's, or 0.25 m if it has none", minimum=0.0
     )
     rate_time_constant: Array = parameter(
         default=0.5, unit="s", doc="time constant of the low-pass of the height rate", minimum=0.0
     )
-    zeroed: bool = setting(default=True, doc="whether the height has been set to that of the site before the flight")
+    zeroed: bool = setting(default=True, doc="the height is set to that of the site before the flight")
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )

@@ -52,23 +52,27 @@ class RangefinderReading(Explained):
 
 @record
 class Rangefinder(Memoryless):
-    """Distance to the ground or to an obstacle along a beam, with noise that grows with it.
+    """Distance to the ground or to an obstacle along a beam, with noise that grows with distance.
 
     A surface that is seen at a slant, or that reflects less, is seen less far.
     """
 
     preset: Literal["generic", "tfmini", "lidar_lite_v3hp"] = setting(
-        default="generic", doc="which one the parameters that are not given are of"
+        default="generic", doc="product that provides the parameters left out"
     )
-    axis: Axis = setting(default="down", doc="axis of the body along which it looks")
+    axis: Axis = setting(default="down", doc="body axis of the beam")
     noise_std: Array = _number("noise_std", "m", "white noise of each range at distance 0", minimum=0.0)
-    noise_per_range: Array = _number("noise_per_range", "1", "what white noise grows by with the range", minimum=0.0)
+    noise_per_range: Array = _number("noise_per_range", "1", "increase of the white noise with the range", minimum=0.0)
     range_min: Array = _number("range_min", "m", "shortest range", minimum=0.0)
     range_max: Array = _number(
-        "range_max", "m", "longest range, straight at what reflects as it is meant for", above=0.0
+        "range_max", "m", "longest range, at normal incidence on a surface of the rated reflectivity", above=0.0
     )
     reflectivity: Array = _number(
-        "reflectivity", "1", "of all surfaces, over that for which range_max holds", above=0.0, maximum=1.0
+        "reflectivity",
+        "1",
+        "reflectivity of all surfaces, relative to that for which range_max holds",
+        above=0.0,
+        maximum=1.0,
     )
     dropouts: Array = _number(
         "dropouts", "1", "share of pulses that are lost, such as over water", minimum=0.0, maximum=1.0
@@ -113,9 +117,9 @@ class Rangefinder(Memoryless):
 
 @record
 class IdealRangefinder(Memoryless):
-    """The true distance along the beam, to whatever is within a kilometre."""
+    """The true distance along the beam, up to a kilometre."""
 
-    axis: Axis = setting(default="down", doc="axis of the body along which it looks")
+    axis: Axis = setting(default="down", doc="body axis of the beam")
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )

@@ -42,10 +42,11 @@ class RangingReading(Explained):
     """Ranges to the beacons of the sensor, and to vehicles by their number."""
 
     beacon_range: tuple[Array, ...] | None = quantity(
-        unit="m", doc="to a beacon, NaN where there is none; None without beacons"
+        unit="m", doc="range to a beacon, NaN if missing; None without beacons"
     )
     vehicle_range: tuple[Array, ...] | None = quantity(
-        unit="m", doc="to a vehicle of the fleet or of the world, NaN where there is none, 0 to itself; None to none"
+        unit="m",
+        doc="range to a vehicle of the fleet or of the world, NaN if missing, 0 to itself; None without such ranges",
     )
 
     def reason(self, vehicle: int) -> str:
@@ -62,38 +63,38 @@ class RangingState:
 
     turn: Array = quantity(doc="(n,) int32 number of the exchange that is next, of all of a round")
     paths: tuple[tuple[Array, ...], tuple[Array, ...]] | None = quantity(
-        unit="1", doc="two normal processes of each path; None where nothing stands in the way"
+        unit="1", doc="two normal processes of each path; None without obstacles"
     )
 
 
 @record
 class Ranging(Sensor):
-    """Two-way ranges by radio: noise, a positive bias behind obstacles, losses with distance, turns on the channel."""
+    """Two-way ranges by radio: noise, a positive bias behind obstacles, losses with distance, a shared channel."""
 
     preset: Literal["generic", "dw1000"] = setting(
-        default="generic", doc="which one the parameters that are not given are of"
+        default="generic", doc="product that provides the parameters left out"
     )
-    beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons, of world.beacons; 'all': every one")
-    vehicles: Literal["none", "fleet", "all"] = setting(default="all", doc="which other vehicles it ranges to")
+    beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons in world.beacons, or 'all'")
+    vehicles: Literal["none", "fleet", "all"] = setting(default="all", doc="other vehicles in the measurement")
     noise_std: Array = _number("noise_std", "m", "white noise of each range", minimum=0.0)
-    nlos_bias: Array = _number(
-        "nlos_bias", "m", "mean of what a range gains where something is in the way", minimum=0.0
-    )
-    nlos_time: Array = _number("nlos_time", "s", "time constant of that", above=0.0)
+    nlos_bias: Array = _number("nlos_bias", "m", "mean bias of a range without line of sight", minimum=0.0)
+    nlos_time: Array = _number("nlos_time", "s", "time constant of that bias", above=0.0)
     nlos_dropouts: Array = _number(
         "nlos_dropouts",
         "1",
-        "share of ranges that are lost besides, where something is in the way",
+        "further share of ranges that are lost without line of sight",
         minimum=0.0,
         maximum=1.0,
     )
-    dropouts: Array = _number("dropouts", "1", "share of ranges that are lost near by", minimum=0.0, maximum=1.0)
-    range_max: Array = _number("range_max", "m", "distance at which half of the others are lost", above=0.0)
-    fading: Array = _number("fading", "m", "distance by which losses grow about there", above=0.0)
+    dropouts: Array = _number(
+        "dropouts", "1", "share of ranges that are lost at short distance", minimum=0.0, maximum=1.0
+    )
+    range_max: Array = _number("range_max", "m", "distance at which half of the other ranges are lost", above=0.0)
+    fading: Array = _number("fading", "m", "width of the transition around range_max", above=0.0)
     exchanges: int = setting(
         default=default("exchanges"),
         unit="1",
-        doc="ranges that the fleet has time for in a period, in turn; 0: all",
+        doc="number of ranges that the fleet measures in a period, in turn; 0: all",
         minimum=0,
         maximum=100_000,
     )
@@ -180,10 +181,10 @@ class Ranging(Sensor):
 
 @record
 class IdealRanging(Memoryless):
-    """The true distances to beacons and to other vehicles, however far and whatever is in between."""
+    """The true distances to beacons and to other vehicles, at any distance and through obstacles."""
 
-    beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons, of world.beacons; 'all': every one")
-    vehicles: Literal["none", "fleet", "all"] = setting(default="all", doc="which other vehicles it ranges to")
+    beacons: tuple[str, ...] = setting(default=(EVERY,), doc="names of beacons in world.beacons, or 'all'")
+    vehicles: Literal["none", "fleet", "all"] = setting(default="all", doc="other vehicles in the measurement")
     period: float = setting(
         default=default("period"), unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )

@@ -49,7 +49,7 @@ def _field_of_view(default: float) -> float:
 
 
 def _sees_vehicles(default: bool) -> bool:
-    return setting(default=default, doc="whether other vehicles are seen, as spheres of their radius")
+    return setting(default=default, doc="scans include other vehicles, as spheres of their radius")
 
 
 @record
@@ -66,16 +66,16 @@ class ScanReading(Explained):
 
 @record
 class Scan(Memoryless):
-    """Distances along rays in the plane of the body, all at once, to ground, obstacles and, if asked for, vehicles."""
+    """Distances along rays in the plane of the body, to ground, obstacles and, with ``sees_vehicles``, vehicles."""
 
     preset: Literal["generic", "rplidar_a1"] = setting(
-        default="generic", doc="which one the parameters that are not given are of"
+        default="generic", doc="product that provides the parameters left out"
     )
     rays: int = _rays(default_scan("rays"))
     field_of_view_rad: float = _field_of_view(default_scan("field_of_view_rad"))
     sees_vehicles: bool = _sees_vehicles(default_scan("sees_vehicles"))
     noise_std: Array = _number("noise_std", "m", "white noise of each range at distance 0", minimum=0.0)
-    noise_per_range: Array = _number("noise_per_range", "1", "what white noise grows by with the range", minimum=0.0)
+    noise_per_range: Array = _number("noise_per_range", "1", "increase of the white noise with the range", minimum=0.0)
     range_min: Array = _number("range_min", "m", "shortest range", minimum=0.0)
     range_max: Array = _number("range_max", "m", "longest range", above=0.0)
     dropouts: Array = _number("dropouts", "1", "share of rays that are lost", minimum=0.0, maximum=1.0)

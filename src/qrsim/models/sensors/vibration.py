@@ -24,7 +24,7 @@ class Vibration:
     seen at another frequency, as by a chip without a filter.
     """
 
-    rotor_frequency: Array = parameter(default=90.0, unit="Hz", doc="of the rotors in hover", above=0.0)
+    rotor_frequency: Array = parameter(default=90.0, unit="Hz", doc="frequency of the rotors in hover", above=0.0)
     broadband: Array = parameter(
         default=0.3, unit="1", doc="share of broadband noise in the variance", minimum=0.0, maximum=1.0
     )

@@ -22,7 +22,7 @@ class NoCharge:
 
 @record
 class GivenVoltage(Battery):
-    """The voltage of the command (a controller's own parameter, or the user's)."""
+    """The commanded voltage: that of the controller, or of your command."""
 
     def init(self, like: Array) -> NoCharge:
         """Return the empty state."""

@@ -34,8 +34,8 @@ class CarriedPointState:
 class CarriedPoint(Uncommanded):
     """A level platform that is carried along a path and turns with it; ``FixedPoint.prepared`` makes it."""
 
-    path: RecordedPath = quantity(doc="of what carries it")
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    path: RecordedPath = quantity(doc="path of its carrier")
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", minimum=0.0)
     adds_position: ClassVar[bool] = True
 
     def initial_state(

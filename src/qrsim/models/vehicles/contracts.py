@@ -66,7 +66,7 @@ class Handling:
     """What a controller that commands tilt and throttle knows of its vehicle; each a number or (n,)."""
 
     mass: Array = quantity(unit="kg", doc="take-off mass")
-    gravity: Array = quantity(unit="m/s^2", doc="acceleration of free fall")
+    gravity: Array = quantity(unit="m/s^2", doc="gravitational acceleration")
     thrust_max: Array = quantity(unit="N", doc="largest steady thrust at the nominal voltage")
     throttle_curve: tuple[Array, Array, Array] = quantity(
         unit="N", doc="c0, c1, c2: the steady thrust is c0 + c1 u + c2 u^2 at throttle u, 0 to 1; it grows with u"

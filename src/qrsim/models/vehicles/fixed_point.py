@@ -26,11 +26,11 @@ class FixedPointState:
 
 @record
 class FixedPoint(Uncommanded):
-    """A level platform at rest, which carries any sensor; it has no drive, no battery and takes no commands."""
+    """A level platform at rest that carries any sensor; it has no drive and no battery, and takes no commands."""
 
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", minimum=0.0)
     moves_on: PathFile = quantity(
-        default=PathFile(), doc="path of what carries it, as a ship or a car; none: it stands"
+        default=PathFile(), doc="path of its carrier, such as a ship or a car; none: it is at rest"
     )
     adds_position: ClassVar[bool] = True
 

@@ -18,8 +18,8 @@ class CellsState:
     """State of a pack."""
 
     charge: Array = quantity(unit="1", doc="state of charge, 1 full, 0 empty")
-    current: Array = quantity(unit="A", doc="what it gives")
-    overload: Array = quantity(unit="W", doc="power that it was asked for and cannot give; else 0")
+    current: Array = quantity(unit="A", doc="current that it supplies")
+    overload: Array = quantity(unit="W", doc="power demand beyond its capability; else 0")
 
 
 @record

@@ -68,10 +68,10 @@ class QuadrotorState:
 
 @record
 class Quadrotor(Vehicle):
-    """Parameters of the identified model; a number, or one per vehicle (n,)."""
+    """The identified AscTec Pelican with its stabilisation; each parameter is a number, or one per vehicle (n,)."""
 
     mass: Array = parameter(default=1.68, unit="kg", doc="take-off mass", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", minimum=0.0)
     kpq0: Array = parameter(default=-3.25060e-04, unit="rad/raw", doc="roll and pitch command scale (Kpq0)")
     kpq1: Array = parameter(default=1.79797e02, unit="1/s^2", doc="roll and pitch stiffness (Kpq1)")
     kpq2: Array = parameter(default=-24.3536, unit="1/s", doc="roll and pitch damping (Kpq2)")
@@ -98,8 +98,8 @@ class Quadrotor(Vehicle):
     integrator: Literal["heun", "rk4"] = setting(default="heun", doc="fixed-step rule")
     downwash: Literal["felt", "at_centre", "ignored"] = setting(
         default="felt",
-        doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
-        "edition's law; ignored: not felt",
+        doc="wakes of other vehicles; felt: averaged over the vehicle's extent; at_centre: at its "
+        "centre, by the law of the first edition; ignored: none",
     )
     command_type: ClassVar[type] = Command
     actions: ClassVar[tuple[type, ...]] = (Command,)

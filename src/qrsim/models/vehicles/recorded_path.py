@@ -25,7 +25,7 @@ class PathFile:
     """A path in a CSV file with the columns time [s], north, east, down [m] and, if it turns, heading_deg."""
 
     file: str | None = setting(
-        default=None, doc="CSV file with a header, time 0 is the start of the run; none: no path"
+        default=None, doc="CSV file with a header, in which time 0 is the start of the run; none: no path"
     )
     max_gap: float = setting(
         default=10.0, unit="s", doc="longest interval between two rows that is interpolated", above=0.0
@@ -60,7 +60,7 @@ class Place:
     position_ned: Vec3 = quantity(unit="m", doc="position")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity")
     heading: Array = quantity(unit="rad", doc="heading")
-    turn_rate: Array = quantity(unit="rad/s", doc="its rate")
+    turn_rate: Array = quantity(unit="rad/s", doc="rate of the heading")
 
 
 @record

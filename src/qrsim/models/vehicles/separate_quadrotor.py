@@ -14,7 +14,7 @@ from qrsim.models.vehicles.quadrotor import PITCH_ROLL_RAD_PER_RAW, Command, Qua
 
 @record
 class SeparateQuadrotor(Quadrotor):
-    """The quadrotor whose kpq0, kpq1, kpq2 are of roll alone; the defaults make it the published one."""
+    """The identified quadrotor with separate constants for roll (kpq) and pitch (kq), by default the published ones."""
 
     kq0: Array = parameter(default=-3.25060e-04, unit="rad/raw", doc="pitch command scale")
     kq1: Array = parameter(default=1.79797e02, unit="1/s^2", doc="pitch stiffness")

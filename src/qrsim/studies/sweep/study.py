@@ -83,7 +83,7 @@ class StudySpec(Part):
     name: str = Field(description="short name, used for stores", pattern=NAME, max_length=100)
     description: str = Field("", description="one or two sentences")
     scenario: str | dict[str, Any] = Field(description="a built-in name, a .yaml file, or the content of one")
-    set: dict[str, Any] = Field({}, description="values of the scenario that are changed at all points, by path")
+    set: dict[str, Any] = Field({}, description="values of the scenario for the whole study, by path")
     policy: Annotated[str | None, BeforeValidator(_in_one_line)] = Field(
         None,
         description="MODULE:NAME or FILE.py:NAME, one for each fleet or vehicle by name, or 'baseline', the task's",
@@ -94,7 +94,7 @@ class StudySpec(Part):
     sampling: SamplingSpec | None = Field(None, description="of the parameters that have a range")
     seeds: int = Field(description="episodes at each point", ge=1, le=10**7)
     first_seed: int = Field(0, description="seed of the first one; the others follow", ge=0, lt=2**62)
-    metrics: list[str] = Field(description="what is kept of each episode", min_length=1)
+    metrics: list[str] = Field(description="metrics that are kept of each episode", min_length=1)
     own_metrics: str | None = Field(
         None, description="metrics of your own, FILE.py:NAME or MODULE:NAME; 'metrics' names their numbers"
     )

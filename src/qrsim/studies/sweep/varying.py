@@ -55,7 +55,7 @@ class VarySpec(Part):
         None, description="values from low to high; without it the sampling chooses", ge=2, le=MOST_VALUES
     )
     scale: Literal["linear", "log"] = Field("linear", description="how values lie between low and high")
-    name: str | None = Field(None, description="what to call it; default: its path", pattern=NAME, max_length=100)
+    name: str | None = Field(None, description="label; default: its path", pattern=NAME, max_length=100)
     unit: str | None = Field(None, description="its unit, for tables and pictures; default: that of the scenario")
 
     @model_validator(mode="after")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from puppet import DT, Puppet, item
@@ -13,7 +12,6 @@ from qrsim.links.mavlink.stack.codes import Breach, PlanKind
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import LocalTarget
 from qrsim.links.mavlink.stack.parameters import INT32, REAL32, TABLE, Outcome, Parameters
-from qrsim.links.mavlink.stack.sim_parameters import SIM_TABLE
 
 FENCE = ((-30.0, -30.0), (-30.0, 30.0), (30.0, 30.0), (30.0, -30.0))
 OFFBOARD = 0x00060000
@@ -309,14 +307,3 @@ def test_a_reset_is_a_boot_that_keeps_plans_and_parameters():
     assert puppet.stack.home is None
     assert puppet.stack.parameters["MIS_TAKEOFF_ALT"] == 6.0
     assert len(puppet.stack.items(PlanKind.MISSION)) == 1
-
-
-def test_the_docs_list_all_parameters():
-    page = Path(__file__).resolve().parents[4] / "docs" / "reference" / "mavlink_parameters.md"
-    rows = [line for line in page.read_text(encoding="utf-8").splitlines() if "INT32 |" in line or "REAL32 |" in line]
-    names = {INT32: "INT32", REAL32: "REAL32"}
-    expected = []
-    for one in TABLE + SIM_TABLE:
-        span = f"{one.default:g} | {one.low:g} to {one.high:g}"
-        expected.append(f"| `{one.name}` | {names[one.type]} | {span} | {one.unit or '-'} | {one.doc} |")
-    assert rows == expected

@@ -25,7 +25,9 @@ class Longitudinal:
     """Coefficients of lift, drag and pitching moment; angles in rad, rates times half the chord over the airspeed."""
 
     lift_0: Array = _coefficient(0.23, "lift at no angle of attack")
-    lift_alpha: Array = parameter(default=5.61, unit="1", doc="lift by angle of attack, below the stall", above=0.0)
+    lift_alpha: Array = parameter(
+        default=5.61, unit="1", doc="lift slope by angle of attack, below the stall", above=0.0
+    )
     lift_q: Array = _coefficient(7.95, "lift by pitch rate")
     lift_elevator: Array = _coefficient(0.13, "lift by elevator")
     drag_parasitic: Array = _coefficient(0.0437, "drag without lift")
@@ -39,7 +41,7 @@ class Longitudinal:
     stall_angle: Array = parameter(
         default=0.47, unit="rad", doc="angle of attack about which the flow separates", above=0.0
     )
-    stall_sharpness: Array = parameter(default=50.0, unit="1/rad", doc="how suddenly it does", above=0.0)
+    stall_sharpness: Array = parameter(default=50.0, unit="1/rad", doc="sharpness of that separation", above=0.0)
 
 
 @record
@@ -71,10 +73,12 @@ class Propeller:
     """A propeller on an electric motor; coefficients over its advance ratio."""
 
     diameter: Array = parameter(default=0.508, unit="m", doc="diameter of the propeller", above=0.0)
-    speed_constant: Array = parameter(default=145.0, unit="1", doc="of the motor, rounds a minute by volt", above=0.0)
-    resistance: Array = parameter(default=0.042, unit="Ohm", doc="of the motor", above=0.0)
-    idle_current: Array = parameter(default=1.5, unit="A", doc="of the motor without load", minimum=0.0)
-    voltage_max: Array = parameter(default=44.4, unit="V", doc="at full throttle", above=0.0)
+    speed_constant: Array = parameter(
+        default=145.0, unit="1", doc="speed constant of the motor, revolutions per minute per volt", above=0.0
+    )
+    resistance: Array = parameter(default=0.042, unit="Ohm", doc="resistance of the motor", above=0.0)
+    idle_current: Array = parameter(default=1.5, unit="A", doc="current of the motor without load", minimum=0.0)
+    voltage_max: Array = parameter(default=44.4, unit="V", doc="voltage at full throttle", above=0.0)
     torque_0: Array = _coefficient(0.00523, "torque at no advance")
     torque_1: Array = _coefficient(0.00497, "torque by advance ratio")
     torque_2: Array = _coefficient(-0.01664, "torque by its square")
@@ -87,16 +91,20 @@ class Propeller:
 class Gains:
     """The stabiliser; gains are of the cruise airspeed, and fall with the square of the airspeed."""
 
-    roll_gain: Array = parameter(default=1.2, unit="1", doc="aileron by roll error")
-    roll_rate_gain: Array = parameter(default=0.12, unit="s", doc="aileron against roll rate")
-    roll_integral_gain: Array = parameter(default=0.1, unit="1/s", doc="aileron by integrated roll error")
-    roll_integral_limit: Array = parameter(default=0.1, unit="rad", doc="largest part of that", minimum=0.0)
-    pitch_gain: Array = parameter(default=1.5, unit="1", doc="elevator by pitch error")
-    pitch_rate_gain: Array = parameter(default=0.25, unit="s", doc="elevator against pitch rate")
-    pitch_integral_gain: Array = parameter(default=0.5, unit="1/s", doc="elevator by integrated pitch error")
-    pitch_integral_limit: Array = parameter(default=0.15, unit="rad", doc="largest part of that", minimum=0.0)
-    yaw_damping: Array = parameter(default=0.2, unit="s", doc="rudder by the quick part of the yaw rate")
-    washout: Array = parameter(default=1.0, unit="s", doc="time constant of the slow part", above=0.0)
+    roll_gain: Array = parameter(default=1.2, unit="1", doc="aileron per roll error")
+    roll_rate_gain: Array = parameter(default=0.12, unit="s", doc="opposing aileron per roll rate")
+    roll_integral_gain: Array = parameter(default=0.1, unit="1/s", doc="aileron per integrated roll error")
+    roll_integral_limit: Array = parameter(
+        default=0.1, unit="rad", doc="largest deflection by that integral", minimum=0.0
+    )
+    pitch_gain: Array = parameter(default=1.5, unit="1", doc="elevator per pitch error")
+    pitch_rate_gain: Array = parameter(default=0.25, unit="s", doc="opposing elevator per pitch rate")
+    pitch_integral_gain: Array = parameter(default=0.5, unit="1/s", doc="elevator per integrated pitch error")
+    pitch_integral_limit: Array = parameter(
+        default=0.15, unit="rad", doc="largest deflection by that integral", minimum=0.0
+    )
+    yaw_damping: Array = parameter(default=0.2, unit="s", doc="rudder per high-pass filtered yaw rate")
+    washout: Array = parameter(default=1.0, unit="s", doc="time constant of that high-pass filter", above=0.0)
 
 
 @record
@@ -105,22 +113,22 @@ class Aeroplane:
 
     mass: Array = parameter(default=11.0, unit="kg", doc="take-off mass", above=0.0)
     inertia_x: Array = parameter(default=0.8244, unit="kg m^2", doc="moment of inertia about the nose", above=0.0)
-    inertia_y: Array = parameter(default=1.135, unit="kg m^2", doc="about the right wing", above=0.0)
-    inertia_z: Array = parameter(default=1.759, unit="kg m^2", doc="about body down", above=0.0)
-    inertia_xz: Array = parameter(default=0.1204, unit="kg m^2", doc="product of inertia of nose and down")
+    inertia_y: Array = parameter(default=1.135, unit="kg m^2", doc="moment of inertia about the right wing", above=0.0)
+    inertia_z: Array = parameter(default=1.759, unit="kg m^2", doc="moment of inertia about body down", above=0.0)
+    inertia_xz: Array = parameter(default=0.1204, unit="kg m^2", doc="product of inertia of the nose and down axes")
     area: Array = parameter(default=0.55, unit="m^2", doc="of the wing", above=0.0)
     span: Array = parameter(default=2.8956, unit="m", doc="of the wing", above=0.0)
     chord: Array = parameter(default=0.18994, unit="m", doc="mean chord of the wing", above=0.0)
     density: Array = parameter(
         default=None,
         unit="kg/m^3",
-        doc="of the air; null: that of the standard atmosphere where it flies",
+        doc="density of the air; null: the standard atmosphere at the vehicle's height",
         above=0.0,
         nullable=True,
     )
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", above=0.0)
     cruise_airspeed: Array = parameter(
-        default=25.0, unit="m/s", doc="airspeed that it is trimmed for, and starts at where none is given", above=0.0
+        default=25.0, unit="m/s", doc="trimmed airspeed, and airspeed of a start without a velocity", above=0.0
     )
     longitudinal: Longitudinal = quantity(default=Longitudinal(), doc="coefficients along the plane of symmetry")
     lateral: Lateral = quantity(default=Lateral(), doc="coefficients across it")
@@ -131,17 +139,19 @@ class Aeroplane:
     surface_rate_max: Array = parameter(
         default=3.5, unit="rad/s", doc="largest rate of the control surfaces; 0: any", minimum=0.0
     )
-    stabiliser: Gains = quantity(default=Gains(), doc="what holds roll and pitch")
+    stabiliser: Gains = quantity(default=Gains(), doc="control of roll and pitch")
     downwash: Literal["felt", "at_centre", "ignored"] = setting(
         default="felt",
-        doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
-        "edition's law; ignored: not felt",
+        doc="wakes of other vehicles; felt: averaged over the vehicle's extent; at_centre: at its "
+        "centre, by the law of the first edition; ignored: none",
     )
     longest_substep: float = setting(
         default=0.01, unit="s", doc="longest step of the integration and of the stabiliser", above=0.0, maximum=0.05
     )
     preset: Literal["aerosonde", "mavsim"] = setting(
-        default="aerosonde", doc="what is not given: the Aerosonde with parasitic drag, or as in the book's code"
+        default="aerosonde",
+        doc="aeroplane that provides the parameters left out: the Aerosonde with parasitic drag, or as "
+        "in the book's code",
     )
     site_air: SiteAir = derived(default=SiteAir(), doc="the atmosphere above the site")
     presets: ClassVar[Presets] = {

@@ -35,12 +35,12 @@ class FixedWingState:
     quaternion: Quaternion = quantity(unit="1", doc="attitude, body to NED")
     velocity_body: Vec3 = quantity(unit="m/s", doc="velocity over ground in body axes (u, v, w)")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates (p, q, r)")
-    surfaces: Surfaces = quantity(doc="where the control surfaces are")
-    stabiliser: Stabiliser = quantity(doc="its memory")
+    surfaces: Surfaces = quantity(doc="deflections of the control surfaces")
+    stabiliser: Stabiliser = quantity(doc="state of the stabiliser")
     airspeed: Array = quantity(unit="m/s", doc="speed through the air at the end of the last step")
-    angle_of_attack: Array = quantity(unit="rad", doc="of the air, from below positive, then")
-    sideslip: Array = quantity(unit="rad", doc="of the air, from the right positive, then")
-    thrust: Array = quantity(unit="N", doc="of the propeller, then")
+    angle_of_attack: Array = quantity(unit="rad", doc="angle of attack at the end of the last step")
+    sideslip: Array = quantity(unit="rad", doc="sideslip at the end of the last step, positive from the right")
+    thrust: Array = quantity(unit="N", doc="thrust of the propeller at the end of the last step")
 
 
 @record

@@ -36,11 +36,15 @@ class AttitudeCommand:
 class RateCommand:
     """Body rates and throttle; each of shape (n,)."""
 
-    roll_rate: Array = quantity(unit="rad/s", doc="about the nose", minimum=-RATE_MAX_RAD_S, maximum=RATE_MAX_RAD_S)
-    pitch_rate: Array = quantity(
-        unit="rad/s", doc="about the right wing", minimum=-RATE_MAX_RAD_S, maximum=RATE_MAX_RAD_S
+    roll_rate: Array = quantity(
+        unit="rad/s", doc="roll rate, about the nose", minimum=-RATE_MAX_RAD_S, maximum=RATE_MAX_RAD_S
     )
-    yaw_rate: Array = quantity(unit="rad/s", doc="about body down", minimum=-RATE_MAX_RAD_S, maximum=RATE_MAX_RAD_S)
+    pitch_rate: Array = quantity(
+        unit="rad/s", doc="pitch rate, about the right wing", minimum=-RATE_MAX_RAD_S, maximum=RATE_MAX_RAD_S
+    )
+    yaw_rate: Array = quantity(
+        unit="rad/s", doc="yaw rate, about body down", minimum=-RATE_MAX_RAD_S, maximum=RATE_MAX_RAD_S
+    )
     throttle: Array = quantity(unit="1", doc="collective throttle", minimum=0.0, maximum=1.0)
 
 
@@ -90,7 +94,7 @@ class Powered:
     """A command together with the voltage of a battery."""
 
     command: Any = quantity(doc="one of the commands above")
-    voltage: Array = quantity(unit="V", doc="of the pack, under load")
+    voltage: Array = quantity(unit="V", doc="voltage of the pack under load")
 
 
 def shown(command: Any) -> AttitudeCommand:

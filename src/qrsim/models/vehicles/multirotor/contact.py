@@ -28,12 +28,12 @@ START_M = 0.01
 class Contact:
     """How feet, rotor hubs and top meet the ground; a number, or one for each vehicle (n,)."""
 
-    sink: Array = parameter(default=0.003, unit="m", doc="how far the feet sink in under the weight", above=0.0)
+    sink: Array = parameter(default=0.003, unit="m", doc="depth to which the feet sink under the weight", above=0.0)
     damping: Array = parameter(default=0.7, unit="1", doc="damping ratio of the bounce", minimum=0.0)
     friction: Array = parameter(default=0.6, unit="1", doc="friction coefficient", minimum=0.0)
-    bristle: Array = parameter(default=0.005, unit="m", doc="way over which friction builds up", above=0.0)
+    bristle: Array = parameter(default=0.005, unit="m", doc="displacement over which friction builds up", above=0.0)
     bristle_speed: Array = parameter(
-        default=0.17, unit="m/s", doc="speed at which a fresh bristle slides: its damping", above=0.0
+        default=0.17, unit="m/s", doc="damping of the bristles: speed at which an undeflected bristle slides", above=0.0
     )
 
 

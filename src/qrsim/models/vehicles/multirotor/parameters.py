@@ -31,15 +31,15 @@ class Airframe:
     """
 
     mass: Array = parameter(default=2.0643, unit="kg", doc="take-off mass", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", above=0.0)
     inertia_x: Array = parameter(default=0.02166667, unit="kg m^2", doc="moment of inertia, roll", above=0.0)
     inertia_y: Array = parameter(default=0.02166667, unit="kg m^2", doc="moment of inertia, pitch", above=0.0)
     inertia_z: Array = parameter(default=0.04, unit="kg m^2", doc="moment of inertia, yaw", above=0.0)
     thrust_coefficient: Array = parameter(
-        default=8.54858e-6, unit="N s^2", doc="thrust of a rotor over its speed squared (k_T)", above=0.0
+        default=8.54858e-6, unit="N s^2", doc="thrust of a rotor divided by its speed squared (k_T)", above=0.0
     )
     torque_ratio: Array = parameter(
-        default=0.016, unit="m", doc="reaction torque of a rotor over its thrust (k_Q/k_T)", above=0.0
+        default=0.016, unit="m", doc="reaction torque of a rotor divided by its thrust (k_Q/k_T)", above=0.0
     )
     speed_max: Array = parameter(
         default=1000.0, unit="rad/s", doc="largest rotor speed at the nominal voltage", above=0.0
@@ -53,65 +53,81 @@ class Airframe:
     rotor_drag: Array = parameter(
         default=8.06428e-5,
         unit="N s^2/m",
-        doc="drag of a rotor in its plane over its speed and airspeed (k_d)",
+        doc="in-plane drag of a rotor divided by its speed and airspeed (k_d)",
         minimum=0.0,
     )
     inflow_loss: Array = parameter(
-        default=0.0, unit="N s^2/m", doc="thrust that a rotor loses over its speed and the inflow (k_z)", minimum=0.0
+        default=0.0,
+        unit="N s^2/m",
+        doc="loss of thrust of a rotor divided by its speed and the inflow (k_z)",
+        minimum=0.0,
     )
     translational_lift: Array = parameter(
-        default=0.0, unit="N s^2/m^2", doc="thrust that a rotor gains over its airspeed squared (k_h)", minimum=0.0
+        default=0.0,
+        unit="N s^2/m^2",
+        doc="gain of thrust of a rotor divided by its airspeed squared (k_h)",
+        minimum=0.0,
     )
     flapping: Array = parameter(
-        default=0.0, unit="N s^2", doc="moment of flapping blades over rotor speed and airspeed (k_flap)", minimum=0.0
+        default=0.0,
+        unit="N s^2",
+        doc="flapping moment of a rotor divided by its speed and airspeed (k_flap)",
+        minimum=0.0,
     )
     drag_x: Array = parameter(default=0.02, unit="N s^2/m^2", doc="drag of the body, forward", minimum=0.0)
     drag_y: Array = parameter(default=0.02, unit="N s^2/m^2", doc="drag of the body, sideways", minimum=0.0)
     drag_z: Array = parameter(default=0.03, unit="N s^2/m^2", doc="drag of the body, vertical", minimum=0.0)
     air_density: Array = parameter(
-        default=1.225, unit="kg/m^3", doc="density of the air for which the coefficients are", above=0.0
+        default=1.225, unit="kg/m^3", doc="density of the air at which the coefficients hold", above=0.0
     )
     throttle_curve: Array = parameter(
         default=1.0,
         unit="1",
-        doc="a of thrust/largest thrust = a u^2 + (1 - a) u at throttle u",
+        doc="coefficient a of thrust/largest thrust = a u^2 + (1 - a) u at throttle u",
         minimum=0.0,
         maximum=1.0,
     )
     nominal_voltage: Array = parameter(
-        default=14.8, unit="V", doc="below it the largest rotor speed falls with the voltage of a battery", above=0.0
+        default=14.8, unit="V", doc="battery voltage below which the largest rotor speed falls in proportion", above=0.0
     )
     efficiency: Array = parameter(
-        default=0.75, unit="1", doc="power at the rotors' shafts over that from the battery", above=0.0, maximum=1.0
+        default=0.75,
+        unit="1",
+        doc="power at the rotors' shafts divided by power from the battery",
+        above=0.0,
+        maximum=1.0,
     )
     avionics_power: Array = parameter(default=5.0, unit="W", doc="power of all but the motors", minimum=0.0)
     process_noise: Array = parameter(
         default=0.0, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
     )
     crash_speed: Array = parameter(
-        default=3.0, unit="m/s", doc="speed into the ground at which the vehicle breaks", above=0.0
+        default=3.0, unit="m/s", doc="speed of impact above which the flight ends", above=0.0
     )
     stabiliser: Stabiliser = quantity(default=Stabiliser(), doc="the autopilot's inner loops")
     contact: Contact = quantity(default=Contact(), doc="how the vehicle meets the ground")
     rotors: tuple[Rotor, ...] = setting(default=_X500, doc="position [m], direction and axis of each rotor")
-    feet: tuple[Triple, ...] = setting(default=_X500_FEET, doc="contact points that carry it, body axes [m]")
-    top: Triple = setting(default=(0.0, 0.0, -0.1), doc="the highest point, which touches when it lies on its back [m]")
+    feet: tuple[Triple, ...] = setting(default=_X500_FEET, doc="contact points that support the vehicle, body axes [m]")
+    top: Triple = setting(
+        default=(0.0, 0.0, -0.1), doc="highest point, which touches the ground when the vehicle lies on its back [m]"
+    )
     longest_substep: float = setting(
-        default=0.004, unit="s", doc="a time step is flown in equal parts of at most this length", above=0.0
+        default=0.004, unit="s", doc="longest substep; a time step is divided into equal substeps", above=0.0
     )
     downwash: Literal["felt", "at_centre", "ignored"] = setting(
         default="felt",
-        doc="wakes of other vehicles: felt over its whole extent; at_centre: felt at its centre, by the first "
-        "edition's law; ignored: not felt",
+        doc="wakes of other vehicles; felt: averaged over the vehicle's extent; at_centre: at its "
+        "centre, by the law of the first edition; ignored: none",
     )
     thin_air: Literal["felt", "ignored"] = setting(
-        default="felt", doc="whether forces follow the density of the air, or are those at air_density everywhere"
+        default="felt", doc="forces follow the density of the air, or are those at air_density everywhere"
     )
     on_failure: Literal["none", "reallocate"] = setting(
-        default="none", doc="what the stabiliser does 0.1 s after a rotor has failed"
+        default="none", doc="response of the stabiliser 0.1 s after a rotor has failed"
     )
     crash: Literal["stop", "none"] = setting(
-        default="stop", doc="whether a rotor on the ground, or a touch above crash_speed, ends the flight"
+        default="stop",
+        doc="rotors that touch the ground, or an impact above crash_speed, end the flight, or have no further effect",
     )
 
     site_air: SiteAir = derived(default=SiteAir(), doc="the atmosphere above the site")

@@ -23,7 +23,7 @@ class Stabiliser:
     yaw_gain: Array = parameter(default=2.8, unit="1/s", doc="bandwidth of the heading", above=0.0)
     yaw_rate_gain: Array = parameter(default=8.0, unit="1/s", doc="bandwidth of the yaw rate", above=0.0)
     yaw_weight: Array = parameter(
-        default=0.4, unit="1", doc="how much of a heading error is looked at with the tilt", above=0.0, maximum=1.0
+        default=0.4, unit="1", doc="weight of the heading error relative to the tilt error", above=0.0, maximum=1.0
     )
     integral: Array = parameter(
         default=0.2, unit="1", doc="integral gain of roll and pitch rate over the square of the rate gain", minimum=0.0
@@ -31,13 +31,15 @@ class Stabiliser:
     yaw_integral: Array = parameter(
         default=0.1, unit="1", doc="integral gain of the yaw rate over the square of its gain", minimum=0.0
     )
-    integral_limit: Array = parameter(default=0.3, unit="rad/s", doc="largest integral over the rate gain", minimum=0.0)
-    rate_limit: Array = parameter(default=3.84, unit="rad/s", doc="largest roll and pitch rate asked for", above=0.0)
-    yaw_rate_limit: Array = parameter(default=3.5, unit="rad/s", doc="largest yaw rate asked for", above=0.0)
+    integral_limit: Array = parameter(
+        default=0.3, unit="rad/s", doc="largest integral divided by the rate gain", minimum=0.0
+    )
+    rate_limit: Array = parameter(default=3.84, unit="rad/s", doc="largest commanded roll and pitch rate", above=0.0)
+    yaw_rate_limit: Array = parameter(default=3.5, unit="rad/s", doc="largest commanded yaw rate", above=0.0)
     yaw_share: Array = parameter(
         default=0.15,
         unit="1",
-        doc="share of a yaw torque that is kept when the rotors are at their limits",
+        doc="share of a yaw torque that is kept when rotors saturate",
         minimum=0.0,
         maximum=1.0,
     )

@@ -42,7 +42,7 @@ class Motion:
     quaternion: Quaternion = quantity(unit="1", doc="attitude")
     velocity: Vec3 = quantity(unit="m/s", doc="in body axes")
     rates: Vec3 = quantity(unit="rad/s", doc="in body axes")
-    rotor_speed: tuple[Array, ...] = quantity(unit="rad/s", doc="of each rotor")
+    rotor_speed: tuple[Array, ...] = quantity(unit="rad/s", doc="speed of each rotor")
     brush: tuple[Brush, ...] = quantity(unit="1", doc="of each contact point; () far from the ground")
 
 

@@ -53,21 +53,19 @@ class _Motion:
 
 @record
 class Rover(Vehicle):
-    """A bicycle model of a car: lags of its drives, tyres that saturate, and the ground under it.
+    """A bicycle model of a car, with lags of its drives, tyres that saturate, and the ground below.
 
     Parameters that are not given are those of the preset.
     """
 
-    preset: Literal["car_1_10", "r1"] = setting(
-        default="car_1_10", doc="which rover the parameters that are not given are of"
-    )
+    preset: Literal["car_1_10", "r1"] = setting(default="car_1_10", doc="rover that provides the parameters left out")
     mass: Array = parameter(default=4.0, unit="kg", doc="mass", above=0.0)
     front_arm: Array = parameter(default=0.165, unit="m", doc="from the centre of mass to the front axle", above=0.0)
     rear_arm: Array = parameter(default=0.165, unit="m", doc="from the centre of mass to the rear axle", above=0.0)
     yaw_inertia: Array = parameter(default=0.06, unit="kg m^2", doc="moment of inertia about down", above=0.0)
-    friction: Array = parameter(default=0.7, unit="1", doc="largest force of a tyre by its load", above=0.0)
+    friction: Array = parameter(default=0.7, unit="1", doc="largest force of a tyre divided by its load", above=0.0)
     cornering_stiffness: Array = parameter(
-        default=10.0, unit="1/rad", doc="side force of a tyre by its load and its slip angle", above=0.0
+        default=10.0, unit="1/rad", doc="side force of a tyre divided by its load and slip angle", above=0.0
     )
     speed_max: Array = parameter(default=8.0, unit="m/s", doc="largest speed", above=0.0)
     speed_lag: Array = parameter(default=0.4, unit="s", doc="time constant of the speed", minimum=0.05)
@@ -75,7 +73,7 @@ class Rover(Vehicle):
     steering_max: Array = parameter(default=0.5, unit="rad", doc="largest steering angle", above=0.0, maximum=0.8)
     steering_lag: Array = parameter(default=0.1, unit="s", doc="time constant of the steering", minimum=0.02)
     steering_rate_max: Array = parameter(default=4.0, unit="rad/s", doc="largest rate of the steering", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", above=0.0)
 
     presets: ClassVar[Presets] = PRESETS
     command_type: ClassVar[type] = SteeringCommand

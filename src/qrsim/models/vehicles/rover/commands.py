@@ -33,8 +33,8 @@ class WheelCommand(DriveCommand):
     """Speeds of the wheels of both sides at their rims; each of shape (n,)."""
 
     left: Array = quantity(
-        unit="m/s", doc="of the left wheels, negative backwards", minimum=-SPEED_MAX_M_S, maximum=SPEED_MAX_M_S
+        unit="m/s", doc="speed of the left wheels, negative backwards", minimum=-SPEED_MAX_M_S, maximum=SPEED_MAX_M_S
     )
     right: Array = quantity(
-        unit="m/s", doc="of the right wheels, negative backwards", minimum=-SPEED_MAX_M_S, maximum=SPEED_MAX_M_S
+        unit="m/s", doc="speed of the right wheels, negative backwards", minimum=-SPEED_MAX_M_S, maximum=SPEED_MAX_M_S
     )

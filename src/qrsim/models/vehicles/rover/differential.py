@@ -38,17 +38,17 @@ class _Motion:
 
 @record
 class DifferentialRover(Vehicle):
-    """Wheels with a lag on both sides; turning scrubs, so that it turns less than its wheels would have it."""
+    """Two driven sides with a lag; scrubbing reduces the yaw rate."""
 
-    track: Array = parameter(default=0.4, unit="m", doc="distance between the wheels of both sides", above=0.0)
+    track: Array = parameter(default=0.4, unit="m", doc="distance between the left and right wheels", above=0.0)
     slip: Array = parameter(
-        default=0.3, unit="1", doc="part of the turn that is lost by scrubbing", minimum=0.0, maximum=0.95
+        default=0.3, unit="1", doc="share of the yaw rate that is lost by scrubbing", minimum=0.0, maximum=0.95
     )
-    friction: Array = parameter(default=0.7, unit="1", doc="largest force of a tyre by its load", above=0.0)
+    friction: Array = parameter(default=0.7, unit="1", doc="largest force of a tyre divided by its load", above=0.0)
     speed_max: Array = parameter(default=3.0, unit="m/s", doc="largest speed of a wheel", above=0.0)
     speed_lag: Array = parameter(default=0.4, unit="s", doc="time constant of a wheel's speed", minimum=0.05)
     acceleration_max: Array = parameter(default=4.0, unit="m/s^2", doc="largest acceleration of a wheel", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="gravitational acceleration", above=0.0)
 
     command_type: ClassVar[type] = WheelCommand
     actions: ClassVar[tuple[type, ...]] = (WheelCommand,)
