@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,12 @@ from tests.small_worlds import pair
 
 from qrsim.cli import main
 from qrsim.errors import UsageError
-from qrsim.files.yaml_text import dump_line
 from qrsim.runs import open_run
 from qrsim.runs.compare import compare_runs
 from qrsim.runs.recorder import fly
 from qrsim.scenarios.injection_file import read_injections
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation.injections import LAST_TICK
-from qrsim.simulation.requests import entry_of
 from qrsim.simulation.schedule import Schedule
 from qrsim.simulation.simulation import Simulation
 
@@ -98,8 +96,7 @@ def live(scenario: Scenario, calls: dict[int, Any], precision: str) -> tuple[np.
     return flown(flying, call), flying
 
 
-def from_file(scenario: Scenario, requests: Iterable[Any], path: Path, precision: str) -> np.ndarray:
-    path.write_text("".join(f"- {dump_line(entry_of(one, DT))}\n" for one in requests), "utf-8")
+def from_file(scenario: Scenario, path: Path, precision: str) -> np.ndarray:
     with_room, again = read_injections(scenario, path)
     flying = simulation(with_room, precision)
     schedule = Schedule(flying, again)
@@ -141,7 +138,8 @@ def check(scenario: Scenario, seed: int, count: int, path: Path, precision: str,
     calls = asks(np.random.default_rng(seed), count)
     expected, flying = live(scenario, calls, precision)
     requests = flying.requests
-    np.testing.assert_array_equal(from_file(scenario, requests, path, precision), expected)
+    flying.write_requests(path)
+    np.testing.assert_array_equal(from_file(scenario, path, precision), expected)
     if scheduled:
         again = simulation(in_scenario(requests), precision)
         np.testing.assert_array_equal(flown(again, lambda tick: None), expected)

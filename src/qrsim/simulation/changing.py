@@ -55,7 +55,9 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
         UsageError: it cannot be changed, or not so.
     """
     if kind not in TAKES:
-        raise UsageError(f"kind: '{kind}' does not suit the world; allowed: {', '.join(TAKES)}")
+        raise UsageError(
+            f"kind: '{kind}' does not suit the world; allowed: {', '.join(TAKES)}{did_you_mean(kind, TAKES)}"
+        )
     needed, optional = TAKES[kind]
     for name in numbers:
         if name not in needed + optional:

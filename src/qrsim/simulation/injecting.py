@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from qrsim.engine.layout import Packer
-from qrsim.errors import UsageError
+from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files.atomic import write_atomically
+from qrsim.files.yaml_text import dump_line
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.changing import GUSTS, JAM, WIND, Weather, weather_of, with_weather
@@ -30,7 +33,7 @@ from qrsim.simulation.injections import (
     without_faults,
 )
 from qrsim.simulation.one_world import OneWorld
-from qrsim.simulation.requests import after_request, of_sensor
+from qrsim.simulation.requests import after_request, entry_of, of_sensor
 from qrsim.world.state import World
 
 
@@ -165,6 +168,16 @@ class Injecting(Alone):
         now = self.tick
         off = [one for one in self._injections if one.target == LINK and one.start_tick <= now < one.end_tick]
         return frozenset(name for one in off for name in one.vehicles)
+
+    def write_requests(self, path: str | Path) -> None:
+        """Write all requests since the reset to a file, as ``qrsim run --inject`` takes it.
+
+        Raises:
+            RunError: it cannot be written.
+        """
+        lines = [f"- {dump_line(entry_of(one, self.world.time_step))}\n" for one in self.requests]
+        with os_error_as(RunError, f"cannot write the requests {path}"):
+            write_atomically(Path(path), "".join(lines or ["[]\n"]).encode())
 
     @alone
     def repeat(self, requests: Sequence[Injection]) -> None:

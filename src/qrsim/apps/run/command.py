@@ -68,8 +68,8 @@ class Run:
     )
     """Change one value of the scenario; can be given several times."""
     inject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Faults to inject: a YAML list of entries with target, kind and at, such as
-    {target: gnss, kind: 'off', at: 20, end: 30}."""
+    """Faults and changes of the weather to inject: a YAML list of entries with target, kind and at, such as
+    {target: gnss, kind: 'off', at: 20, end: 30}; or the injections.yaml of a recorded run."""
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
