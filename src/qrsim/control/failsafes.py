@@ -73,4 +73,4 @@ def graver(one: Any, other: Any) -> Any:
 
 def _one(flag: Any) -> Any:
     """Return 1 for true and 0 for false: an int, or an array of int32."""
-    return flag.astype(np.int32) if hasattr(flag, "astype") else int(flag)
+    return int(flag) if isinstance(flag, bool) else flag.astype(np.int32)
