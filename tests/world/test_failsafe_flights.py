@@ -95,7 +95,10 @@ def test_each_does_what_it_should_and_comes_down_where_it_should(flight: Any) ->
     np.testing.assert_allclose(place[:, 1], [0.0, 20.0, 40.0, 60.0, 80.0], atol=0.3)
     np.testing.assert_allclose(place[:, 2], [-0.2, -0.2, -0.2, -20.0, -20.0], atol=0.1)
     assert simulation.compiled_by == ("llvm", "")
+    # The failures of others change nothing for the one that flies on.
     assert told(events, FLIES, "failsafe", "failsafe_ends") == []
+    start = (float(own.home_ned.x[FLIES]), int(own.since[FLIES]), int(own.phase[FLIES]))
+    assert (float(own.place_ned.x[FLIES]), *start[1:]) == (start[0], 0, 0)
 
 
 @pytest.mark.long

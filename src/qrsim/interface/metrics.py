@@ -265,7 +265,7 @@ def _unfinished(world: World, state: State) -> Floats:
     for fleet, now in zip(world.fleets, state.fleets, strict=True):
         flies = np.asarray(now.violation.code) == 0
         if now.failsafe is not None:
-            # Who has been taken over by a failsafe is not on its mission any more.
+            # A failsafe ends the mission; its own metric counts it.
             flies = flies & (np.asarray(now.failsafe.action) == 0)
         if isinstance(now.guidance, MissionState) and isinstance(fleet.route, Mission):
             ends = np.asarray(fleet.route.following) == np.asarray(fleet.route.count) - 1

@@ -1,4 +1,4 @@
-"""What a scenario says of faults: of sensors, rotors and radios."""
+"""Schema of faults of sensors, rotors and radios."""
 
 from __future__ import annotations
 

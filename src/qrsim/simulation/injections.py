@@ -30,7 +30,7 @@ from qrsim.world.state import Fleet, World
 LONGEST_S = 1e9
 MOST_AT_ONCE = 64
 ROTOR_KINDS, BATTERY_KINDS, RADIO_KINDS = ("off", "weak"), ("drop",), ("off", "weak")
-# The link of a vehicle to the software of others is no part of the world, and needs no slot.
+# The link of a vehicle to MAVLink and ROS 2. It is no part of the world, so it needs no slot.
 LINK = "link"
 
 
@@ -134,7 +134,7 @@ def injected(
 
 
 def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the vehicles whose link fails; it is no part of the world."""
+    """Check a fault of links, which are no part of the world, and return the vehicles it concerns."""
     if kind not in ("off", "ok"):
         raise UsageError(f"kind: '{kind}' does not suit a link; allowed: off, ok")
     for name in numbers:
