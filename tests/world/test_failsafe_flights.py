@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import qrsim
+from qrsim.apps.check.outcomes import outcomes
 from qrsim.control.failsafes import DESCEND, HOLD, LAND, NOTHING, RETURN
 from qrsim.runs.streams import EventFinder
 
@@ -94,7 +95,10 @@ def test_each_does_what_it_should_and_comes_down_where_it_should(flight: Any) ->
     np.testing.assert_allclose(place[:, 1], [0.0, 20.0, 40.0, 60.0, 80.0], atol=0.3)
     np.testing.assert_allclose(place[:, 2], [-0.2, -0.2, -0.2, -20.0, -20.0], atol=0.1)
     assert simulation.compiled_by == ("llvm", "")
+    # The failures of others change nothing for the one that flies on.
     assert told(events, FLIES, "failsafe", "failsafe_ends") == []
+    start = (float(own.home_ned.x[FLIES]), int(own.since[FLIES]), int(own.phase[FLIES]))
+    assert (float(own.place_ned.x[FLIES]), *start[1:]) == (start[0], 0, 0)
 
 
 @pytest.mark.long
@@ -162,8 +166,16 @@ def test_failsafes_that_have_nothing_to_do_change_no_bit() -> None:
 @pytest.mark.long
 def test_a_rollout_counts_them() -> None:
     fault = {"sensor": "gnss", "kind": "off", "start": 8.0, "vehicles": ["uav_2"]}
-    found = qrsim.rollout(scenario(faults=(fault,)), ticks=800, worlds=2).metrics
+    flown = qrsim.rollout(scenario(faults=(fault,)), ticks=800, worlds=2)
+    found = flown.metrics
     assert found["failsafe_action"].tolist() == [[0, 0, 4, 0, 0, 0]] * 2
     np.testing.assert_allclose(found["failsafe_at_s"][:, 2], 13.0, atol=0.05)
     assert np.isnan(found["failsafe_at_s"][:, [0, 1, 3, 4, 5]]).all()
+    # It was nearly at its place; at 16 s, 3 s at 0.7 m/s later, it is lower.
+    np.testing.assert_allclose(found["failsafe_position_ned"][:, 2], [[40.0, 40.0, -20.0]] * 2, atol=0.2)
+    np.testing.assert_allclose(found["position_ned"][:, 2, 2], -20.0 + 3.0 * 0.7, atol=0.1)
+    counted = {outcome.name: outcome for outcome in outcomes(flown)}
+    assert (counted["is taken over by a failsafe"].runs, counted["any of these"].runs) == (2, 2)
+    assert counted["is taken over by a failsafe"].worst.position_ned == pytest.approx((40.0, 40.0, -20.0), abs=0.2)
+    assert counted["crashes"].runs == counted["is still on its mission at the end"].runs == 0
     assert (found["reason"] == 0).all()

@@ -1,4 +1,4 @@
-"""Failsafes in the compiled tick: when a vehicle takes over from its guidance, and the path that it then flies.
+"""Failsafes in the compiled tick: the condition under which one replaces the guidance, and the path it flies then.
 
 See docs/howto/failsafes.md.
 """
@@ -47,15 +47,15 @@ IDLE_AFTER, LANDED_AFTER = 0.5, 1.0
 
 
 class Watched(NamedTuple):
-    """What the failsafes of vehicles (n,) see at a tick; None: they have none of it.
+    """Inputs of the failsafes of vehicles (n,) at a tick; None: the fleet lacks the quantity.
 
     Attributes:
-        estimate: of position, velocity and heading.
-        standing: bool: stands on the ground.
+        estimate: position, velocity and heading.
+        standing: bool, the vehicle stands on the ground.
         tick: () int32 now.
-        charge: of the battery, 0 to 1.
-        fixed: bool: a GNSS receiver has a fix.
-        heard: int32 tick at which the newest message was sent that the radio heard; -1: none.
+        charge: charge of the battery, 0 to 1.
+        fixed: bool, a GNSS receiver has a fix.
+        heard: int32 tick at which the newest received message was sent; -1: none.
     """
 
     estimate: Estimate
@@ -70,26 +70,26 @@ class Watched(NamedTuple):
 class FailsafeState:
     """Failsafes of vehicles (n,)."""
 
-    action: Array = quantity(doc="int32 what is done now, an index of failsafes.ACTIONS")
-    latched: Array = quantity(doc="int32 the gravest action that stays until the end of the flight")
+    action: Array = quantity(doc="int32 present action, an index of failsafes.ACTIONS")
+    latched: Array = quantity(doc="int32 gravest action so far of those that last until the end of the flight")
     level: Array = quantity(doc="int32 gravest level of the battery so far, an index of failsafes.LEVELS")
     unfixed: Array = quantity(doc="int32 ticks without a fix")
-    heard: Array = quantity(doc="int32 tick at which the newest message was sent that was heard; -1: none")
-    link_lost: Array = quantity(doc="bool: its link is lost")
-    position_lost: Array = quantity(doc="bool: it does not know where it is")
+    heard: Array = quantity(doc="int32 tick at which the newest received message was sent; -1: none")
+    link_lost: Array = quantity(doc="bool: the link is lost")
+    position_lost: Array = quantity(doc="bool: the position is lost")
     home_ned: Vec3 = quantity(unit="m", doc="the ground below the start")
     place_ned: Vec3 = quantity(unit="m", doc="point of the path that is due")
-    speed_ned: Vec3 = quantity(unit="m/s", doc="its velocity")
-    goal_ned: Vec3 = quantity(unit="m", doc="where it began, and the height of the way home")
+    speed_ned: Vec3 = quantity(unit="m/s", doc="velocity of that point")
+    goal_ned: Vec3 = quantity(unit="m", doc="stopping place at the begin of the action; z: height of the way home")
     yaw: Array = quantity(unit="rad", doc="heading")
     phase: Array = quantity(doc="int32 phase of the path")
-    since: Array = quantity(doc="int32 ticks above home before a landing; of a landing those at touchdown speed")
+    since: Array = quantity(doc="int32 ticks above home before a landing; in a landing, ticks at touchdown speed")
     waited: Array = quantity(doc="int32 ticks on the ground")
     landed: Array = quantity(doc="bool: has landed by a failsafe")
 
     @staticmethod
     def start(home_ned: Vec3, yaw: Array) -> FailsafeState:
-        """Return the state of vehicles (n,) to which nothing has happened, with home [m] and heading [rad]."""
+        """Return the state before any failure, for home positions (n,) [m] and headings (n,) [rad]."""
         count, zero = jnp.zeros(yaw.shape, jnp.int32), jnp.zeros_like(yaw)
         no, still = jnp.zeros(yaw.shape, bool), Vec3(zero, zero, zero)
         never = jnp.full_like(count, -1)
@@ -100,7 +100,7 @@ class FailsafeState:
 
 @record
 class Failsafes:
-    """What vehicles do by themselves on a low battery, a lost link and lost GNSS: parameters and defaults of PX4."""
+    """Reactions of vehicles to a low battery, a lost link and lost GNSS; names and defaults are those of PX4."""
 
     COM_LOW_BAT_ACT: Literal["warn", "land", "return_or_land"] = setting(
         default="warn",
@@ -112,7 +112,7 @@ class Failsafes:
     COM_GNSSLOSS_ACT: Literal["warn", "return", "land"] = setting(
         default="warn", doc="no receiver has a fix: warn (0), return (1) or land (2), as long as the position is known"
     )
-    link_to: str = setting(default="", doc="fleet that NAV_DLL_ACT listens to: its vehicles, over world.radio")
+    link_to: str = setting(default="", doc="name of the fleet that must be heard over world.radio, for NAV_DLL_ACT")
     BAT_LOW_THR: Array = parameter(
         default=0.15, unit="1", doc="charge at which a battery is low", minimum=0.12, maximum=0.5
     )
@@ -166,12 +166,12 @@ class Failsafes:
     def step(
         self, state: FailsafeState, seen: Watched, setpoint: PathSetpoint, dt: float
     ) -> tuple[FailsafeState, PathSetpoint]:
-        """Return the new state and the set-point (n,): that of the guidance, or of the failsafe that flies.
+        """Return the new state and the set-point (n,): the guidance's, or the failsafe's where one acts.
 
         Args:
-            state: before.
-            seen: what the vehicles see.
-            setpoint: of their guidance.
+            state: state of the last tick.
+            seen: inputs of this tick.
+            setpoint: set-point (n,) of the guidance.
             dt: step [s].
         """
         state, begins = self._decided(state, seen, dt)
@@ -183,13 +183,13 @@ class Failsafes:
         def taken_over() -> tuple[FailsafeState, PathSetpoint]:
             begun = select(begins, self._begun(state, seen.estimate), state)
             flown, asked = self._flown(begun, seen, dt)
-            return flown, select(acts, asked, given)
+            return select(acts, flown, state), select(acts, asked, given)
 
         result: tuple[FailsafeState, PathSetpoint] = lax.cond(jnp.any(acts), taken_over, lambda: (state, given))
         return result
 
     def _decided(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, Array]:
-        """Return the state with the action of now, and for whom (n,) it begins."""
+        """Return the state with the present action, and a flag (n,) for every vehicle whose action begins."""
         flies = ~seen.standing & ~state.landed
         latched, lost = state.latched, jnp.zeros_like(state.landed)
         if seen.charge is not None:
@@ -201,7 +201,7 @@ class Failsafes:
             unfixed = jnp.where(seen.fixed, 0, state.unfixed + 1)
             on_fix = fix_action(flies & ~seen.fixed, WORDS["COM_GNSSLOSS_ACT"][self.COM_GNSSLOSS_ACT])
             latched = graver(latched, on_fix)
-            # Whoever descends goes on to do so while it touches the ground.
+            # On the ground a descent goes on, so that the motors come to idle.
             lost = (flies | state.position_lost) & is_lost(_seconds(unfixed, state, dt), 1e-6 * self.EKF2_NOAID_TOUT)
             state = replace(state, unfixed=unfixed, position_lost=lost)
         if seen.heard is not None:
@@ -210,13 +210,13 @@ class Failsafes:
             latched = graver(latched, link_action(silent & flies, WORDS["NAV_DLL_ACT"][self.NAV_DLL_ACT]))
             state = replace(state, heard=heard, link_lost=silent)
         action = graver(latched, position_action(lost))
-        # Who has come down stays there, whatever it was that ends.
+        # A vehicle that has landed stays on the ground.
         action = jnp.where(state.landed, state.action, action)
         begins = (action != state.action) & (action > NOTHING)
         return replace(state, latched=latched, action=action), begins
 
     def _begun(self, state: FailsafeState, estimate: Estimate) -> FailsafeState:
-        """Return the state of vehicles (n,) that begin their action now."""
+        """Return the state (n,) at the begin of an action."""
         here, going, home = estimate.position_ned, estimate.velocity_ned, state.home_ned
         level = root(going.x * going.x + going.y * going.y)
         braking = 0.5 * level / self.MPC_ACC_HOR
@@ -241,7 +241,7 @@ class Failsafes:
         )  # fmt: skip
 
     def _flown(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, PathSetpoint]:
-        """Return the state and the set-point of vehicles (n,) that fly by their failsafe."""
+        """Return the state and the set-point (n,) of the failsafe's path."""
         here, going, home = seen.estimate.position_ned, seen.estimate.velocity_ned, state.home_ned
         blind = state.action == DESCEND
         state = self._next_phase(state, here, dt)
@@ -257,7 +257,7 @@ class Failsafes:
         share = jnp.where(blind, 0.0, share)
         sinks = self.MPC_LAND_SPEED + share * (self.MPC_Z_VEL_MAX_DN - self.MPC_LAND_SPEED)
         speed = self._speed(state, goal, down, sinks, dt)
-        # Without a position nothing is asked for to the sides.
+        # A blind vehicle follows its own drift: no horizontal error.
         speed = replace(speed, x=jnp.where(blind, 0.0, speed.x), y=jnp.where(blind, 0.0, speed.y))
         place = select(blind, replace(state.place_ned, x=here.x, y=here.y), state.place_ned)
         behind = (place - here).norm()
@@ -273,7 +273,7 @@ class Failsafes:
         return state, PathSetpoint(place, along, Vec3(zero, zero, zero), yaw, idle, level, blind)
 
     def _next_phase(self, state: FailsafeState, here: Vec3, dt: float) -> FailsafeState:
-        """Return the state with the phase (n,) of a return that is due."""
+        """Return the state with the next phase (n,) of a return, where its condition is met."""
         phase, home, top = state.phase, state.home_ned, state.goal_ned.z
         up = (phase == CLIMB) & (here.z - top < CLIMBED)
         there = (phase == FLY) & (_level_distance(home, here) < ABOVE)
@@ -285,11 +285,11 @@ class Failsafes:
         return replace(state, phase=jnp.where(moved, phase + 1, phase), since=jnp.where(moved, 0, since))
 
     def _speed(self, state: FailsafeState, goal: Vec3, down: Array, sinks: Array, dt: float) -> Vec3:
-        """Return the velocity (n,) of the path, which comes to rest at its goal."""
+        """Return the velocity (n,) of the path point, which brakes in front of its goal."""
         place, before, most = state.place_ned, state.speed_ned, self.MPC_ACC_HOR
         north, east, below = goal.x - place.x, goal.y - place.y, goal.z - place.z
         distance = root(north * north + east * east)
-        # As fast as half of the acceleration brakes.
+        # Half of the acceleration suffices to brake from this speed.
         wanted = jnp.minimum(jnp.minimum(self.MPC_XY_CRUISE, root(most * distance)), distance * (1.0 / dt))
         wanted = wanted / jnp.maximum(distance, 1e-6)
         change_north, change_east = wanted * north - before.x, wanted * east - before.y
@@ -307,7 +307,7 @@ class Failsafes:
 
 
 def _seconds(ticks: Array, state: FailsafeState, dt: float) -> Array:
-    """Return times (n,) [s], half a tick more than they are, so that rounding makes nothing a tick later."""
+    """Return ticks (n,) as times [s], half a tick too long, so that rounding delays no comparison by a tick."""
     return (ticks.astype(state.yaw.dtype) + 0.5) * dt
 
 
@@ -320,13 +320,13 @@ def _level_distance(one: Vec3, other: Vec3) -> Array:
 def _on_the_ground(
     state: FailsafeState, seen: Watched, down: Array, share: Array, dt: float
 ) -> tuple[FailsafeState, Array, Array]:
-    """Return the state with what is known of the ground, and who (n,) idles and who does not lean, as a mission lands.
+    """Return the state with the time on the ground, and flags ``idle`` and ``level`` (n,), by the rules of missions.
 
     Args:
-        state: after this step.
-        seen: what the vehicles see.
-        down: (n,) bool, who comes down.
-        share: (n,) 0 at touchdown speed.
+        state: state after this step.
+        seen: inputs of this tick.
+        down: (n,) bool, the vehicle lands or descends.
+        share: (n,) 0 at touchdown speed, 1 at the fastest descent.
         dt: step [s].
     """
     above, sinking = state.place_ned.z - seen.estimate.position_ned.z, seen.estimate.velocity_ned.z

@@ -1,7 +1,7 @@
-"""What a vehicle does when its battery is low, or its link or its position is lost, by PX4's rules.
+"""Decisions of failsafes: the action on a low battery, a lost link, a lost fix and a lost position, as in PX4.
 
-Plain runs, sweeps and the flight stack of ``qrsim mavlink`` decide by these functions. They use little but operators:
-they take Python numbers and JAX arrays alike.
+Plain runs, sweeps and the flight stack of ``qrsim mavlink`` call the same functions. They take Python numbers and JAX
+arrays, because they use operators only.
 
 Source: PX4-Autopilot, src/modules/commander/failsafe/failsafe.cpp and framework.cpp.
 """
@@ -18,7 +18,7 @@ ACTIONS = ("no action", "hold", "return", "land", "descend", "disarm", "terminat
 # Levels of a battery.
 LEVELS = ("normal", "low", "critical", "emergency")
 LOW, CRITICAL, EMERGENCY = 1, 2, 3
-# Words for PX4's numbers, by parameter.
+# Words of scenarios for PX4's numbers, by parameter.
 WORDS: dict[str, dict[str, int]] = {
     "COM_LOW_BAT_ACT": {"warn": 0, "land": 2, "return_or_land": 3},
     "NAV_DLL_ACT": {"none": 0, "hold": 1, "return": 2, "land": 3},
@@ -34,8 +34,8 @@ def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
     """Return the level of a battery, an index of ``LEVELS``; 0 where the charge is NaN.
 
     Args:
-        charge: what is left of a full charge, 0 to 1.
-        low, critical, emergency: BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
+        charge: charge of the battery, 0 to 1.
+        low, critical, emergency: thresholds BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
     """
     return _one(charge <= low) * (1 + _one(charge <= critical) + _one(charge <= emergency))
 
@@ -57,12 +57,12 @@ def fix_action(lost: Any, gnssloss_act: int) -> Any:
 
 
 def position_action(lost: Any) -> Any:
-    """Return the action of a vehicle that does not know where it is: nothing but a descent needs no position."""
+    """Return the action of a vehicle whose position is ``lost``: a descent, which needs none."""
     return _one(lost) * DESCEND
 
 
 def is_lost(silence: Any, after: Any) -> Any:
-    """Return whether something that was silent for a time [s] is lost ``after`` a time [s]."""
+    """Return whether a source is lost, by the time of its silence and the limit ``after`` [s]."""
     return silence > after
 
 
@@ -73,4 +73,4 @@ def graver(one: Any, other: Any) -> Any:
 
 def _one(flag: Any) -> Any:
     """Return 1 for true and 0 for false: an int, or an array of int32."""
-    return flag.astype(np.int32) if hasattr(flag, "astype") else int(flag)
+    return int(flag) if isinstance(flag, bool) else flag.astype(np.int32)

@@ -85,8 +85,8 @@ class PathSetpoint:
     """A point of a path, (n,): its position, velocity and acceleration (feed-forwards), and a heading.
 
     Where ``level`` is set, a vehicle with feet that touches the ground is not to lean. Where ``idle`` is set, one that
-    has landed is to stay on the ground with idle motors. Where ``blind`` is set, one without a position sinks or climbs
-    at its vertical velocity without leaning, and drifts with the wind.
+    has landed is to stay on the ground with idle motors. Where ``blind`` is set, a vehicle without a position flies at
+    the vertical velocity without leaning, and drifts with the wind.
     """
 
     position_ned: Vec3 = quantity(unit="m", doc="point of the path")

@@ -21,6 +21,7 @@ from qrsim.interface.crowds import overfull_of_fleets, warn_of_overfull
 from qrsim.interface.endurance import Consumption, charges, endurance_s
 from qrsim.interface.extremes import Extreme
 from qrsim.interface.fix_errors import FixErrors
+from qrsim.interface.takeovers import Takeovers, takeover_metrics
 from qrsim.models.vehicles.commands import fields_of
 from qrsim.world.state import FleetState, State, World
 
@@ -63,10 +64,7 @@ class Flight:
     distance_low: Array | None = quantity(default=None, unit="m", doc="what single precision leaves out of distance")
     looks: Looks | None = quantity(default=None, doc="at what estimators state; None where none states anything")
     consumption: Consumption | None = quantity(default=None, doc="of batteries in the air; None where none drains")
-    failsafe: Array | None = quantity(
-        default=None, doc="int32 gravest action of a failsafe; None where no fleet has any"
-    )
-    failsafe_tick: Array | None = quantity(default=None, doc="int32 tick of its first action, -1 before it; or None")
+    takeovers: Takeovers | None = quantity(default=None, doc="of failsafes; None where no fleet has any")
 
 
 class FlightMetrics:
@@ -105,8 +103,7 @@ class FlightMetrics:
             distance_low=None if _low(state) is None else zero,
             looks=Looks.none(world, state),
             consumption=Consumption.none(world, state),
-            failsafe=None if _actions(state) is None else count,
-            failsafe_tick=None if _actions(state) is None else jnp.full_like(count, -1),
+            takeovers=Takeovers.none(state, like),
         )
         return self.update(nothing, world, state, jnp.int32(0))
 
@@ -158,14 +155,8 @@ class FlightMetrics:
         if flight.consumption is not None:
             in_time = flying & (tick > 0)
             flight = replace(flight, consumption=flight.consumption.update(world, state, in_time))
-        actions = _actions(state)
-        if actions is not None and flight.failsafe is not None and flight.failsafe_tick is not None:
-            begins = (flight.failsafe_tick < 0) & (actions > 0)
-            flight = replace(
-                flight,
-                failsafe=jnp.maximum(flight.failsafe, jnp.where(flying, actions, 0)),
-                failsafe_tick=jnp.where(begins & flying, tick, flight.failsafe_tick),
-            )
+        if flight.takeovers is not None:
+            flight = replace(flight, takeovers=flight.takeovers.update(state, tick, position, flying))
         return replace(flight, fixes=flight.fixes.update(world, state, tick, flying))
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
@@ -196,12 +187,7 @@ class FlightMetrics:
             "fence_ceiling_min_m": flight.ceiling,
             "fence_floor_min_m": flight.floor,
             "unfinished": _unfinished(world, state),
-            "failsafe_action": np.zeros(np.shape(flight.clipped)) if flight.failsafe is None else flight.failsafe,
-            "failsafe_at_s": (
-                np.full(np.shape(flight.clipped), np.nan)
-                if flight.failsafe_tick is None
-                else when(flight.failsafe_tick)
-            ),
+            **takeover_metrics(flight.takeovers, np.asarray(flight.charge), dt),
             "stopped_at_s": when(flight.stopped),
             "reason": np.concatenate([fleet.violation.code for fleet in state.fleets], axis=-1),
             "reason_value": np.concatenate([fleet.violation.value for fleet in state.fleets], axis=-1),
@@ -260,19 +246,6 @@ def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) ->
     return two_sum(flight.distance, flight.distance_low + jnp.where(flying, way, 0.0))
 
 
-def _actions(state: State) -> Array | None:
-    """Return the action (n,) of each vehicle's failsafes, 0 in a fleet without; None where no fleet has any."""
-    if all(fleet.failsafe is None for fleet in state.fleets):
-        return None
-    none = [jnp.zeros_like(fleet.violation.code) for fleet in state.fleets]
-    return jnp.concatenate(
-        [
-            nothing if fleet.failsafe is None else fleet.failsafe.action
-            for fleet, nothing in zip(state.fleets, none, strict=True)
-        ]
-    )
-
-
 def _one(counts: Array) -> Array:
     return counts.astype(jnp.int32)
 
@@ -292,7 +265,7 @@ def _unfinished(world: World, state: State) -> Floats:
     for fleet, now in zip(world.fleets, state.fleets, strict=True):
         flies = np.asarray(now.violation.code) == 0
         if now.failsafe is not None:
-            # Who has been taken over by a failsafe is not on its mission any more.
+            # A failsafe ends the mission; its own metric counts it.
             flies = flies & (np.asarray(now.failsafe.action) == 0)
         if isinstance(now.guidance, MissionState) and isinstance(fleet.route, Mission):
             ends = np.asarray(fleet.route.following) == np.asarray(fleet.route.count) - 1

@@ -45,7 +45,7 @@ class MissionWatch:
             last = now.index[-1] >= route.count - 1
             flies = (state.violation.code[-1] == 0) & ((now.ticks[-1] > 0) | (now.index[-1] > 0))
             if state.failsafe is not None:
-                # Events of its own tell why.
+                # Its own event has told why.
                 flies = flies & (state.failsafe.action[-1] == 0)
             ends = np.asarray(route.following) == np.asarray(route.count) - 1
             for vehicle in np.flatnonzero(flies & ends & ~(last & now.arrived[-1])):

@@ -1,4 +1,4 @@
-"""What a scenario says of faults: of sensors, rotors, batteries and radios."""
+"""Schema of faults of sensors, rotors, batteries and radios."""
 
 from __future__ import annotations
 

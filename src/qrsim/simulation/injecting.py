@@ -162,7 +162,7 @@ class Injecting(Alone):
 
     @property
     def unlinked(self) -> frozenset[str]:
-        """Names of the vehicles whose link is off now: MAVLink and ROS 2 neither answer nor hear for them."""
+        """Names of the vehicles whose link to MAVLink and ROS 2 is off now."""
         if not self._injections:
             return frozenset()
         now = self.tick

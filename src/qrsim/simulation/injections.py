@@ -32,7 +32,7 @@ LONGEST_S = 1e9
 MOST_AT_ONCE = 64
 # Target of what is changed for all, and the kind that ends a fault.
 WORLD, OK = "world", "ok"
-# The link of a vehicle to the software of others is no part of the world, and needs no slot.
+# The link of a vehicle to MAVLink and ROS 2. It is no part of the world, so it needs no slot.
 LINK = "link"
 
 
@@ -138,7 +138,7 @@ def injected(
 
 
 def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the vehicles whose link fails; it is no part of the world."""
+    """Check a fault of links, which are no part of the world, and return the vehicles it concerns."""
     if kind != OK:
         number_of(LINK, kind, numbers)
     return tuple(name for fleet in world.fleets for name in fleet.vehicle_names if vehicles is None or name in vehicles)

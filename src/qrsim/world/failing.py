@@ -1,4 +1,4 @@
-"""Failsafes of a fleet in a tick: what they see, and the set-point that they put in place of the guidance's."""
+"""Failsafes of a fleet in a tick: their inputs, and the set-point that replaces the guidance's."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def by_failsafe(
 
     Args:
         world, whole: parameters and state.
-        fleet, state: whose failsafes.
-        estimate: what its controller is fed with.
-        setpoint: of its guidance, a waypoint or the point of a path.
+        fleet, state: the fleet and its state.
+        estimate: estimate that its controller gets.
+        setpoint: set-point of its guidance, a waypoint or the point of a path.
         tick: () int32 now.
     """
     assert fleet.failsafes is not None
@@ -66,7 +66,7 @@ def _as_path(setpoint: object) -> PathSetpoint:
 
 
 def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
-    """Return for which vehicles (n,) a receiver reports a place; None where none could, or the truth is known."""
+    """Return whether a receiver of each vehicle (n,) has a fix; None without receivers, or if the truth is fed."""
     if fleet.controller.feed == "truth":
         return None
     places = [vars(reading).get("position_ned") for reading in state.readings]
@@ -80,7 +80,7 @@ def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
 
 
 def _heard(world: World, whole: State, fleet: Fleet, tick: Array) -> Array | None:
-    """Return the tick (n,) at which the newest message was sent that was heard; None where nobody listens."""
+    """Return the tick (n,) at which the newest received message was sent; None if no link can be lost."""
     assert fleet.failsafes is not None
     if fleet.failsafes.NAV_DLL_ACT == "none" or world.radio is None:
         return None

@@ -97,7 +97,9 @@ def outcomes(flown: Rollout) -> list[Outcome]:
     any_first = np.fmin(first, end)
     taken = flown["failsafe_at_s"]
     if np.isfinite(taken).any():
-        found.append(_outcome(flown, FAILSAFE, taken, places))
+        there = flown["failsafe_position_ned"]
+        found.append(_outcome(flown, FAILSAFE, taken, there))
+        places = np.where((taken < end)[..., None] | np.isnan(end)[..., None], there, places)
         any_first = np.fmin(any_first, taken)
     where = np.where((first == any_first)[..., None], where, places)
     return [*found, _outcome(flown, ANY, any_first, where)]

@@ -162,7 +162,7 @@ class Server:
         self._tell_status()
 
     def _off(self) -> tuple[str, ...]:
-        """Return how the topics of vehicles begin whose link is off."""
+        """Return the prefixes of the topics of vehicles whose link is off."""
         unlinked = self.simulation.unlinked
         if not unlinked:
             return ()
@@ -170,7 +170,7 @@ class Server:
         return tuple(f"/{space}/" for name, space in names if name in unlinked)
 
     def listen(self) -> None:
-        """Take what others ask; what is asked of a vehicle whose link is off is lost."""
+        """Take the requests of other nodes; those for a vehicle whose link is off are lost."""
         for message in self._control.take():
             self._obey(message.data)
         unlinked = self.simulation.unlinked
