@@ -7,6 +7,8 @@ import random
 import socket
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ import pytest
 from px4_stand_in import Px4StandIn
 from pymavlink.dialects.v20 import common
 
+from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError
 from qrsim.links.autopilot import px4_link
 from qrsim.links.autopilot.fleet import prepared as in_the_air
@@ -24,6 +27,7 @@ from qrsim.links.autopilot.px4_link import Px4Link
 from qrsim.links.autopilot.px4_messages import Fix, hil_gps
 from qrsim.links.autopilot.px4_parameters import parameters
 from qrsim.models.site import Site
+from qrsim.models.vehicles.multirotor.geometry import Rotor
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 
@@ -232,12 +236,20 @@ def test_a_px4_that_never_answers_ends_after_the_wait() -> None:
     assert flown.simulation.tick == 250
 
 
-def test_without_any_px4_left_the_flight_ends() -> None:
+def test_without_any_px4_the_flight_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     flown = Flown(wait=0.2)
-    with flown.flight, pytest.raises(RunError, match="no PX4 is left to fly a vehicle"):
+    with flown.flight, pytest.raises(RunError) as raised:
         flown.flight.advance(5)
-    assert flown.said[0].startswith(f"field_0: no PX4 has connected to TCP {flown.port} in 0.2 s; in an empty folder: ")
-    assert "PX4_SIM_MODEL=none_iris BUILD/bin/px4 -i 0 -d BUILD/etc" in flown.said[0]
+    line = f"field_0: no PX4 has connected to TCP {flown.port} in 0.2 s; in an empty folder: PX4_SIM_MODEL=none_iris "
+    assert str(raised.value) == f"{line}BUILD/bin/px4 -i 0 -d BUILD/etc; further vehicles up to -i 1"
+    assert flown.said == []
+    monkeypatch.setattr(px4_link, "RECONNECT_S", 0.1)
+    flown = Flown(wait=0.5)
+    pilot = Px4StandIn(flown.port + 1, 1, frames=30)
+    pilot.start()
+    with flown.flight, pytest.raises(RunError, match="no PX4 is left to fly a vehicle"):
+        flown.flight.advance(100)
+    assert f"field_0: no PX4 has connected to TCP {flown.port} in 0.5 s; in an empty folder: " in flown.said[0]
 
 
 class Wire:
@@ -453,6 +465,43 @@ def test_the_x500_has_the_motors_of_the_iris_and_its_own_geometry() -> None:
     assert not {"SYS_HAS_MAG", "SYS_HAS_BARO"} & set(found)
 
 
+def world_of(content: Any) -> Any:
+    """Return the only fleet of a scenario, not compiled."""
+    return prepared(load_scenario(content, quiet=True), (), "x500", RATE)[0].world().fleets[0]
+
+
+def test_hover_thrust_and_torques_stay_within_what_px4_takes() -> None:
+    bare = SimpleNamespace(sensors={})
+    content = own("quad_x", 4, 1)
+    numbers = content["fleets"]["field"]["vehicle"]["own"]
+    for ratio, throttle, expected in ((2.0, 0.5, 0.5), (20.0, 0.1, 0.1), (1.2, 0.9, 0.8)):
+        numbers |= {"thrust_to_weight": ratio, "hover_throttle": throttle}
+        told = parameters(world_of(content), (0, 1, 2, 3), bare, 0)
+        # The air at 488 m is 4.6 % thinner than that of the data sheet.
+        assert told["MPC_THR_HOVER"] == pytest.approx(
+            min(expected / 0.9535, 0.8) if ratio == 2.0 else expected, rel=0.01
+        )
+    x500 = replace(world_of(PAIR).vehicle, torque_ratio=0.05)
+    fleet = SimpleNamespace(vehicle=x500)
+    # 0.05 is what PX4 is built with, and the airframe's -0.05 would hold for motors 3 and 4.
+    told = parameters(fleet, (0, 1, 2, 3), bare, 0)
+    assert sorted(told[f"CA_ROTOR{motor}_KM"] for motor in range(4)) == [-0.05, -0.05, 0.0501, 0.0501]
+
+
+def test_more_rotors_than_px4_has_motors_are_refused() -> None:
+    rotors = [Rotor((math.cos(i), math.sin(i), 0.0), 1) for i in range(13)]
+    with pytest.raises(UsageError, match="fleet 'many': 13 rotors, and PX4 has at most 12 motors"):
+        motor_order(SimpleNamespace(name="many", vehicle=SimpleNamespace(rotors=rotors)))
+
+
+def test_the_page_names_the_times_of_the_link() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "howto" / "px4.md").read_text("utf-8")
+    assert f"a frame every {1e3 * px4_link.BOOT_FRAME_S:g} ms of the wall clock" in page
+    assert f"at most {px4_link.ANSWER_S:g} s" in page
+    assert f"silent for {px4_link.SILENCE_S:g} s" in page
+    assert f"restart within {px4_link.RECONNECT_S:g} s" in page
+
+
 def test_what_it_cannot_fly_is_refused() -> None:
     with pytest.raises(UsageError, match="a fixed_wing is flown by no PX4 here"):
         prepared(load_scenario("mixed_team"), ("planes",), "x500", RATE)
@@ -463,7 +512,7 @@ def test_what_it_cannot_fly_is_refused() -> None:
 def test_periods_that_are_no_whole_number_of_ticks_become_one() -> None:
     content = {**PAIR, "fleets": {"field": {**PAIR["fleets"]["field"], "sensors": {"magnetometer": {
         "type": "magnetometer", "period": 0.01}}}}, "time_step": 0.01}  # fmt: skip
-    (fleet,) = prepared(load_scenario(content, quiet=True), (), "x500", RATE)[0].world().fleets
+    fleet = world_of(content)
     assert {type(sensor).__name__: sensor.period for sensor in fleet.sensors}["Magnetometer"] == 0.008
 
 

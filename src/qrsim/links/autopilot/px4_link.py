@@ -92,6 +92,10 @@ class Px4Link:
 
     # Connections
 
+    def comes(self) -> bool:
+        """Accept a PX4 that is there; return whether one is connected, or was started here and has ended."""
+        return self.connected or self._accept() or bool(self.ended())
+
     def connect(self, until: float) -> None:
         """Wait for a PX4 where none is connected.
 
@@ -110,7 +114,7 @@ class Px4Link:
             if why:
                 raise RunError(f"{self.name}: {why}")
             if left <= 0.0:
-                raise RunError(self._nobody())
+                raise RunError(f"{self.name}: {self.nobody()}")
 
     def _accept(self) -> bool:
         try:
@@ -162,11 +166,12 @@ class Px4Link:
         """Until when a PX4 may come in place of one that is gone, by ``time.perf_counter`` [s]."""
         return time.perf_counter() + RECONNECT_S
 
-    def _nobody(self) -> str:
+    def nobody(self) -> str:
+        """Say that no PX4 has connected, and how to start one."""
         if self._ever:
-            return f"{self.name}: no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
+            return f"no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
         return (
-            f"{self.name}: no PX4 has connected to TCP {self.port} in {self._wait:g} s; in an empty folder: "
+            f"no PX4 has connected to TCP {self.port} in {self._wait:g} s; in an empty folder: "
             f"PX4_SIM_MODEL=none_iris BUILD/bin/px4 -i {self.instance} -d BUILD/etc"
         )
 
