@@ -248,15 +248,15 @@ class Px4Link:
         """Read once, until a time at the latest; return False once it has passed."""
         peer = self._peer
         assert peer is not None
-        left = until - time.perf_counter()
-        if not select.select([peer], [], [], min(max(left, 0.0), _QUIET_S))[0]:
-            for found in self._reader.inside():
-                self._take(found)
-            return left > 0.0
         try:
             data = peer.recv(_AT_ONCE)
         except BlockingIOError:
-            return True
+            left = until - time.perf_counter()
+            if select.select([peer], [], [], min(max(left, 0.0), _QUIET_S))[0]:
+                return True
+            for found in self._reader.inside():
+                self._take(found)
+            return left > 0.0
         except OSError:
             data = b""
         if not data:
