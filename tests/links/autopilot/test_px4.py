@@ -210,7 +210,7 @@ def test_a_px4_that_never_answers_ends_after_the_wait() -> None:
     begin = time.perf_counter()
     flown.fly(1.0, boot=[4, None])
     assert 0.6 < time.perf_counter() - begin < 4.0
-    (line,) = [line for line in flown.said if "field_1: what is connected" in line]
+    (line,) = [line for line in flown.said if "field_1: the program connected" in line]
     assert f"to TCP {flown.port + 1} has sent no HIL_ACTUATOR_CONTROLS in 0.6 s" in line
     assert flown.flight.lost == ["field_1"]
     assert flown.simulation.tick == 250

@@ -1,4 +1,4 @@
-"""What the PX4s of a fleet are sent at a tick: readings of its sensors, in the units of the interface."""
+"""Messages to the PX4s of a fleet at a tick: readings of its sensors, in the units of the interface."""
 
 from __future__ import annotations
 

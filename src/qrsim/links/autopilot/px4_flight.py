@@ -1,4 +1,4 @@
-"""A simulation whose multirotors are flown by PX4's SITL firmware, each by one of its own, in lock-step."""
+"""A simulation whose multirotors are flown by PX4's SITL firmware in lock-step, with one process for each vehicle."""
 
 from __future__ import annotations
 
@@ -73,7 +73,11 @@ class Px4Fleet(FlownFleet):
         return [parameters(self.fleet, self.order, self.sight, number) for number in range(self.fleet.size)]
 
     def connect(self, until: float | None) -> None:
-        """Wait for PX4s that are not connected, each until a time of ``time.perf_counter`` [s]; None: of its own."""
+        """Wait for PX4s that are not connected.
+
+        Args:
+            until: time of ``time.perf_counter`` [s]; None: as long as a restart may take.
+        """
         for i in self.losses.left(self.fleet.size):
             with self.losses.watched(i):
                 self.links[i].connect(self.links[i].reconnects_until if until is None else until)
@@ -96,7 +100,7 @@ class Px4Fleet(FlownFleet):
         return self.links[number].speeds(len(self.order))
 
     def piloted(self) -> Piloted:
-        """Return what the motors do, which holds until the next frame."""
+        """Return the motor command, which holds until the next frame."""
         if self._held is None:
             self._held = super().piloted()
         return self._held
@@ -188,7 +192,7 @@ class Px4Flight(LockstepFlight):
         ]
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly so many ticks, each when all PX4s have answered; raises RunError once none is left."""
+        """Fly ``ticks`` ticks, each when all PX4s have answered; raises RunError once none is left."""
         for _ in range(ticks):
             if not self._begun:
                 self._begin()

@@ -24,10 +24,10 @@ LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 # On the wall clock: between frames while it boots, for an answer, until silence is its end, and for another one to
 # connect in its place [s].
 BOOT_FRAME_S, ANSWER_S, SILENCE_S, RECONNECT_S = 0.004, 0.5, 15.0, 15.0
-# Of a PX4 that answers again and again after a frame without an answer, as one that drops frames on purpose, the next
-# answer is waited for this long [s]; a gap counts for about the next 30 frames, and so many are many.
+# A PX4 that often answers the next frame but not this one drops frames, and is waited for a shorter time [s]. A gap
+# counts for about 30 frames.
 IMPATIENT_S, GAP_DECAY, MANY_GAPS = 0.02, 0.97, 5.0
-# So many bytes without a frame are no MAVLink.
+# A stream of this length without a frame is no MAVLink.
 NO_FRAME_BYTES = 64 * 1024
 # How long nothing has come when frames are looked for in an incomplete one, and others at the port [s].
 _QUIET_S, _LOOK_S = 0.02, 0.5
@@ -43,13 +43,13 @@ class Px4Link:
         port: TCP.
         host: address that is listened on.
         wait: for PX4 to connect at first, and for its first answer [s].
-        say: told a line of what is odd.
+        say: called with a line for each unusual event.
 
     Raises:
         UsageError: the port is taken.
 
     Attributes:
-        wanted: what PX4 wants of its outputs now.
+        wanted: the present outputs of PX4.
         booted: whether the PX4 that is connected has answered yet.
         free: whether it is a build without lock-step.
         unanswered, foreign, harmed, odd, restarts: frames without an answer in time; answers to frames that were never
@@ -146,7 +146,7 @@ class Px4Link:
 
     @property
     def oddities(self) -> str:
-        """What was counted on the way, in words; "" for nothing."""
+        """Counts of unusual events in words; "" without any."""
         counts = {
             "frames unanswered": self.unanswered,
             "frames damaged": self.harmed,
@@ -196,7 +196,7 @@ class Px4Link:
             self._hang_up("PX4 has ended or closed the connection")
 
     def settle(self, begin: float, answers: bool) -> None:
-        """Read what PX4 answers to the frame that was sent last.
+        """Read the answer to the frame that was sent last.
 
         Args:
             begin: when it was sent, by ``time.perf_counter`` [s].
@@ -242,7 +242,7 @@ class Px4Link:
             if self._greeted
             else "is not a PX4: neither HEARTBEAT nor HIL_ACTUATOR_CONTROLS has come"
         )
-        raise RunError(f"{self.name}: what is connected to TCP {self.port} {why} in {self._wait:g} s")
+        raise RunError(f"{self.name}: the program connected to TCP {self.port} {why} in {self._wait:g} s")
 
     def _receive(self, until: float) -> bool:
         """Read once, until a time at the latest; return False once it has passed."""
@@ -279,7 +279,7 @@ class Px4Link:
             self.foreign += number not in (messages.HEARTBEAT, messages.COMMAND_LONG)
             return
         wanted = messages.controls(found.payload)
-        # In lock-step its clock is that of a frame, and never ahead of it: who says more is somebody else.
+        # In lock-step the clock of PX4 is never ahead of the frames: a later time is from another program.
         if wanted.lockstep and wanted.time_usec > self._sent:
             self.foreign += 1
             return
