@@ -1,4 +1,4 @@
-"""Fly one vehicle by MAVLink as a script of PX4's users does, and print a table of what was expected and what came.
+"""Fly one vehicle by MAVLink as a script of PX4's users does, and print a table of expected and actual results.
 
 ``tools/try_px4.sh`` starts it. Without a build (``python tools/try_px4.py - FOLDER``) ``qrsim mavlink`` flies in place
 of PX4, which tries the script itself.
@@ -156,7 +156,8 @@ def main() -> int:
     with open(log, "wb") as written:
         simulator = subprocess.Popen([sys.executable, "-c", program, *words], stdout=written, stderr=written)
         try:
-            if trial.fly() and build != "-":
+            whole = trial.fly()
+            if whole and build != "-":
                 print("waiting for the end of the run ...", flush=True)
             else:
                 simulator.send_signal(signal.SIGINT)
@@ -164,7 +165,7 @@ def main() -> int:
         finally:
             if simulator.poll() is None:
                 simulator.kill()
-    if build != "-":
+    if whole and build != "-":
         trial.note("exit code of qrsim", "0", code, code == 0)
         said = [
             line for line in log.read_text("utf-8", "replace").splitlines() if "unanswered" in line or "damaged" in line

@@ -24,6 +24,22 @@ HANDLED = {"HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION", "DISTANCE_SENSOR", "
 ACCEL, GYRO, MAG, BARO = 0x7, 0x38, 0x1C0, 0x1A00
 
 
+def free_ports(count: int) -> int:
+    """Return the first of so many neighbouring ports that nobody has."""
+    for _ in range(50):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            first = probe.getsockname()[1]
+        try:
+            for port in range(first, first + count):
+                with socket.socket() as probe:
+                    probe.bind(("127.0.0.1", port))
+        except OSError:
+            continue
+        return int(first)
+    raise AssertionError("no free ports")
+
+
 class Px4StandIn(threading.Thread):
     """One PX4.
 

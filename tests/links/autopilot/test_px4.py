@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import math
 import random
-import socket
 import time
-from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from px4_stand_in import Px4StandIn
+from px4_stand_in import Px4StandIn, free_ports
 from pymavlink.dialects.v20 import common
 
+from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError
 from qrsim.links.autopilot import px4_link
 from qrsim.links.autopilot.fleet import prepared as in_the_air
 from qrsim.links.autopilot.lockstep import FlownFleet, LockstepFlight
 from qrsim.links.autopilot.losses import Losses
 from qrsim.links.autopilot.px4_flight import Px4Flight, motor_order, prepared
-from qrsim.links.autopilot.px4_link import Px4Link
 from qrsim.links.autopilot.px4_messages import Fix, hil_gps
 from qrsim.links.autopilot.px4_parameters import parameters
 from qrsim.models.site import Site
+from qrsim.models.vehicles.multirotor.geometry import Rotor
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 
@@ -36,22 +36,6 @@ PAIR: dict[str, Any] = {
     "extends": "mavlink_field",
     "fleets": {"field": {"vehicles": [{"position_ned": [0.0, east, -0.2]} for east in (0.0, 8.0)]}},
 }
-
-
-def free_ports(count: int) -> int:
-    """Return the first of so many neighbouring ports that nobody has."""
-    for _ in range(50):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            first = probe.getsockname()[1]
-        try:
-            for port in range(first, first + count):
-                with socket.socket() as probe:
-                    probe.bind(("127.0.0.1", port))
-        except OSError:
-            continue
-        return int(first)
-    raise AssertionError("no free ports")
 
 
 class Flown:
@@ -226,142 +210,29 @@ def test_a_px4_that_never_answers_ends_after_the_wait() -> None:
     begin = time.perf_counter()
     flown.fly(1.0, boot=[4, None])
     assert 0.6 < time.perf_counter() - begin < 4.0
-    (line,) = [line for line in flown.said if "field_1: what is connected" in line]
+    (line,) = [line for line in flown.said if "field_1: the program connected" in line]
     assert f"to TCP {flown.port + 1} has sent no HIL_ACTUATOR_CONTROLS in 0.6 s" in line
     assert flown.flight.lost == ["field_1"]
     assert flown.simulation.tick == 250
 
 
-def test_without_any_px4_left_the_flight_ends() -> None:
+def test_without_any_px4_the_flight_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     flown = Flown(wait=0.2)
-    with flown.flight, pytest.raises(RunError, match="no PX4 is left to fly a vehicle"):
+    with flown.flight, pytest.raises(RunError) as raised:
         flown.flight.advance(5)
-    assert flown.said[0].startswith(f"field_0: no PX4 has connected to TCP {flown.port} in 0.2 s; in an empty folder: ")
-    assert "PX4_SIM_MODEL=none_iris BUILD/bin/px4 -i 0 -d BUILD/etc" in flown.said[0]
+    line = f"field_0: no PX4 has connected to TCP {flown.port} in 0.2 s; in an empty folder: PX4_SIM_MODEL=none_iris "
+    assert str(raised.value) == f"{line}BUILD/bin/px4 -i 0 -d BUILD/etc; further vehicles up to -i 1"
+    assert flown.said == []
+    monkeypatch.setattr(px4_link, "RECONNECT_S", 0.1)
+    flown = Flown(wait=0.5)
+    pilot = Px4StandIn(flown.port + 1, 1, frames=30)
+    pilot.start()
+    with flown.flight, pytest.raises(RunError, match="no PX4 is left to fly a vehicle"):
+        flown.flight.advance(100)
+    assert f"field_0: no PX4 has connected to TCP {flown.port} in 0.5 s; in an empty folder: " in flown.said[0]
 
 
-class Wire:
-    """A link, and the socket of somebody at its other end."""
-
-    def __init__(self, **options: Any):
-        self.said: list[str] = []
-        self.port = free_ports(1)
-        self.link = Px4Link("quad", 2, self.port, "127.0.0.1", options.get("wait", 5.0), self.said.append)
-        self.peer = socket.create_connection(("127.0.0.1", self.port))
-        self.link.connect(time.perf_counter() + 5.0)
-        self.mav = common.MAVLink(None, srcSystem=options.get("system", 3), srcComponent=1)
-
-    def answer(self, stamp: int, outputs: Sequence[float] = (0.5,) * 16, mode: int = 129, flags: int = 1) -> None:
-        self.peer.sendall(self.mav.hil_actuator_controls_encode(stamp, outputs, mode, flags).pack(self.mav))
-
-    def settle(self, stamp: int) -> list[float]:
-        self.link.send(b"", stamp)
-        self.link.settle(time.perf_counter(), True)
-        return self.link.speeds(4)
-
-    def settle_all(self, stamps: range) -> None:
-        for stamp in stamps:
-            self.settle(stamp)
-
-
-@pytest.fixture
-def wire() -> Iterator[Wire]:
-    found = Wire()
-    yield found
-    found.peer.close()
-    found.link.close()
-
-
-def test_an_answer_to_an_older_frame_holds_but_is_not_waited_with(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(px4_link, "ANSWER_S", 0.05)
-    wire.answer(1000)
-    assert wire.settle(1000) == [0.5] * 4
-    wire.answer(1000, (0.25,) * 16)
-    assert wire.settle(2000) == [0.25] * 4
-    assert wire.link.unanswered == 1
-    # A time that was never sent is somebody else's.
-    wire.answer(2**60, (1.0,) * 16)
-    assert wire.settle(3000) == [0.25] * 4
-    assert (wire.link.unanswered, wire.link.foreign) == (2, 1)
-    monkeypatch.setattr(px4_link, "SILENCE_S", 0.1)
-    with pytest.raises(RunError, match=r"quad: its PX4 has not answered for 0\.1 s"):
-        wire.settle_all(range(4000, 9000, 1000))
-
-
-def test_a_px4_that_answers_every_second_frame_is_not_waited_for_long(
-    wire: Wire, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(px4_link, "ANSWER_S", 0.1)
-    begin = time.perf_counter()
-    for stamp in range(1000, 41_000, 1000):
-        if stamp % 2000:
-            wire.answer(stamp)
-        wire.settle(stamp)
-    # Seven of 0.1 s, until five gaps are known, and 13 of 0.02 s; without that it were 2 s.
-    assert time.perf_counter() - begin < 1.7
-    assert wire.link.unanswered == 20
-    assert sum("leaves many frames unanswered; each is waited for 20 ms" in line for line in wire.said) == 1
-
-
-def test_odd_outputs_are_clamped_and_said_once(wire: Wire) -> None:
-    for stamp in (1000, 2000):
-        wire.answer(stamp, (math.nan, 2.0, -3.0, 0.5, *[0.0] * 12))
-        assert wire.settle(stamp) == [0.0, 1.0, 0.0, 0.5]
-    assert wire.link.odd == 6
-    assert [line for line in wire.said if "not within -1 to 1" in line] == [
-        "quad: an output of PX4 is not within -1 to 1; it is clamped, and 0 where it is not a number"
-    ]
-    wire.answer(3000, mode=1)
-    assert wire.settle(3000) == [0.0] * 4
-
-
-def test_a_wrong_system_is_said_with_both_numbers() -> None:
-    found = Wire(system=9)
-    found.answer(1000)
-    found.settle(1000)
-    assert "quad: PX4 has MAV_SYS_ID 9, and instance 2 should have 3" in found.said
-    found.link.close()
-
-
-def test_a_build_without_lock_step_is_not_waited_for(wire: Wire) -> None:
-    wire.answer(77, flags=0)
-    for stamp in range(1000, 20_000, 1000):
-        begin = time.perf_counter()
-        assert wire.settle(stamp) == [0.5] * 4
-        assert 0.004 <= time.perf_counter() - begin < 0.4
-    assert wire.link.unanswered == 0
-    assert "is built without lock-step" in wire.said[-1]
-
-
-def test_a_second_connection_is_closed_and_said_once(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(px4_link, "_LOOK_S", 0.0)
-    for stamp in (1000, 2000, 3000):
-        with socket.create_connection(("127.0.0.1", wire.port)) as other:
-            other.settimeout(5.0)
-            wire.answer(stamp)
-            assert wire.settle(stamp) == [0.5] * 4
-            assert other.recv(1) == b""
-    assert sum("a second connection" in line for line in wire.said) == 1
-
-
-def test_what_is_no_mavlink_is_hung_up_on(wire: Wire) -> None:
-    wire.peer.sendall(b"GET / HTTP/1.1\r\n" * 4200)
-    wire.settle_all(range(1000, 6000, 1000))
-    assert wire.said == ["quad: not a PX4: 64 kB without a MAVLink frame; its motors stop"]
-    assert not wire.link.connected
-
-
-def test_mavlink_without_heartbeat_and_controls_is_no_px4() -> None:
-    found = Wire(wait=0.1)
-    found.peer.sendall(found.mav.ping_encode(1, 2, 0, 0).pack(found.mav))
-    with pytest.raises(RunError, match=r"is not a PX4: neither HEARTBEAT nor HIL_ACTUATOR_CONTROLS has come in 0\.1 s"):
-        found.settle_all(range(1000, 90_000, 1000))
-    found.link.close()
-
-
-def test_a_port_that_is_taken_and_ports_beyond_the_last(wire: Wire) -> None:
-    with pytest.raises(UsageError, match=rf"TCP port {wire.port} for b is taken by another simulator or qrsim"):
-        Px4Link("b", 0, wire.port, "127.0.0.1", 1.0, lambda line: None)
+def test_ports_beyond_the_last_are_refused() -> None:
     scenario, fleets = prepared(load_scenario(PAIR, quiet=True), (), "x500", RATE)
     with pytest.raises(UsageError, match="--port 65535: the last vehicle would have TCP 65536, at most 65535"):
         Px4Flight(Simulation(scenario.world()), fleets, START_USEC, 65_535)
@@ -453,6 +324,35 @@ def test_the_x500_has_the_motors_of_the_iris_and_its_own_geometry() -> None:
     assert not {"SYS_HAS_MAG", "SYS_HAS_BARO"} & set(found)
 
 
+def world_of(content: Any) -> Any:
+    """Return the only fleet of a scenario, not compiled."""
+    return prepared(load_scenario(content, quiet=True), (), "x500", RATE)[0].world().fleets[0]
+
+
+def test_hover_thrust_and_torques_stay_within_what_px4_takes() -> None:
+    bare = SimpleNamespace(sensors={})
+    content = own("quad_x", 4, 1)
+    numbers = content["fleets"]["field"]["vehicle"]["own"]
+    for ratio, throttle, expected in ((2.0, 0.5, 0.5), (20.0, 0.1, 0.1), (1.2, 0.9, 0.8)):
+        numbers |= {"thrust_to_weight": ratio, "hover_throttle": throttle}
+        told = parameters(world_of(content), (0, 1, 2, 3), bare, 0)
+        # The air at 488 m is 4.6 % thinner than that of the data sheet.
+        assert told["MPC_THR_HOVER"] == pytest.approx(
+            min(expected / 0.9535, 0.8) if ratio == 2.0 else expected, rel=0.01
+        )
+    x500 = replace(world_of(PAIR).vehicle, torque_ratio=0.05)
+    fleet = SimpleNamespace(vehicle=x500)
+    # 0.05 is what PX4 is built with, and the airframe's -0.05 would hold for motors 3 and 4.
+    told = parameters(fleet, (0, 1, 2, 3), bare, 0)
+    assert sorted(told[f"CA_ROTOR{motor}_KM"] for motor in range(4)) == [-0.05, -0.05, 0.0501, 0.0501]
+
+
+def test_more_rotors_than_px4_has_motors_are_refused() -> None:
+    rotors = [Rotor((math.cos(i), math.sin(i), 0.0), 1) for i in range(13)]
+    with pytest.raises(UsageError, match="fleet 'many': 13 rotors, and PX4 has at most 12 motors"):
+        motor_order(SimpleNamespace(name="many", vehicle=SimpleNamespace(rotors=rotors)))
+
+
 def test_what_it_cannot_fly_is_refused() -> None:
     with pytest.raises(UsageError, match="a fixed_wing is flown by no PX4 here"):
         prepared(load_scenario("mixed_team"), ("planes",), "x500", RATE)
@@ -463,7 +363,7 @@ def test_what_it_cannot_fly_is_refused() -> None:
 def test_periods_that_are_no_whole_number_of_ticks_become_one() -> None:
     content = {**PAIR, "fleets": {"field": {**PAIR["fleets"]["field"], "sensors": {"magnetometer": {
         "type": "magnetometer", "period": 0.01}}}}, "time_step": 0.01}  # fmt: skip
-    (fleet,) = prepared(load_scenario(content, quiet=True), (), "x500", RATE)[0].world().fleets
+    fleet = world_of(content)
     assert {type(sensor).__name__: sensor.period for sensor in fleet.sensors}["Magnetometer"] == 0.008
 
 

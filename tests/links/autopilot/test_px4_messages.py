@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
+from qrsim.links.autopilot.px4_feed import fix_of
 from qrsim.links.autopilot.px4_messages import (
     Controls,
     Fix,
@@ -22,6 +23,7 @@ from qrsim.links.autopilot.px4_messages import (
 from qrsim.links.autopilot.px4_truth import geodetic, turned
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.frames import Reader, frame
+from qrsim.links.shared import sight as s
 from qrsim.models.site import Site
 
 # The call, and the frame of the same numbers by pymavlink 2.4 (system 1, component 200, sequence 7).
@@ -186,6 +188,35 @@ def test_controls_are_read_from_the_bytes_of_the_other_encoder(
     (found,) = Reader().feed(sender.hil_actuator_controls_encode(stamp, outputs, mode, flags).pack(sender))
     assert (found.system, found.layout.name) == (3, "HIL_ACTUATOR_CONTROLS")
     assert controls(found.payload) == Controls(stamp, outputs, mode >= 128, bool(flags))
+
+
+def test_a_course_is_known_from_30_centimetres_a_second_on() -> None:
+    courses = []
+    for speed in (0.29, 0.31):
+        payload = hil_gps(1, Fix(3, 47.0, 8.0, 400.0, 1.0, 1.0, (0.0, speed, 0.0), 9))
+        courses.append(LAYOUTS["HIL_GPS"].message(payload).cog)
+    assert courses == [65535, 9000]
+
+
+@pytest.mark.parametrize(
+    ("known", "expected"),
+    [
+        # Stated by the receiver; else the dilution times 1 m, and no less than 0.3 m.
+        (
+            {s.HORIZONTAL: 1.5, s.VERTICAL: 2.5, s.HDOP: 0.7, s.VDOP: 1.2, s.FIX_TYPE: 3, s.SATELLITES: 11},
+            (3, 1.5, 2.5, 11),
+        ),
+        ({s.HDOP: 0.7, s.VDOP: 1.2, s.SATELLITES: 9}, (3, 0.7, 1.2, 9)),
+        ({s.HDOP: 0.01, s.VDOP: 0.02}, (3, 0.3, 0.3, 12)),
+    ],
+)
+def test_accuracies_follow_from_what_a_receiver_states(known: dict[int, float], expected: tuple[float, ...]) -> None:
+    row = [math.nan] * s.WIDTH
+    for column, value in known.items():
+        row[column] = value
+    fix = fix_of(row, (47.0, 8.0, 400.0))
+    assert (fix.type, fix.horizontal, fix.vertical, fix.satellites) == expected
+    assert fix.velocity_ned == [0.0, 0.0, 0.0]
 
 
 def test_motors_turn_only_when_armed_and_within_their_limits() -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from qrsim.scenarios.scenario import Scenario
     from qrsim.simulation.simulation import Simulation
 
-# What PX4's own simulators are called; none_iris is the airframe without one.
+# Beginnings of airframe names of PX4; none_iris is the airframe without a simulator.
 ELSEWHERE = ("gz_", "sihsim_", "gazebo", "jmavsim", "none_")
 FRAME_HZ, FASTEST_HZ = 250, 2000
 # A MAV_SYS_ID, which is one more than the instance, is at most 255.

@@ -1,4 +1,4 @@
-"""What the commands of all autopilots share: checks, the recording, the summary."""
+"""Parts of the commands of all autopilots: checks, the recording, the summary."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Options = Any
 
 
 def say(line: str) -> None:
-    """Print a line for whoever starts a flight."""
+    """Print a line to standard error."""
     print(line, file=sys.stderr, flush=True)
 
 

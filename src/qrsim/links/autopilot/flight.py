@@ -18,9 +18,9 @@ from qrsim.links.autopilot.sticks import channels
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-# From what is asked of vehicles (n, 4: pitch, roll, throttle, yaw rate) at a time [s] to the same.
+# From commands of vehicles (n, 4: pitch, roll, throttle, yaw rate) at a time [s] to others.
 Override = Callable[[float, list[Sequence[float]]], list[Sequence[float]]]
-# Who turns faster than this at the start does not stand still while the firmware learns the zero of its gyroscope.
+# A vehicle that turns faster than this at the start is not at rest while the firmware calibrates its gyroscope.
 STILL_RAD_S = 0.05
 
 
@@ -73,7 +73,7 @@ class Flight(LockstepFlight):
         simulation: reset, at tick 0.
         fleets: names of those that are flown so; the others fly as ever.
         program, eeprom: the firmware and its configuration.
-        override: what is asked of the first of these fleets in place of what its controller asks; None: that.
+        override: replaces the commands of the fleets' controllers; None: they are flown.
         lost: told a line when a firmware ends in flight, whose vehicle's motors then stop; None: all flights end.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A simulation whose multirotors are flown by ArduPilot, each by one of its own, over the JSON interface."""
+"""A simulation whose multirotors are flown by ArduPilot over the JSON interface, with one instance for each vehicle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
 
 
 def last_port(option: str, first: int, step: int, count: int, kind: str) -> None:
-    """Raise a UsageError where the ports of so many vehicles are beyond the largest."""
+    """Raise a UsageError if the port of the last vehicle is beyond the largest."""
     last = first + step * (count - 1)
     if last > LARGEST_PORT:
         raise UsageError(f"{option}: the last vehicle would have {kind} {last}, at most {LARGEST_PORT} is allowed")
@@ -55,7 +55,7 @@ class JsonFleet(FlownFleet):
         return ardupilot.speeds(self._links[number].wait().pulses, len(self.order))
 
     def answer(self) -> None:
-        """Tell all what they sense now."""
+        """Send all autopilots the present readings."""
         _, sensed = self.sight.look()
         time = self.simulation.tick * self.simulation.world.time_step
         for link, seen, now, first in zip(self._links, sensed, self.sight.positions(), self._start, strict=True):

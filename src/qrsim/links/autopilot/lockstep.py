@@ -1,7 +1,7 @@
-"""A simulation whose vehicles are flown from outside, in lock-step: what all autopilots share.
+"""A simulation whose vehicles are flown by autopilots in lock-step: the part that all autopilots share.
 
-A tick has four parts. Each fleet tells its autopilots what the vehicles sense, and waits for the speeds of the motors;
-the world advances; autopilots that wait for the end of a step are answered.
+A tick has four parts. Each fleet sends readings to its autopilots, and waits for the speeds of the motors. The world
+advances, and autopilots that wait for the end of a step get their answer.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ class FlownFleet:
         self._command = MotorCommand.of_count(len(self.order))
 
     def tell(self) -> None:
-        """Send the autopilots what their vehicles sense before a tick."""
+        """Send readings to the autopilots before a tick."""
 
     def speeds(self, number: int) -> Sequence[float]:
         """Return the speeds of a vehicle's motors in a tick, 0 to 1 of the largest; raises RunError: it is gone."""
         raise NotImplementedError
 
     def answer(self) -> None:
-        """Send the autopilots what their vehicles sense after a tick."""
+        """Send readings to the autopilots after a tick."""
 
     def piloted(self) -> Piloted:
-        """Return what the motors do in a tick; those of a vehicle without its autopilot stand still."""
+        """Return the motor command of a tick; the motors of a vehicle without its autopilot stop."""
         table = np.zeros((self.fleet.size, len(self.order)), self.simulation.dtype)
         for number in self.losses.left(self.fleet.size):
             with self.losses.watched(number):
@@ -76,7 +76,7 @@ class LockstepFlight:
     Attributes:
         simulation: in flight.
         fleets: those that are flown so; the others fly as ever.
-        closing: closes what the autopilots need.
+        closing: closes sockets and processes of the autopilots.
     """
 
     def __init__(self, simulation: Simulation):
@@ -85,7 +85,7 @@ class LockstepFlight:
         self.closing = ExitStack()
 
     def opened(self, build: Callable[[], None]) -> None:
-        """Build the fleets; what is open is closed again where that fails."""
+        """Build the fleets, and close all sockets and processes if that fails."""
         try:
             build()
         except BaseException:
@@ -93,7 +93,7 @@ class LockstepFlight:
             raise
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly so many ticks; raises RunError where an autopilot is gone, and all flights end with it."""
+        """Fly ``ticks`` ticks; raises RunError if the end of an autopilot ends all flights."""
         for _ in range(ticks):
             for fleet in self.fleets:
                 fleet.tell()
@@ -102,7 +102,7 @@ class LockstepFlight:
                 fleet.answer()
 
     def record(self, ticks: int, capacity: int = 50) -> History:
-        """Fly so many ticks and return their states; ``capacity`` is not needed here."""
+        """Fly ``ticks`` ticks and return their states; ``capacity`` is not needed here."""
         simulation = self.simulation
         layout, _ = simulation.packed
         first, rows = simulation.tick, []

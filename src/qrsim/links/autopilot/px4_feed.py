@@ -1,4 +1,4 @@
-"""What the PX4s of a fleet are sent at a tick: readings of its sensors, in the units of the interface."""
+"""Messages to the PX4s of a fleet at a tick: readings of its sensors, in the units of the interface."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class Px4Feed:
             fix = None
             if row[s.FIX_POSITION] == row[s.FIX_POSITION]:
                 place = (float(np.degrees(latitude[i])), float(np.degrees(longitude[i])), float(height[i]))
-                fix = _fix(row, place)
+                fix = fix_of(row, place)
             unix = self._start_usec + round(1e6 * self._sent[s.FIX_POSITION][i])
             found.append(messages.hil_gps(unix, fix))
         return found
@@ -180,7 +180,8 @@ def _number(sensor: Any, name: str, usual: float, i: int) -> float:
     return float(found[i if len(found) > 1 else 0])
 
 
-def _fix(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:
+def fix_of(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:
+    """Return the fix of a vehicle's numbers by column, at a latitude, longitude [deg] and height [m]."""
     horizontal, vertical = row[s.HORIZONTAL], row[s.VERTICAL]
     if horizontal != horizontal:
         horizontal, vertical = (max(row[at], LEAST_ACCURACY) for at in (s.HDOP, s.VDOP))

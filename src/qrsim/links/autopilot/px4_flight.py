@@ -1,4 +1,4 @@
-"""A simulation whose multirotors are flown by PX4's SITL firmware, each by one of its own, in lock-step."""
+"""A simulation whose multirotors are flown by PX4's SITL firmware in lock-step, with one process for each vehicle."""
 
 from __future__ import annotations
 
@@ -73,7 +73,11 @@ class Px4Fleet(FlownFleet):
         return [parameters(self.fleet, self.order, self.sight, number) for number in range(self.fleet.size)]
 
     def connect(self, until: float | None) -> None:
-        """Wait for PX4s that are not connected, each until a time of ``time.perf_counter`` [s]; None: of its own."""
+        """Wait for PX4s that are not connected.
+
+        Args:
+            until: time of ``time.perf_counter`` [s]; None: as long as a restart may take.
+        """
         for i in self.losses.left(self.fleet.size):
             with self.losses.watched(i):
                 self.links[i].connect(self.links[i].reconnects_until if until is None else until)
@@ -96,7 +100,7 @@ class Px4Fleet(FlownFleet):
         return self.links[number].speeds(len(self.order))
 
     def piloted(self) -> Piloted:
-        """Return what the motors do, which holds until the next frame."""
+        """Return the motor command, which holds until the next frame."""
         if self._held is None:
             self._held = super().piloted()
         return self._held
@@ -144,7 +148,7 @@ class Px4Flight(LockstepFlight):
         last_port(f"--port {port}", port, 1, sum(each.size for each in flown), "TCP")
         self.links: list[Px4Link] = []
         self._wait, self._pacer = wait, Pacer(realtime, simulation.time)
-        self._all_here = False
+        self._begun = False
 
         # The only vehicle of a flight ends it by its own words.
         lost = say if sum(each.size for each in flown) > 1 else None
@@ -166,6 +170,17 @@ class Px4Flight(LockstepFlight):
         """Return PX4's parameters for each vehicle, in the order of the links."""
         return [found for fleet in self.fleets for found in fleet.parameters()]
 
+    def _begin(self) -> None:
+        """Wait for all PX4s to connect; a single line if none does."""
+        self._begun, until = True, time.perf_counter() + self._wait
+        while not any(link.comes() for link in self.links):
+            if time.perf_counter() > until:
+                more = f"; further vehicles up to -i {self.links[-1].instance}" if len(self.links) > 1 else ""
+                raise RunError(f"{self.links[0].name}: {self.links[0].nobody()}{more}")
+            time.sleep(0.005)
+        for each in self.fleets:
+            each.connect(until)
+
     @property
     def lost(self) -> list[str]:
         """The vehicles whose PX4 has ended."""
@@ -177,12 +192,10 @@ class Px4Flight(LockstepFlight):
         ]
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly so many ticks, each when all PX4s have answered; raises RunError once none is left."""
+        """Fly ``ticks`` ticks, each when all PX4s have answered; raises RunError once none is left."""
         for _ in range(ticks):
-            if not self._all_here:
-                self._all_here, until = True, time.perf_counter() + self._wait
-                for fleet in self.fleets:
-                    fleet.connect(until)
+            if not self._begun:
+                self._begin()
             super().advance()
             if len(self.lost) == len(self.links):
                 raise RunError("no PX4 is left to fly a vehicle")

@@ -24,10 +24,10 @@ LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 # On the wall clock: between frames while it boots, for an answer, until silence is its end, and for another one to
 # connect in its place [s].
 BOOT_FRAME_S, ANSWER_S, SILENCE_S, RECONNECT_S = 0.004, 0.5, 15.0, 15.0
-# Of a PX4 that answers again and again after a frame without an answer, as one that drops frames on purpose, the next
-# answer is waited for this long [s]; a gap counts for about the next 30 frames, and so many are many.
+# A PX4 that often answers the next frame but not this one drops frames, and is waited for a shorter time [s]. A gap
+# counts for about 30 frames.
 IMPATIENT_S, GAP_DECAY, MANY_GAPS = 0.02, 0.97, 5.0
-# So many bytes without a frame are no MAVLink.
+# A stream of this length without a frame is no MAVLink.
 NO_FRAME_BYTES = 64 * 1024
 # How long nothing has come when frames are looked for in an incomplete one, and others at the port [s].
 _QUIET_S, _LOOK_S = 0.02, 0.5
@@ -43,13 +43,13 @@ class Px4Link:
         port: TCP.
         host: address that is listened on.
         wait: for PX4 to connect at first, and for its first answer [s].
-        say: told a line of what is odd.
+        say: called with a line for each unusual event.
 
     Raises:
         UsageError: the port is taken.
 
     Attributes:
-        wanted: what PX4 wants of its outputs now.
+        wanted: the present outputs of PX4.
         booted: whether the PX4 that is connected has answered yet.
         free: whether it is a build without lock-step.
         unanswered, foreign, harmed, odd, restarts: frames without an answer in time; answers to frames that were never
@@ -92,6 +92,10 @@ class Px4Link:
 
     # Connections
 
+    def comes(self) -> bool:
+        """Accept a PX4 that is there; return whether one is connected, or was started here and has ended."""
+        return self.connected or self._accept() or bool(self.ended())
+
     def connect(self, until: float) -> None:
         """Wait for a PX4 where none is connected.
 
@@ -110,7 +114,7 @@ class Px4Link:
             if why:
                 raise RunError(f"{self.name}: {why}")
             if left <= 0.0:
-                raise RunError(self._nobody())
+                raise RunError(f"{self.name}: {self.nobody()}")
 
     def _accept(self) -> bool:
         try:
@@ -142,7 +146,7 @@ class Px4Link:
 
     @property
     def oddities(self) -> str:
-        """What was counted on the way, in words; "" for nothing."""
+        """Counts of unusual events in words; "" without any."""
         counts = {
             "frames unanswered": self.unanswered,
             "frames damaged": self.harmed,
@@ -162,11 +166,12 @@ class Px4Link:
         """Until when a PX4 may come in place of one that is gone, by ``time.perf_counter`` [s]."""
         return time.perf_counter() + RECONNECT_S
 
-    def _nobody(self) -> str:
+    def nobody(self) -> str:
+        """Say that no PX4 has connected, and how to start one."""
         if self._ever:
-            return f"{self.name}: no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
+            return f"no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
         return (
-            f"{self.name}: no PX4 has connected to TCP {self.port} in {self._wait:g} s; in an empty folder: "
+            f"no PX4 has connected to TCP {self.port} in {self._wait:g} s; in an empty folder: "
             f"PX4_SIM_MODEL=none_iris BUILD/bin/px4 -i {self.instance} -d BUILD/etc"
         )
 
@@ -191,7 +196,7 @@ class Px4Link:
             self._hang_up("PX4 has ended or closed the connection")
 
     def settle(self, begin: float, answers: bool) -> None:
-        """Read what PX4 answers to the frame that was sent last.
+        """Read the answer to the frame that was sent last.
 
         Args:
             begin: when it was sent, by ``time.perf_counter`` [s].
@@ -237,21 +242,21 @@ class Px4Link:
             if self._greeted
             else "is not a PX4: neither HEARTBEAT nor HIL_ACTUATOR_CONTROLS has come"
         )
-        raise RunError(f"{self.name}: what is connected to TCP {self.port} {why} in {self._wait:g} s")
+        raise RunError(f"{self.name}: the program connected to TCP {self.port} {why} in {self._wait:g} s")
 
     def _receive(self, until: float) -> bool:
         """Read once, until a time at the latest; return False once it has passed."""
         peer = self._peer
         assert peer is not None
-        left = until - time.perf_counter()
-        if not select.select([peer], [], [], min(max(left, 0.0), _QUIET_S))[0]:
-            for found in self._reader.inside():
-                self._take(found)
-            return left > 0.0
         try:
             data = peer.recv(_AT_ONCE)
         except BlockingIOError:
-            return True
+            left = until - time.perf_counter()
+            if select.select([peer], [], [], min(max(left, 0.0), _QUIET_S))[0]:
+                return True
+            for found in self._reader.inside():
+                self._take(found)
+            return left > 0.0
         except OSError:
             data = b""
         if not data:
@@ -274,7 +279,7 @@ class Px4Link:
             self.foreign += number not in (messages.HEARTBEAT, messages.COMMAND_LONG)
             return
         wanted = messages.controls(found.payload)
-        # In lock-step its clock is that of a frame, and never ahead of it: who says more is somebody else.
+        # In lock-step the clock of PX4 is never ahead of the frames: a later time is from another program.
         if wanted.lockstep and wanted.time_usec > self._sent:
             self.foreign += 1
             return

@@ -40,7 +40,7 @@ ROTATIONS = {"forward": 0, "right": 2, "backward": 4, "left": 6, "up": 24, "down
 
 @dataclass(frozen=True)
 class Controls:
-    """What PX4 wants of its outputs.
+    """Outputs of PX4.
 
     Attributes:
         time_usec: PX4's clock, the time of the sensors that they follow from [us].
@@ -64,7 +64,7 @@ def controls(payload: bytes) -> Controls:
 def speeds(wanted: Controls, count: int) -> tuple[list[float], int]:
     """Return the speeds of motors 1 to ``count`` as parts of the largest, and how many outputs were not within -1 to 1.
 
-    What is not a number stops its motor, and so does everything while it is disarmed.
+    A motor stops while PX4 is disarmed, and where its output is NaN.
     """
     if not wanted.armed:
         return [0.0] * count, 0
@@ -114,7 +114,7 @@ def hil_sensor(
 
 @dataclass(frozen=True)
 class Fix:
-    """What a GNSS receiver reports.
+    """A report of a GNSS receiver.
 
     Attributes:
         type: 0 or 1 for none, 2, 3 and above as GPS_FIX_TYPE has them.
@@ -223,5 +223,5 @@ def true_state(
 
 
 def _whole(value: float, low: int, high: int) -> int:
-    """Return a number rounded and within limits; the upper one for what is not finite."""
+    """Return a number rounded and within limits; the upper limit for NaN and infinity."""
     return round(min(max(value, low), high)) if math.isfinite(value) else high

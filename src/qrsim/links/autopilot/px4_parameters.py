@@ -1,4 +1,4 @@
-"""PX4's parameters for a vehicle of qrsim: its geometry, its thrust, and what a simulation needs.
+"""PX4's parameters for a vehicle of qrsim: its geometry, its thrust, and settings for a simulation.
 
 PX4's start script sets a parameter NAME from the environment variable PX4_PARAM_NAME, before it reads the airframe's
 defaults. A value that equals the one PX4 was built with counts as not set, so the airframe's would hold: numbers that
@@ -37,7 +37,7 @@ ALWAYS: dict[str, Number] = {
     "COM_RC_IN_MODE": 4,
     "NAV_DLL_ACT": 0,
 }
-# What CA_ROTORn_PX and _PY, and _KM, are built with, and how far from it is no difference in flight [m].
+# Built-in values of CA_ROTORn_PX and _PY, and of _KM, and a distance from them that makes no difference in flight [m].
 BUILT_PLACE, BUILT_RATIO, AWAY = 0.0, 0.05, 1e-4
 # The largest delay that EKF2 is built for, and its margin [ms].
 BUILT_DELAY, DELAY_MARGIN = 200, 50
@@ -102,7 +102,7 @@ def _sensors(fleet: Fleet, sight: FleetSight) -> dict[str, Number]:
 
 
 def checked(lines: Sequence[str]) -> dict[str, Number]:
-    """Return the parameters of lines NAME=VALUE; raises UsageError for what is none."""
+    """Return the parameters of lines NAME=VALUE; raises UsageError for any other line."""
     found: dict[str, Number] = {}
     for line in lines:
         name, _, text = line.partition("=")

@@ -50,7 +50,7 @@ class Process:
         build: where it is.
         instance: its number (-i).
         environment: variables for it, besides those of this process.
-        folder: new; it keeps what PX4 prints (px4.log), its parameters and its ULogs (log/).
+        folder: new; it keeps PX4's output (px4.log), its parameters and its ULogs (log/).
 
     Raises:
         UsageError: the folder exists.
@@ -85,7 +85,7 @@ class Process:
 
     def ended(self) -> str:
         """Return how it has ended and its last lines, in one line; "" while it runs."""
-        # What it was connected by is closed a moment before it has ended.
+        # The connection is closed a moment before the process has ended.
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.05)
         code = self._process.poll()
@@ -98,12 +98,17 @@ class Process:
 
     def close(self) -> None:
         """End it."""
-        self._process.terminate()
-        try:
+        self._signal(signal.SIGTERM)
+        with suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        # Its clock has stopped, so a step of its shutdown that waits for time never ends.
+        self._signal(signal.SIGKILL)
+        self._process.wait()
+
+    def _signal(self, number: signal.Signals) -> None:
+        """Signal the process and its children."""
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, number)
 
     def __enter__(self) -> Process:
         return self

@@ -1,4 +1,4 @@
-"""What the vehicles of a fleet are asked and sense at a tick, as plain numbers, from the packed state."""
+"""Commands and readings of the vehicles of a fleet at a tick, as plain numbers, from the packed state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from qrsim.links.shared import sight as s
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-# What the controller asks: pitch, roll, throttle, yaw rate; behind the columns of all that is known of a vehicle.
+# The controller's pitch, roll, throttle and yaw rate follow the columns of ``links.shared.sight``.
 ASKED, WIDTH = s.WIDTH, s.WIDTH + 4
 
 
@@ -74,9 +74,9 @@ class FleetSight:
         return now.tolist()
 
     def look(self) -> tuple[list[Sequence[float]], list[Sensed]]:
-        """Return pitch, roll, throttle and yaw rate that are asked of each vehicle, and what each senses.
+        """Return each vehicle's commanded pitch, roll, throttle and yaw rate, and its readings.
 
-        A sensor without a reading says what it said before.
+        A sensor without a reading keeps the previous one.
         """
         self.read()
         known = ~np.isnan(self._now)
@@ -112,7 +112,7 @@ def pressure_of(row: Sequence[float], origin_height: float) -> float:
 
 
 def _leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield column, leaf and sensor of what is asked of the vehicles of a fleet, and of what they sense."""
+    """Yield column, leaf and sensor number of the commands and readings of a fleet."""
     command = state.command
     for column, leaf in enumerate((command.pitch, command.roll, command.throttle, command.yaw_rate), ASKED):
         yield column, leaf, None
