@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from qrsim.errors import UsageError
-from qrsim.scenarios.kml_file import read_fence, read_polygons
+from qrsim.scenarios.kml_file import read_fence
 
 Write = Callable[[str], str]
 NAMESPACE = ' xmlns="http://www.opengis.net/kml/2.2"'
@@ -49,7 +49,6 @@ def test_the_only_polygon(write: Write, namespace: str, last: str) -> None:
     assert found.vertices == ((47.0, 8.0), (47.0, 8.1), (47.2, 8.1), (47.2, 8.0))
     assert found.altitudes == (0.0,) * 4
     assert read_fence(path, "field") == found
-    assert read_polygons(path) == [found]
 
 
 def test_altitudes_and_any_space_between_corners(write: Write) -> None:
@@ -64,7 +63,8 @@ def test_polygons_are_found_at_any_depth_among_other_things(write: Write) -> Non
     deep = f"<Folder><Folder>{inner}</Folder></Folder>"
     point = placemark("mast", "<Point><coordinates>8.0,47.0</coordinates></Point>")
     path = write(kml("<name>my document</name>", point, deep, placemark(None, polygon(SQUARE))))
-    assert [(each.name, len(each.vertices)) for each in read_polygons(path)] == [("inner field", 3), ("", 4)]
+    found = [read_fence(path, name) for name in ("inner field", "")]
+    assert [(each.name, len(each.vertices)) for each in found] == [("inner field", 3), ("", 4)]
     assert read_fence(path, "inner field").vertices[0] == (46.0, 9.0)
     # What is wrong with a polygon that is not asked for does not matter.
     path = write(kml(placemark("bad", polygon("1,2")), placemark("good", polygon(SQUARE))))
@@ -183,7 +183,7 @@ def test_a_document_type_is_refused_in_any_encoding(tmp_path: Path) -> None:
     path = tmp_path / "field.kml"
     path.write_bytes(f'<?xml version="1.0" encoding="UTF-16"?>{ENTITY}<kml>&b;</kml>'.encode("utf-16"))
     with pytest.raises(UsageError, match="has a document type"):
-        read_polygons(path)
+        read_fence(path)
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

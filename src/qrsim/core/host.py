@@ -11,9 +11,11 @@ import functools
 import itertools
 import operator
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core as jex
 
@@ -26,6 +28,11 @@ Rule = Callable[..., Any]
 _MOST = 64
 # Longer loops are left to JAX.
 _MOST_TURNS = 100
+
+
+def library_of(values: object) -> ModuleType:
+    """Return NumPy for its arrays, else jax.numpy: scenarios are checked in NumPy, which compiles for no shape."""
+    return np if isinstance(values, np.ndarray) else jnp
 
 
 def on_host(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -75,15 +75,6 @@ def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
     return _polygon(str(path), *found[chosen[0]])
 
 
-def read_polygons(path: str | Path) -> list[KmlPolygon]:
-    """Read all polygons of a KML file, in order.
-
-    Raises:
-        UsageError: the file is no KML, has no polygon, or one that has a hole or is not simple.
-    """
-    return [_polygon(str(path), name, element) for name, element in _polygon_elements(str(path))]
-
-
 def _own_names(names: list[str]) -> list[str]:
     """Return a name for each polygon: its own, with a number where others have the same."""
     counts, so_far, found = Counter(names), Counter[str](), []

@@ -15,9 +15,8 @@ from tests.wrong_input.logs import ulog
 from tests.wrong_input.mutating import mutated
 
 from qrsim.errors import LogError, UsageError
-from qrsim.studies.flight_logs import SIGNALS, FlightLog, read_log
+from qrsim.studies.flight_logs import SIGNALS, FlightLog, read_log, ulog_messages
 from qrsim.studies.flight_logs.inertial import read_inertial
-from qrsim.studies.flight_logs.ulog_messages import whole_messages
 
 WRITERS: dict[str, Callable[..., Path]] = {"log.csv": write_csv, "log.ulg": write_ulog, "log.bin": write_dataflash}
 
@@ -260,6 +259,11 @@ def test_a_wrong_time_in_a_dataflash_log_is_no_boot(signals: dict[str, Floats], 
 
 def ulog_message(kind: bytes, payload: bytes) -> bytes:
     return struct.pack("<HB", len(payload), kind[0]) + payload
+
+
+def whole_messages(content: bytes) -> tuple[bytes, list[str]]:
+    messages, notes = ulog_messages.whole_messages(content)
+    return b"".join(messages), notes
 
 
 class TestMessagesOfAULog:

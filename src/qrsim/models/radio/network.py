@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array, lax
 
 from qrsim.core.fastmath import exp
+from qrsim.core.host import library_of
 from qrsim.core.neighbours import Neighbours, neighbours
 from qrsim.core.noise import Draw, Stream, StreamKeys
 from qrsim.core.tree import quantity, record, record_of, replace
@@ -16,7 +17,7 @@ from qrsim.models.radio.channel import JITTER_SIGMA, Channel
 from qrsim.models.radio.contracts import STREAMS, Exchange, Inbox, Outbox, Radio
 from qrsim.models.radio.links import OUT_OF_RANGE, Links, Outcome, error_rate, outcomes, powers
 from qrsim.models.radio.propagation import SPEED_OF_LIGHT, ShadowField
-from qrsim.models.radio.tables import NOBODY, Heard, first_of, library_of, newest, taken
+from qrsim.models.radio.tables import NOBODY, Heard, first_of, newest, taken
 from qrsim.models.scene.uniform import uniform
 
 PACKET, JITTER, BACKOFF = range(len(STREAMS))

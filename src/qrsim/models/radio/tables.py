@@ -5,13 +5,12 @@ Arrays have vehicles along the last axis. Works on arrays of JAX and on NumPy's.
 
 from __future__ import annotations
 
-from types import ModuleType
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.host import library_of
 from qrsim.core.tree import quantity, record
 
 # No message.
@@ -102,8 +101,3 @@ def taken(heard: Heard, chosen: Array) -> Heard:
         of(heard.arrives, NOBODY),
         of(heard.rssi, 0),
     )
-
-
-def library_of(values: object) -> ModuleType:
-    """Return NumPy for its arrays, else jax.numpy."""
-    return np if isinstance(values, np.ndarray) else jnp

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from qrsim.core.host import library_of
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import Vec3
-from qrsim.models.scene.prisms import Prisms
+from qrsim.models.scene.prisms import Prisms, length_of
 
 T = TypeVar("T")
 
@@ -50,7 +49,7 @@ class CylinderObstacle:
     def distance(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the cylinder, 0 inside."""
         dx, dy = position_ned.x - self.x, position_ned.y - self.y
-        lib = _library(dx)
+        lib = library_of(dx)
         radial = lib.maximum(_length(dx, dy, lib.zeros_like(dx)) - self.radius, 0.0)
         vertical = _beyond(position_ned.z, self.z_min, self.z_max)
         return _length(radial, vertical, lib.zeros_like(radial))
@@ -98,20 +97,11 @@ def _as_columns(item: T) -> T:
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
-def _library(values: object) -> ModuleType:
-    # Scenarios are checked in NumPy, which need not compile for every number of points.
-    return np if isinstance(values, np.ndarray) else jnp
-
-
 def _beyond(value: Array, low: Array, high: Array) -> Array:
     """Return how far a coordinate is outside an interval."""
-    lib = _library(value)
+    lib = library_of(value)
     return lib.maximum(lib.maximum(low - value, value - high), 0.0)
 
 
 def _length(x: Array, y: Array, z: Array) -> Array:
-    lib = _library(x)
-    square = x * x + y * y + z * z
-    # The root of zero has no gradient; NaN stays NaN.
-    zero = square <= 0.0
-    return lib.where(zero, 0.0, lib.sqrt(lib.where(zero, 1.0, square)))
+    return length_of(library_of(x), x * x + y * y + z * z)

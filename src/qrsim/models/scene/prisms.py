@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
+from qrsim.core.host import library_of
 from qrsim.core.tree import parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3
 
@@ -59,7 +60,7 @@ class PrismObstacle:
 
     def distance(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the prism, 0 inside."""
-        lib = np if isinstance(position_ned.x, np.ndarray) else jnp
+        lib = library_of(position_ned.x)
         column = (-1,) + (1,) * position_ned.x.ndim
         north, east, north_to, east_to = (
             lib.reshape(lib.asarray(part), column) for part in (self.north, self.east, self.north_to, self.east_to)
@@ -71,7 +72,7 @@ class PrismObstacle:
         inside = lib.sum(straddles & ((cross > 0.0) == (along_north > 0.0)), axis=0) % 2 == 1
         square = lib.min(_to_segment(lib, x - north, y - east, along_north, along_east), axis=0)
         beyond = lib.maximum(lib.maximum(self.z_min - position_ned.z, position_ned.z - self.z_max), 0.0)
-        return _root(lib, lib.where(inside, 0.0 * position_ned.x, square) + beyond * beyond)
+        return length_of(lib, lib.where(inside, 0.0 * position_ned.x, square) + beyond * beyond)
 
 
 def edges_of(rings: Sequence[npt.ArrayLike]) -> tuple[Float64, Float64]:
@@ -88,8 +89,8 @@ def _to_segment(lib: ModuleType, x: Array, y: Array, along_x: Array, along_y: Ar
     return across_x * across_x + across_y * across_y
 
 
-def _root(lib: ModuleType, square: Array) -> Array:
-    # The root of zero has no gradient; NaN stays NaN.
+def length_of(lib: ModuleType, square: Array) -> Array:
+    """Return the length of a squared length, with a gradient of 0 at 0; NaN stays NaN."""
     zero = square <= 0.0
     return lib.where(zero, 0.0, lib.sqrt(lib.where(zero, 1.0, square)))
 
@@ -159,7 +160,7 @@ class Prisms:
         square = pieces.square(x, y, z)
         place = jnp.arange(square.shape[0])[:, None]
         chosen = jnp.where(place == jnp.argmin(square, axis=0)[None, :], pieces.number, 0.0)
-        return _root(jnp, jnp.min(square, axis=0)), jnp.sum(chosen, axis=0)
+        return length_of(jnp, jnp.min(square, axis=0)), jnp.sum(chosen, axis=0)
 
     def _near(self, position_ned: Vec3) -> Pieces:
         """Return the pieces (K, n) or (K, 1) near positions (n,)."""

@@ -9,10 +9,10 @@ import math
 from typing import Any, ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from qrsim.core.fastmath import exp
+from qrsim.core.host import library_of
 from qrsim.core.noise import Draw, ou_step
 from qrsim.core.presets import Presets
 from qrsim.core.tree import Bounds, derived, parameter, quantity, record, record_of, setting
@@ -207,8 +207,7 @@ class IdealRanging(Memoryless):
 
 def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
     """Return distances with noise [m] where they are taken, NaN elsewhere; of NumPy's arrays as well as JAX's."""
-    library = np if isinstance(distance, np.ndarray) else jnp
-    return library.where(taken, distance + noise, math.nan)
+    return library_of(distance).where(taken, distance + noise, math.nan)
 
 
 @record

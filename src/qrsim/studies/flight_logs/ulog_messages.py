@@ -37,7 +37,7 @@ def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
         RunError: pyulog is not installed.
     """
     pyulog = extras.load("identify", "reading a ULog", "pyulog")
-    messages, notes = _walked(read_bytes(path))
+    messages, notes = whole_messages(read_bytes(path))
     try:
         # The library prints its complaints, one for each message that it cannot place.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -50,17 +50,12 @@ def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
     return log, notes
 
 
-def whole_messages(content: bytes) -> tuple[bytes, list[str]]:
+def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
     """Return the header and every whole message in its section, and notes about what is left out.
 
     After a damaged message reading goes on at the next synchronisation message. Data that PX4 appends after a crash
     begins where the log was cut; here it follows the last whole message, and the flags have no offsets.
     """
-    messages, notes = _walked(content)
-    return b"".join(messages), notes
-
-
-def _walked(content: bytes) -> tuple[list[bytes], list[str]]:
     kept, place, lost, damaged, defining = [content[:_HEADER]], _HEADER, 0, False, True
     for end in (*_appended(content), len(content)):
         while place + _HEAD <= end:
