@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
 from tests.simulation.test_injections import scenario
+from tests.small_worlds import pair
 
 import qrsim
 from qrsim.errors import UsageError
@@ -113,6 +115,7 @@ def test_requests_are_done_and_said() -> None:
         (parsed("inject gns off"), "target: there is no 'gns'; did you mean 'gnss'?"),
         (parsed("inject mag off"), "fleets.uav of the scenario, or give the command --injectable"),
         (parsed("inject gnss off uav_9"), "vehicles: no vehicle is called 'uav_9'; did you mean"),
+        (parsed("inject rotor 7 off"), "target: 'rotor 7' is not injectable"),
         (parsed("clear gns"), "target: there is no 'gns'; did you mean 'gnss'?"),
     ],
 )
@@ -123,3 +126,14 @@ def test_what_is_refused_changes_nothing(request_: Request, message: str) -> Non
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert SIMULATION.world is before
+
+
+def test_what_no_vehicle_has() -> None:
+    pelican = qrsim.Simulation(pair().world())
+    for text, message in (
+        ("inject battery drop charge=0.1", "target: there is no battery that drains, so none can lose charge"),
+        ("inject rotor 1 off", "target: there is no 'rotor 1'; only a 'multirotor' has rotors of its own"),
+        ("wind 3 90", "wind: only that of type log_shear"),
+    ):
+        with pytest.raises(UsageError, match=re.escape(message)):
+            apply(pelican, parsed(text), "test")

@@ -23,6 +23,7 @@ from qrsim.models.sensors.fault_numbers import (
 )
 from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultNumbers, FaultSlot
 from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.world.state import Fleet, World
 
 # Longer times are none [s]. What may be injected in one tick.
@@ -180,6 +181,10 @@ def plain_target(target: str) -> str:
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
     there = sorted({name for fleet in fleets for name in (*fleet.sensor_names, "battery")})
+    if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
+        return UsageError("target: there is no battery that drains, so none can lose charge")
+    if target.startswith("rotor ") and not any(isinstance(fleet.vehicle, Multirotor) for fleet in fleets):
+        return UsageError(f"target: there is no '{target}'; only a 'multirotor' has rotors of its own")
     fleet = fleets[0].name
     if target in there or target.startswith("rotor"):
         part = f"sensors: [{target}]" if target in there and target != "battery" else "battery: true"

@@ -135,6 +135,8 @@ class Run:
             overrides.append(f"duration={self.duration!r}")
         scenario = load_scenario(self.scenario, overrides)
         if self.injectable:
+            if self.view == OFF:
+                raise UsageError("--injectable: faults are injected on the page; add --view")
             from qrsim.links.shared.injectable import with_injectable
 
             scenario = with_injectable(scenario, self.injectable)
