@@ -18,8 +18,8 @@ from qrsim.links.shared.injectable import with_injectable
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation.requests import Request
-from qrsim.simulation.requests import wind as blowing
+from qrsim.simulation.live_requests import Request
+from qrsim.simulation.live_requests import wind as blowing
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView

@@ -13,7 +13,7 @@ from tests.view.fetching import fetching
 
 from qrsim.models.sensors.faults import KINDS
 from qrsim.simulation.injections import BATTERY_KINDS, ROTOR_KINDS
-from qrsim.simulation.requests import Request
+from qrsim.simulation.live_requests import Request
 from qrsim.view.clock import Clock
 from qrsim.view.failing import FailingControls, Target
 from qrsim.view.frame import Cast, Frame

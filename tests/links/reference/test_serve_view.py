@@ -14,7 +14,7 @@ from qrsim.links.reference.client import Client
 from qrsim.links.reference.tasks import Tasks
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.requests import wind
+from qrsim.simulation.live_requests import wind
 from qrsim.view.live import LiveView
 
 HOLD = [[*HERE, 0.0]]

@@ -18,7 +18,7 @@ from qrsim.links.mavlink.stack.sim_parameters import AXES
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.injecting import wind_limit
 from qrsim.simulation.injections import targets_of
-from qrsim.simulation.requests import OK, Request, apply, wind
+from qrsim.simulation.live_requests import OK, Request, apply, wind
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
