@@ -30,6 +30,10 @@ WINDY = {"world": {"wind": {"type": "log_shear", "speed_20ft": 2.0, "wind_from_d
         ("clear gnss field_0", Request("gnss", "ok", ("field_0",))),
         ("clear", Request(None, "ok")),
         ("wind 6 270", Request("world", "wind", None, None, None, {"speed_20ft": 6.0, "wind_from_deg": 270.0})),
+        (
+            "wind 6 270 over 3",
+            Request("world", "wind", None, None, None, {"speed_20ft": 6.0, "wind_from_deg": 270.0, "over": 3.0}),
+        ),
     ],
 )
 def test_a_line_of_words_is_a_request(text: str, request_: Request) -> None:
@@ -94,18 +98,18 @@ def test_requests_are_done_and_said() -> None:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        (Request("world", "wnd"), "kind: 'wnd' does not suit the world; allowed: wind; did you mean 'wind'?"),
+        (Request("world", "wnd"), "kind: 'wnd' does not suit the world; allowed: wind, gusts, jam; did you mean 'wind'?"),
         (Request("world", "wind"), "speed_20ft: missing; a wind needs speed_20ft and wind_from_deg"),
         (
-            Request("world", "wind", numbers={"speed": 3.0}),
-            "speed: there is no such number; did you mean 'speed_20ft'?",
+            Request("world", "wind", numbers={"speed_20ft": 3.0, "wind_from_deg": 0.0, "ower": 3.0}),
+            "ower: there is no such number; did you mean 'over'?",
         ),
-        (Request("world", "wind", ("uav_0",)), "vehicles: the wind is that of all"),
-        (Request("world", "wind", None, 3.0), "at, duration: a wind changes at the next tick"),
-        (parsed("wind -1 0"), "speed: -1 m/s; allowed: 0 to "),
+        (Request("world", "wind", ("uav_0",)), "vehicles: wind of the world is that of all"),
+        (Request("world", "wind", None, 3.0), "at, duration: the world changes from the next tick on"),
+        (parsed("wind -1 0"), "speed_20ft: -1.0; allowed: 0 to "),
         (
             Request("world", "wind", numbers={"speed_20ft": "3", "wind_from_deg": 1.0}),
-            "speed_20ft: '3'; allowed: a number",
+            "speed_20ft: '3'; allowed: 0 to ",
         ),
         (Request(None, "off"), "target: missing; a sensor, 'rotor N', 'battery' or 'world'"),
         (Request("gnss", "off", numbers={"asked_by": "me"}), "asked_by: there is no such number"),

@@ -188,7 +188,7 @@ class SharedCalls(ABC):
             target: as in ``inject``.
             vehicles: name or names; None: all, in a shared world those that one has claimed.
         """
-        request = pb.Clear(target=target, vehicle=_names(vehicles))
+        request = pb.ClearFaults(target=target, vehicle=_names(vehicles))
         return str(self._ask(Message(type=Message.CLEAR, clear=request), Message.ACK).ack.msg)
 
     def set_wind(self, speed: float, from_deg: float) -> str:

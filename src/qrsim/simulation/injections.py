@@ -25,6 +25,7 @@ from qrsim.models.sensors.fault_numbers import (
 from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultNumbers, FaultSlot
 from qrsim.models.vehicles.fault_numbers import number_of
 from qrsim.models.vehicles.faults import FREE, BatteryFault, RotorFault
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.world.state import Fleet, World
 
 # Longer times are none [s]. What may be injected in one tick.
@@ -203,6 +204,10 @@ def plain_target(target: str) -> str:
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
     there = sorted({name for fleet in fleets for name in (*fleet.sensor_names, "battery", "radio", LINK)})
+    if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
+        return UsageError("target: there is no battery that drains, so none can lose charge")
+    if target.startswith("rotor ") and not any(isinstance(fleet.vehicle, Multirotor) for fleet in fleets):
+        return UsageError(f"target: there is no '{target}'; only a 'multirotor' has rotors of its own")
     fleet = fleets[0].name
     if target in there or target.startswith("rotor"):
         part = f"{target}: true" if target in ("battery", "radio") else f"sensors: [{target}]"

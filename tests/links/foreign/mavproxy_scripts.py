@@ -89,6 +89,10 @@ def copter(session: Session, folder: str, vehicle: int) -> None:
     """Take off in GUIDED, go to a place, fly a mission in AUTO, and come home, with ArduPilot's flavour."""
     up = 10 + 6 * vehicle
     session.wait(["Received "])
+    session.type("param set SIM_WIND_SPD 7")
+    time.sleep(2.0)
+    session.type("param fetch SIM_WIND_SPD")
+    session.wait(["SIM_WIND_SPD = 7.0"])
     session.type(f"param set RTL_RETURN_ALT {up}")
     session.type(f"wp load {mission_file(folder, up, home=True)}")
     session.wait(["MISSION_ACK", "Loaded"])

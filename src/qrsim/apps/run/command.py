@@ -139,6 +139,8 @@ class Run:
         scenario = load_scenario(self.scenario, overrides)
         injections: tuple[Injection, ...] = ()
         if self.injectable:
+            if self.view == OFF:
+                raise UsageError("--injectable: faults are injected on the page; add --view")
             from qrsim.links.shared.injectable import with_injectable
 
             scenario = with_injectable(scenario, self.injectable)
