@@ -283,13 +283,13 @@ class EventFinder:
                             )
                             event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
                             found.append((int(row), first + int(i), event))
-            others: list[tuple[Any, str, str]] = [
-                (broken, f"rotor_{broken.rotor}", f"rotor {broken.rotor}") for broken in fleet.rotor_faults
+            others: list[tuple[Any, str, str, str]] = [
+                (broken, f"rotor_{broken.rotor}", f"rotor {broken.rotor}", "fails") for broken in fleet.rotor_faults
             ]
-            others += [(broken, "radio", f"radio{'' if broken.off else ' in part'}") for broken in fleet.radio_faults]
-            for broken, field, what in others:
+            others += [(one, "radio", "radio", "fails" if one.off else "loses packets") for one in fleet.radio_faults]
+            for broken, field, what, verb in others:
                 for edge, kind, word in (
-                    (broken.start_tick, "fault_begins", "fails"),
+                    (broken.start_tick, "fault_begins", verb),
                     (broken.end_tick, "fault_ends", "is well again"),
                 ):
                     for row in np.flatnonzero(history.ticks == int(edge)):
