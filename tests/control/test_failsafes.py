@@ -126,6 +126,7 @@ class Rig:
         return int(self.state.action[0])
 
 
+@pytest.mark.long
 def test_a_guidance_flies_until_something_fails() -> None:
     rig = Rig((20.0, 0.0, -20.0), COM_LOW_BAT_ACT="return_or_land")
     asked = rig.step()
@@ -144,6 +145,7 @@ def test_a_guidance_flies_until_something_fails() -> None:
     assert (rig.action, int(rig.state.phase[0])) == (LAND, DOWN)
 
 
+@pytest.mark.long
 def test_a_return_climbs_flies_home_lowers_waits_and_lands() -> None:
     rig = Rig((20.0, 0.0, -20.0), NAV_DLL_ACT="return", COM_DL_LOSS_T=5.0, RTL_RETURN_ALT=30.0, RTL_LAND_DELAY=0.5)
     rig.step(2, tick=jnp.int32(48))
@@ -152,17 +154,21 @@ def test_a_return_climbs_flies_home_lowers_waits_and_lands() -> None:
     rig.step()
     assert rig.action == RETURN
     assert bool(rig.state.link_lost[0])
-    rig.step(estimate=rig.put(z=-29.4))
+    rig.step(estimate=rig.put(z=-29.45))
     assert int(rig.state.phase[0]) == CLIMB
-    rig.step(estimate=rig.put(z=-29.6))
+    rig.step(estimate=rig.put(z=-29.55))
     assert int(rig.state.phase[0]) == FLY
-    # Home is in the south.
+    # Home is in the south; nearer than 2 m the heading stays.
     assert float(rig.step().yaw[0]) == pytest.approx(math.pi)
-    rig.step(estimate=rig.put(x=-9.1))
+    assert float(rig.step(estimate=rig.put(x=-7.9, y=0.3)).yaw[0]) == pytest.approx(-math.atan2(0.3, -2.1), abs=1e-4)
+    assert float(rig.step(estimate=rig.put(x=-8.1, y=0.0)).yaw[0]) == pytest.approx(-math.atan2(0.3, -2.1), abs=1e-4)
+    rig.step(estimate=rig.put(x=-8.95))
+    assert int(rig.state.phase[0]) == FLY
+    rig.step(estimate=rig.put(x=-9.05))
     assert int(rig.state.phase[0]) == LOWER
-    rig.step(estimate=rig.put(z=-10.4))
-    assert int(rig.state.phase[0]) == LOWER
-    rig.step(4)
+    rig.step(2, estimate=rig.put(z=-10.55))
+    assert (int(rig.state.phase[0]), int(rig.state.since[0])) == (LOWER, 0)
+    rig.step(5, estimate=rig.put(z=-10.45))
     assert int(rig.state.phase[0]) == LOWER
     rig.step()
     assert int(rig.state.phase[0]) == DOWN
@@ -171,6 +177,7 @@ def test_a_return_climbs_flies_home_lowers_waits_and_lands() -> None:
     assert (rig.action, bool(rig.state.link_lost[0])) == (RETURN, False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("place", "top", "z"),
     [
@@ -190,6 +197,7 @@ def test_how_high_a_return_flies(place: tuple[float, float, float], top: float |
     assert float(rig.state.goal_ned.z[0]) == pytest.approx(z, abs=0.01)
 
 
+@pytest.mark.long
 def test_a_hold_is_where_it_can_stop() -> None:
     rig = Rig((20.0, 0.0, -20.0), NAV_DLL_ACT="hold", COM_DL_LOSS_T=5.0)
     zero = jnp.zeros(1)
@@ -201,6 +209,7 @@ def test_a_hold_is_where_it_can_stop() -> None:
     assert float(rig.state.goal_ned.z[0]) == pytest.approx(-21.0)
 
 
+@pytest.mark.long
 def test_without_a_position_it_descends_level_until_there_is_one() -> None:
     rig = Rig((20.0, 0.0, -20.0))
     zero = jnp.zeros(1)
@@ -216,11 +225,15 @@ def test_without_a_position_it_descends_level_until_there_is_one() -> None:
     # Nothing is asked for to the sides, and 0.7 m/s down.
     assert (float(asked.position_ned.x[0]), float(asked.velocity_ned.x[0])) == (20.0, 4.0)
     assert float(asked.velocity_ned.z[0]) == pytest.approx(0.7)
+    # Half as fast where the vehicle is 3.5 m behind.
+    rig.state = replace(rig.state, place_ned=replace(rig.state.place_ned, z=jnp.full(1, -16.5)))
+    assert float(rig.step().velocity_ned.z[0]) == pytest.approx(0.35)
     asked = rig.step(fixed=jnp.ones(1, bool))
     assert rig.action == NOTHING
     assert float(asked.position_ned.x[0]) == 1.0
 
 
+@pytest.mark.long
 def test_who_has_landed_stays_whatever_ends() -> None:
     rig = Rig((20.0, 0.0, -0.1))
     rig.lose_fix(50)
@@ -230,16 +243,18 @@ def test_who_has_landed_stays_whatever_ends() -> None:
     assert not bool(asked.idle[0])
     assert bool(asked.level[0])
     # Motors idle after 0.5 s on the ground, and after 1 s it has landed.
-    asked = rig.step(2)
+    asked = rig.step()
     assert bool(asked.idle[0])
-    assert not bool(rig.state.landed[0])
     rig.step(4)
+    assert not bool(rig.state.landed[0])
+    rig.step()
     assert bool(rig.state.landed[0])
     asked = rig.step(2, fixed=jnp.ones(1, bool), standing=jnp.zeros(1, bool))
     assert rig.action == DESCEND
     assert bool(asked.idle[0])
 
 
+@pytest.mark.long
 def test_nothing_fails_over_on_the_ground() -> None:
     rig = Rig((0.0, 0.0, 0.0), COM_LOW_BAT_ACT="land", NAV_DLL_ACT="land", COM_DL_LOSS_T=5.0)
     no = jnp.zeros(1, bool)

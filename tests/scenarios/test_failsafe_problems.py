@@ -10,6 +10,7 @@ import pytest
 from qrsim.control.failsafes import WORDS
 from qrsim.errors import ScenarioError
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.schema import json_schema
 
 RADIO = {"preset": "sik_915", "path_loss": {"waves": 2}}
 
@@ -139,3 +140,10 @@ def test_numbers_may_be_of_each_vehicle_and_drawn_by_each_episode() -> None:
 def test_a_fleet_without_failsafes_has_none() -> None:
     world = load_scenario(content() | {"fleets": {"uav": content()["fleets"]["uav"] | {"failsafes": None}}}).world()
     assert world.fleets[0].failsafes is None
+
+
+def test_editors_accept_words_and_numbers() -> None:
+    fields = json_schema()["$defs"]["failsafes"]["properties"]
+    assert fields["COM_LOW_BAT_ACT"]["enum"] == ["warn", "land", "return_or_land", 0, 2, 3]
+    assert fields["NAV_DLL_ACT"]["enum"] == ["none", "hold", "return", "land", 0, 1, 2, 3]
+    assert (fields["RTL_RETURN_ALT"]["default"], fields["RTL_RETURN_ALT"]["unit"]) == (60.0, "m")

@@ -300,3 +300,16 @@ def test_presets_of_objects_act_as_those_of_a_scenario() -> None:
         found
         == make_scenario([[0, 0, -10]], sensors=written, controller=controller, **world).spec.fleets["vehicles"].sensors
     )  # type: ignore[arg-type]
+
+
+def test_failsafes_and_what_may_fail_are_parts_of_a_fleet() -> None:
+    made = make_scenario(
+        [(0.0, 0.0, -10.0)],
+        vehicle={"type": "multirotor", "model": "x500"},
+        battery="lithium_cells",
+        failsafes={"COM_LOW_BAT_ACT": "land", "BAT_CRIT_THR": 0.1},
+        injectable={"battery": True},
+    )
+    (fleet,) = made.world().fleets
+    assert (fleet.failsafes.COM_LOW_BAT_ACT, float(fleet.failsafes.BAT_CRIT_THR)) == ("land", pytest.approx(0.1))
+    assert fleet.battery_slot is not None

@@ -289,9 +289,9 @@ class EventFinder:
                 edges.append((broken.start_tick, broken.affected, "fault_begins", part, f"{told} fails"))
                 edges.append((broken.end_tick, broken.affected, "fault_ends", part, f"{told} is well again"))
             for radio in fleet.radio_faults:
-                told = "radio" if radio.off else "radio in part"
-                edges.append((radio.start_tick, radio.affected, "fault_begins", "radio", f"{told} fails"))
-                edges.append((radio.end_tick, radio.affected, "fault_ends", "radio", f"{told} is well again"))
+                told = "radio fails" if radio.off else "radio loses packets"
+                edges.append((radio.start_tick, radio.affected, "fault_begins", "radio", told))
+                edges.append((radio.end_tick, radio.affected, "fault_ends", "radio", "radio is well again"))
             for edge, affected, kind, part, words in edges:
                 for row in np.flatnonzero(history.ticks == int(edge)):
                     for i in np.flatnonzero(affected):

@@ -32,6 +32,8 @@ FLEET_PARTS = (
     "estimator",
     "battery",
     "faults",
+    "failsafes",
+    "injectable",
     "placement",
     "ground",
     "radius",
@@ -63,9 +65,9 @@ def make_scenario(
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
             site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, updrafts, sky, plume,
             terrain, persons, obstacles, buildings, base_station, interference, beacons, collision_distance, radio), and
-            with ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement,
-            and ground, which is the world's unless it is "stop" or "parked"). A component is the name of its type, a
-            dict as in YAML, or an object such as ``LogShear(...)``. Sensors are
+            with ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, failsafes,
+            injectable, placement, and ground, which is the world's unless it is "stop" or "parked"). A component is the
+            name of its type, a dict as in YAML, or an object such as ``LogShear(...)``. Sensors are
             "ideal" (the default), or given by name, or "noisy": a receiver, an IMU, a magnetometer and a barometer,
             with an estimator ``ekf``, and in a wind with a ``speed_20ft`` turbulence ``dryden_field``, unless others
             are given (estimator None for none). With ``extends``, ``fleets`` says what is different in them, and may be

@@ -25,7 +25,7 @@ from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.definitions import with_short_names
 from qrsim.scenarios.event_schema import MOST_EVENTS, Changeable, EventSpec
-from qrsim.scenarios.failsafe_words import words_for_numbers
+from qrsim.scenarios.failsafe_words import PX4Numbers
 from qrsim.scenarios.fault_schema import AnyFault, InjectableModel, or_all
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import RowsSpec, one_by_one
@@ -136,9 +136,7 @@ ControllerSlot: Any = slot_of(known.CONTROLLERS, each=True)
 GuidanceSlot: Any = slot_of(known.GUIDANCE, each=True)
 EstimatorSlot: Any = slot_of(known.FILTERS, each=True)
 LimitsModel: Any = component_model("limits", StateLimits, tagged=False, each=True)
-FailsafesModel: Any = Annotated[
-    component_model("failsafes", Failsafes, tagged=False, each=True), BeforeValidator(words_for_numbers)
-]
+FailsafesModel: Any = component_model("failsafes", Failsafes, tagged=False, each=True, base=PX4Numbers)
 
 
 def _base_model() -> object:
