@@ -190,6 +190,13 @@ def test_controls_are_read_from_the_bytes_of_the_other_encoder(
     assert controls(found.payload) == Controls(stamp, outputs, mode >= 128, bool(flags))
 
 
+def test_directions_are_those_of_px4s_switch() -> None:
+    names = {"forward": "NONE", "right": "YAW_90", "backward": "PITCH_180", "left": "YAW_270", "up": "PITCH_90"}
+    for axis, name in {**names, "down": "PITCH_270"}.items():
+        expected = getattr(common, f"MAV_SENSOR_ROTATION_{name}")
+        assert LAYOUTS["DISTANCE_SENSOR"].message(distance_sensor(1, 1.0, 0.1, 9.0, axis)).orientation == expected
+
+
 def test_a_course_is_known_from_30_centimetres_a_second_on() -> None:
     courses = []
     for speed in (0.29, 0.31):

@@ -34,8 +34,8 @@ MOST_FORCE, MOST_RATE = 32767 / 2048 * 9.80665, math.radians(2000.0) * 32767 / 3
 ARMED, LOCKSTEP, OUTPUTS = 0x80, 0x01, 16
 # Below this speed over the ground a receiver gives no course [m/s].
 SLOWEST_COURSE = 0.3
-# MAV_SENSOR_ROTATION of the axes of the body.
-ROTATIONS = {"forward": 0, "right": 2, "backward": 4, "left": 6, "up": 24, "down": 25}
+# MAV_SENSOR_ROTATION of the axes of the body, of which PX4 takes PITCH_180 for backward.
+ROTATIONS = {"forward": 0, "right": 2, "backward": 12, "left": 6, "up": 24, "down": 25}
 
 
 @dataclass(frozen=True)
