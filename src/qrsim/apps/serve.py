@@ -181,7 +181,7 @@ class Serve:
         if self.pace == "owner":
             return {}
         if self.scenario is None:
-            raise UsageError(f"--pace {self.pace}: name the SCENARIO whose vehicles the clients share")
+            raise UsageError(f"--pace {self.pace}: name the SCENARIO that the clients share")
         if self.sessions:
             raise UsageError(f"--pace {self.pace}: its clients share one world, and with --sessions each has its own")
         if self.timeout and self.pace != "barrier":

@@ -201,7 +201,7 @@ def _injectable_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
     rotors = set(spec.rotors)
     broken = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
     if spec.rotors and not count:
-        yield f"{path}.rotors: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
+        yield f"{path}.rotors: a '{fleet.vehicle.type}' has no rotors that could fail; a 'multirotor' has"
     elif rotors - set(range(count)):
         yield f"{path}.rotors: the vehicle has no rotor {max(rotors)}; allowed: 0 to {count - 1}"
     elif len(rotors | broken) > MOST_FAILED_ROTORS:
@@ -225,7 +225,7 @@ def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec, scenario
     if fault.end is not None and fault.end <= fault.at:
         yield f"{path}.end: {fault.end:g} s is not after the start, {fault.at:g} s"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
-        yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
+        yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors that could fail; a 'multirotor' has"
     elif fault.rotor >= len(fleet.vehicle.rotors):
         last = len(fleet.vehicle.rotors) - 1
         yield f"{path}.rotor: the vehicle has no rotor {fault.rotor}; allowed: 0 to {last}"
@@ -246,7 +246,7 @@ def _problems(path: str, fault: FaultSpec, fleet: FleetSpec) -> Iterator[str]:
     fields = reading_fields(fleet.sensors[fault.sensor].type)
     if TAKES[kind_of(fault.kind)].field and not fields:
         sensor = known.SENSORS[fleet.sensors[fault.sensor].type].__name__
-        yield f"{path}.sensor: {sensor}.step does not say what it reports; expected '-> tuple[State, Reading]'"
+        yield f"{path}.sensor: {sensor}.step does not declare its return type; expected '-> tuple[State, Reading]'"
         return
     for name, problem in number_problems(fault.kind, fault.field, _given(fault), fields):
         yield f"{path}.{name}: {problem}"
