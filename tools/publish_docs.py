@@ -12,7 +12,6 @@ import re
 import subprocess
 import sys
 import tempfile
-from importlib import metadata
 from pathlib import Path
 
 from tools import site
@@ -104,7 +103,7 @@ def main(arguments: list[str]) -> int:
         return 2
     if code := site.build("zensical"):
         return code
-    number = metadata.version("qrsim")
+    number = site.version()
     release = arguments == ["release"]
     version = ".".join(number.split(".")[:2]) if release else "dev"
     publish(site.ROOT, site.ROOT / "build" / "site", version, number if release else "dev", release)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import re
 import sys
-import tomllib
 
-from tools.site import ROOT
+from tools.site import ROOT, version
 from tools.site_source import turn
 
 
@@ -30,10 +29,9 @@ def main(arguments: list[str]) -> int:
         print("usage: python -m tools.release_notes vX.Y.Z", file=sys.stderr)
         return 2
     (tag,) = arguments
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
     text = notes((ROOT / "CHANGELOG.md").read_text("utf-8"), tag[1:])
-    if tag != f"v{version}" or not text:
-        reason = f"pyproject.toml states {version}" if tag != f"v{version}" else "CHANGELOG.md has no entry of it"
+    if tag != f"v{version()}" or not text:
+        reason = f"pyproject.toml states {version()}" if tag != f"v{version()}" else "CHANGELOG.md has no entry of it"
         print(f"{tag}: {reason}", file=sys.stderr)
         return 1
     (repository,) = re.findall(r"^  repository: (\S+)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.MULTILINE)

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from importlib import metadata
+import tomllib
 from pathlib import Path
 
 from tools import offline_site
@@ -24,11 +24,16 @@ SOURCE = ROOT / "build" / "site-source"
 WARNINGS = ("WARNING", "Warning:", "griffe:")
 
 
+def version() -> str:
+    """Return the version that pyproject.toml states, whichever is installed."""
+    return str(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"])
+
+
 def address() -> str:
     """Return the address of the repository's files at the tag of this version."""
     lines = (ROOT / "mkdocs.yml").read_text("utf-8").splitlines()
     (repository,) = (line.split(": ", 1)[1] for line in lines if line.startswith("  repository: "))
-    return f"{repository.rstrip('/')}/blob/v{metadata.version('qrsim')}"
+    return f"{repository.rstrip('/')}/blob/v{version()}"
 
 
 def without_a_place() -> list[str]:
@@ -70,7 +75,7 @@ def pack() -> int:
     if not offline_site.complete(folder):
         print("no page loads the shim of workers: search would not work from files", file=sys.stderr)
         return 1
-    out = ROOT / "build" / f"qrsim-docs-{metadata.version('qrsim')}.zip"
+    out = ROOT / "build" / f"qrsim-docs-{version()}.zip"
     offline_site.pack(folder, out)
     print(f"wrote {out.relative_to(ROOT)}, {out.stat().st_size / 1e6:.0f} MB")
     return 0

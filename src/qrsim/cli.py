@@ -100,7 +100,7 @@ class Version:
 
 
 DATA = Group(
-    """Fetch the public recordings that validation and tests use, or say where they are.
+    """Fetch the public recordings that validation and tests use, or print their folder.
 
 Example:
   qrsim data fetch

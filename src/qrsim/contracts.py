@@ -125,7 +125,7 @@ KINDS: dict[str, type] = {**CONTRACTS, "estimator": Estimator, "metric": Metric,
 
 
 class Description(Tabled):
-    """What a contract has: attributes and methods, which are required, and what each of them is.
+    """The members of a contract: attributes and methods, the required ones, and the meaning of each.
 
     Attributes:
         kind: name of the kind, as ``qrsim.register`` takes it.

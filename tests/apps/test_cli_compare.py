@@ -96,7 +96,7 @@ def test_a_damaged_part_is_left_out_with_a_warning(flown, tmp_path, capsys):
     printed = capsys.readouterr()
     assert "left out: " in printed.err
     assert "only in A; 9 of 9 quantities equal" in printed.out
-    assert "The logs differ in what was recorded; all common values are equal." in printed.out
+    assert "The logs record different quantities; all common values are equal." in printed.out
 
 
 @pytest.mark.parametrize(

@@ -620,7 +620,7 @@ def test_a_run_that_ended_early(end, tmp_path, capsys):
     assert [len(places(item)) for item in features(path, "true")] == [6, 6]
 
 
-ENDS = "what is read ends at its last flush"
+ENDS = "the data end at its last flush"
 
 
 def test_a_run_killed_while_its_last_parts_were_written(tmp_path, capsys):

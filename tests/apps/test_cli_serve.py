@@ -35,7 +35,7 @@ from qrsim.scenarios.scenario import load_scenario
         (["keep_spott"], "did you mean 'keep_spot'?"),
         (["--set", "duration=3"], "there is no SCENARIO to change"),
         (["hover", "--pace", "fre"], "--pace fre: expected owner, barrier or free; did you mean 'free'?"),
-        (["--pace", "free"], "--pace free: name the SCENARIO whose vehicles the clients share"),
+        (["--pace", "free"], "--pace free: name the SCENARIO that the clients share"),
         (["hover", "--pace", "barrier", "--sessions"], "--pace barrier: its clients share one world"),
         (["hover", "--pace", "free", "--timeout", "1"], "--timeout: it is for --pace barrier"),
         (["hover", "--pace", "barrier", "--timeout", "-1"], "--timeout -1: expected a number of seconds"),

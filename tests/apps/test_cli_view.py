@@ -251,7 +251,7 @@ def test_a_run_that_is_being_written_is_said(copy: Path, tmp_path: Path, monkeyp
         path = [str(tmp_path / word) if word.startswith("a.") else word for word in words[1:]]
         assert cli.main([words[0], str(copy), *path]) == 0
         said = capsys.readouterr().err.splitlines()
-        assert said == [f"{copy}: the run has not ended, or was killed; what is read ends at its last flush"]
+        assert said == [f"{copy}: the run has not ended, or was killed; the data end at its last flush"]
 
 
 @pytest.mark.long

@@ -80,7 +80,7 @@ def test_panels(text, names, label, run):
         ("truth.valid,truth.valid", "truth.valid is given twice"),
         (
             "truth.position_ned.x,wind.gust_ned.x",
-            r"truth\.position_ned\.x is in m and wind\.gust_ned\.x is in m/s; give each unit a panel of its own",
+            r"truth\.position_ned\.x is in m and wind\.gust_ned\.x is in m/s; give each unit its own panel",
         ),
         (
             ",".join(

@@ -18,7 +18,7 @@ from qrsim.runs.surroundings import surroundings_of
 from qrsim.runs.terrain import Terrain
 from qrsim.view.recording import Recording
 
-NEVER = r"is Python code, which is not loaded to look at a run; if you trust its author, --code loads it"
+NEVER = r"is Python code, which is not loaded to read a run; if you trust its author, --code loads it"
 
 
 @pytest.fixture(scope="module")

@@ -48,8 +48,8 @@ def warned(*overrides: str) -> list[str]:
         ([f"{FIELD}}}", "world.wind=calm"], "turbulence.speed_20ft: missing; it would be taken from world.wind.speed"),
         (["world.turbulence=dryden_fild"], "no such type 'dryden_fild'; did you mean 'dryden_field'?"),
         ([f"{GUST}}}"], "world.gust.speed: missing (speed at which it is met; only a travelling gust has"),
-        ([f"{GUST}, front: travelling}}", *CALM], "world.gust.speed: missing; it would be that of what carries"),
-        ([f"{GUST}, speed: 3}}", *CALM], "world.gust.wind_from_deg: missing; it would be that of what carries"),
+        ([f"{GUST}, front: travelling}}", *CALM], "world.gust.speed: missing; it would be that of the wind"),
+        ([f"{GUST}, speed: 3}}", *CALM], "world.gust.wind_from_deg: missing; it would be that of the wind"),
     ],
 )
 def test_faults_are_said_in_one_line(overrides: list[str], words: str) -> None:

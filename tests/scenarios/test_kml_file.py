@@ -91,7 +91,7 @@ BAD: dict[str, tuple[str, str | None, str]] = {
         "has a document type (<!DOCTYPE), which KML has not",
     ),
     "another format": ("<gpx><trk/></gpx>", None, "is not KML: its first element is <gpx>, expected <kml>"),
-    "nothing": (kml(), None, "has no Polygon in a Placemark; found no geometry at all"),
+    "nothing": (kml(), None, "has no Polygon in a Placemark; found no geometry"),
     "lines only": (
         kml(*[placemark("path", "<LineString/>")] * 2, placemark("mast", "<Point/>")),
         None,
@@ -125,7 +125,7 @@ BAD: dict[str, tuple[str, str | None, str]] = {
         kml(placemark("field", polygon(SQUARE, inner=TRIANGLE))),
         None,
         "polygon 'field': has a hole (innerBoundaryIs), and holes are not supported; "
-        "draw what is to be kept out of as a polygon of its own",
+        "draw the excluded area as a separate polygon",
     ),
     "no ring": (
         kml(placemark("field", "<Polygon/>")),

@@ -41,7 +41,7 @@ def problem_of(fleet: dict[str, Any] | None = None, **parts: Any) -> str:
         (
             {},
             {"site": {"latitude_deg": 149.1, "longitude_deg": -35.3}},
-            "149.1 is out of range; allowed: -90 to 90; latitude and longitude look swapped",
+            "149.1 is out of range; allowed: -90 to 90; latitude and longitude seem to be swapped",
         ),
     ],
 )

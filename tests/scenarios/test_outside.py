@@ -298,11 +298,11 @@ BAD = {
     ),
     "no unit": (
         changed('unit="1", doc="what', 'unit="", doc="what'),
-        "Gauge.gain has no unit; expected unit='m' or the like, '1' for a plain number",
+        "Gauge.gain has no unit; expected one such as unit='m', or '1' for a plain number",
     ),
     "unit forgotten": (
         changed('unit="1", doc="what', 'doc="what'),
-        "Gauge.gain has no unit; expected unit='m' or the like, '1' for a plain number",
+        "Gauge.gain has no unit; expected one such as unit='m', or '1' for a plain number",
     ),
     "reads is a text": (
         changed('reads = ("position_ned",)', 'reads = "position_ned"'),
@@ -496,7 +496,7 @@ class TestSensorsOfOnesOwn:
         load_scenario(content)
         written(tmp_path, SENSOR.replace(" -> tuple[None, HeightReading]", ""))
         assert complaint(content) == (
-            "fleets.pelicans.faults.0.sensor: Gauge.step does not say what it reports; expected '-> tuple[State, "
+            "fleets.pelicans.faults.0.sensor: Gauge.step does not declare its return type; expected '-> tuple[State, "
             "Reading]'"
         )
         # A period need not be one of the sky where its path has "gnss" in it and it does not look at the sky.

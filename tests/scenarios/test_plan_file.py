@@ -308,7 +308,7 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "home null": (
         altered(plan(), [47.0, 8.0, None], "mission", "plannedHomePosition"),
-        "mission.plannedHomePosition: altitude: expected a number [m], found null, which stands for 'the current one'",
+        "mission.plannedHomePosition: altitude: expected a number [m], found null, which means 'the current one'",
     ),
     "item": (plan(5), "mission.items.0: expected an object, found 5"),
     "item type": (
@@ -399,11 +399,11 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "null longitude": (
         plan(item(16, 47.0, None, 20.0)),
-        "mission.items.0.params.5 (longitude): expected a number [deg], found null, which stands for 'the current one'",
+        "mission.items.0.params.5 (longitude): expected a number [deg], found null, which means 'the current one'",
     ),
     "null altitude": (
         plan(item(22, None, None, None)),
-        "mission.items.0.params.6 (altitude): expected a number [m], found null, which stands for 'the current one'",
+        "mission.items.0.params.6 (altitude): expected a number [m], found null, which means 'the current one'",
     ),
     "NaN": (
         plan(item(16, math.nan, 8.0, 20.0)),
@@ -500,8 +500,8 @@ def test_a_jump_for_ever_says_where_the_plan_goes_on(write: Write) -> None:
     path = write(plan(*places, jump(2, -1), item(20)))
     assert flown(path) == ([1, 2, 3, 2, 3], 3)
     texts = [(note.text, note.route_text) for note in read_plan(path).ignored]
-    never = "item 5, NAV_RETURN_TO_LAUNCH: never reached, because DO_JUMP (item 4) repeats for ever"
-    assert texts == [("item 4, DO_JUMP: ", "item 4, DO_JUMP: repeated once, not for ever"), (never, never)]
+    never = "item 5, NAV_RETURN_TO_LAUNCH: never reached, because DO_JUMP (item 4) repeats endlessly"
+    assert texts == [("item 4, DO_JUMP: ", "item 4, DO_JUMP: repeated once, not endlessly"), (never, never)]
     # A delay at the head of the loop is a hold at its end, every time.
     delayed = read_plan(write(plan(places[0], item(93, 5, 0, 0, 0, 0, 0, 0), places[1], jump(2, -1))))
     assert ([waypoint.hold for waypoint in delayed.waypoints], delayed.again) == ([5.0, 5.0, 5.0], 2)
@@ -510,7 +510,7 @@ def test_a_jump_for_ever_says_where_the_plan_goes_on(write: Write) -> None:
         path = write(plan(places[0], *others))
         assert flown(path) == ([1], None)
         assert any(
-            note.text.endswith("jumps for ever over items that are not flown; the plan ends there")
+            note.text.endswith("jumps endlessly over items that are not flown; the plan ends there")
             for note in read_plan(path).ignored
         )
 

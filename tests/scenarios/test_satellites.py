@@ -102,7 +102,7 @@ class TestSystems:
                 "fleets.a.sensors.gnss.systems: 'EC', but world.sky.orbits has satellites of G",
             ),
             ({}, {}, {"start_time": "2024-01-01T00:00:00Z"}, "allowed: 2010-08-31 14:59:45 to 2010-08-31 19:44:45 UTC"),
-            ({}, {}, {"duration": 86400.0}, "86400 s, is not inside what world.sky.orbits covers; allowed: 2010-08-31"),
+            ({}, {}, {"duration": 86400.0}, "86400 s, is outside the time of world.sky.orbits; allowed: 2010-08-31"),
         ],
     )
     def test_what_is_wrong_is_said_in_one_line(

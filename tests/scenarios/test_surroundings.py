@@ -46,7 +46,7 @@ HAND_LIST = {"gnss": {"type": "gnss_receiver", "satellites": "hand_list"}}
 
 
 def test_a_run_outside_the_orbits(orbits: Any) -> None:
-    covered = "is not inside what world.sky.orbits covers; allowed: 2010-08-31 14:59:45 to 2010-08-31 19:44:45 UTC"
+    covered = "is outside the time of world.sky.orbits; allowed: 2010-08-31 14:59:45 to 2010-08-31 19:44:45 UTC"
     for start in (datetime(2026, 6, 21, 10, tzinfo=UTC), datetime(2010, 8, 31, 19, 44, tzinfo=UTC)):
         (problem,) = problems_of(scenario(orbits(sp3_text()), start))
         assert problem == f"start_time: the run, {start:%Y-%m-%d %H:%M:%S} and 60 s, {covered}"
@@ -57,7 +57,7 @@ def test_a_run_beyond_the_cut_of_a_file_names_the_file_and_the_cut(orbits: Any) 
     """Also where so little is left that nothing can be interpolated."""
     text = sp3_text()
     expected = {
-        14: "start_time: the run, 2010-08-31 19:00:00 and 60 s, is not inside what world.sky.orbits covers; allowed: ",
+        14: "start_time: the run, 2010-08-31 19:00:00 and 60 s, is outside the time of world.sky.orbits; allowed: ",
         5: "world.sky.orbits: ",
     }
     for epochs, start in expected.items():

@@ -57,7 +57,7 @@ def test_faults_are_said_in_one_line(overrides: list[str], words: str) -> None:
             [f"{THERMALS}, z_i: 100, count: 1}}]", "fleets.pelicans.vehicles.0.position_ned=[0, 0, -150]"],
             "world.updrafts.0.z_i: 100 m, and fleets.pelicans.vehicles.0 is at 150 m or sent there; no air rises there",
         ),
-        ([f"{THERMALS}, z_i: 200, count: 300}}]"], "world.updrafts.0: 300 thermals, each of which every vehicle looks"),
+        ([f"{THERMALS}, z_i: 200, count: 300}}]"], "world.updrafts.0: 300 thermals, all computed for every vehicle"),
         ([WAKES, MAST, "world.wind=calm"], "world.updrafts.0: 'building_wakes' does nothing without a wind; world.win"),
     ],
 )
@@ -144,7 +144,7 @@ def test_a_number_of_them_can_be_drawn_and_an_object_can_be_given() -> None:
     wide = [{"path": "world.updrafts.0.z_i", "low": 700.0, "high": 6000.0}]
     with pytest.raises(ScenarioError, match="at most"):
         qrsim.make_scenario(**held(updrafts=FEW, ranges=wide))
-    with pytest.raises(ScenarioError, match="part of what is compiled"):
+    with pytest.raises(ScenarioError, match="compiled into the program"):
         qrsim.make_scenario(**held(updrafts=FEW, ranges=[{"path": "world.updrafts.0.count", "low": 1, "high": 2}]))
 
 

@@ -226,7 +226,7 @@ def test_the_cost_of_keeping_a_spot_is_as_defined() -> None:
         ("cats_and_mouse/1C", "ranges.0.path=world.wind.sped_20ft", "no such number; did you mean 'speed_20ft'"),
         ("cats_and_mouse/1C", "ranges.0.high=1000", "ranges.0.high: world.wind.wind_from_rad: .* is out of range"),
         ("cats_and_mouse/1C", "ranges.0.path=task.period", "task.period cannot be drawn; allowed"),
-        ("cats_and_mouse/1C", "ranges.0.path=fleets.cats.sensors.gnss.period", "it is part of what is compiled"),
+        ("cats_and_mouse/1C", "ranges.0.path=fleets.cats.sensors.gnss.period", "it is compiled into the program"),
     ],
 )
 def test_what_cannot_be_played_is_refused(name: str, override: str, message: str) -> None:

@@ -191,7 +191,7 @@ class Serve:
                 raise UsageError("--allow-inject: it is for --pace barrier and free; a session's wind is its client's")
             return {}
         if self.scenario is None:
-            raise UsageError(f"--pace {self.pace}: name the SCENARIO whose vehicles the clients share")
+            raise UsageError(f"--pace {self.pace}: name the SCENARIO that the clients share")
         if self.sessions:
             raise UsageError(f"--pace {self.pace}: its clients share one world, and with --sessions each has its own")
         if self.timeout and self.pace != "barrier":

@@ -139,7 +139,7 @@ class Sweep:
         fast = f" in {flying:.1f} s ({simulated / flying:.0f} times real time)" if flown else ""
         self._tell(
             result,
-            f"{_sentence(plan)}{was}: {flown} flown{fast}\nstore: {out}\nto look at it: qrsim sweep-report {out}",
+            f"{_sentence(plan)}{was}: {flown} flown{fast}\nstore: {out}\nto see the results: qrsim sweep-report {out}",
         )
 
     def _tell(self, result: Mapping[str, object], text: str) -> None:

@@ -98,7 +98,7 @@ class Guidance(Protocol):
 
 @record
 class Preflight:
-    """What happened to vehicles (n,) before their start, for estimators that have ``first_normals``."""
+    """Conditions of vehicles (n,) before their start, for estimators that have ``first_normals``."""
 
     normals: tuple[Array, ...] = quantity(unit="1", doc="standard normals, as many as the estimator draws")
     at_rest: Array | None = quantity(default=None, doc="bool: starts on the ground; None: all start in flight")
@@ -159,13 +159,13 @@ class Estimator(Protocol):
         return None
 
     def inner(self, state: Any) -> tuple[object, object] | None:
-        """Return what it estimates beside that, a record of (n,), and the std of it; None if there is no more."""
+        """Return further estimated quantities, a record of (n,), and their std; None without any."""
         return None
 
     def consistency(self, state: Any, truth: Truth) -> Consistency | None:
-        """Return how large its errors are beside what it states (n,), None if it states nothing."""
+        """Return the errors relative to the reported covariance (n,); None if it reports none."""
         return None
 
     def innovations(self, state: Any) -> object | None:
-        """Return what the last readings said beside what was expected, a record of (n,), None if it does not say."""
+        """Return the innovations of the last readings, a record of (n,); None if it has none."""
         return None

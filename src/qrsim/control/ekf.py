@@ -155,7 +155,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return inner
 
     def _earth_field(self, field: Vec3, turned: Quaternion) -> Vec3:
-        """Return the Earth's field (n,) as it is given, else as it is read where nothing is wrong."""
+        """Return the Earth's field (n,) at the site if it is known, else the field of an ideal reading."""
         if self.earth_field_ned is None:
             return turned.rotation().to_ned(field)
         return self.earth_field_ned.map(lambda axis: jnp.zeros_like(field.x) + axis)
@@ -182,12 +182,12 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
 
     def inner(self, state: KalmanState) -> tuple[Inner, Inner]:
-        """Return what it estimates beside the motion, and the std of it."""
+        """Return the estimated quantities other than the motion, and their std."""
         unseen = self._unseen(state)
         return state.inner, inner_std(state, [along(unseen, {k: 1.0}) for k in range(GYROSCOPE, SIZE)])
 
     def consistency(self, state: KalmanState, truth: Truth) -> Consistency:
-        """Return how large its errors are beside what it states (n,); of magnetic field and wind nothing is said."""
+        """Return the errors relative to the reported covariance (n,), without those of magnetic field and wind."""
         biases = (truth.gyroscope_bias, truth.accelerometer_bias)
         known_biases = None not in biases
         position_error = truth.position_ned - state.position_ned - state.position_low_ned
@@ -205,7 +205,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return unseen(state, self.accelerometer_scale, self.gyroscope_g_sensitivity, self.gravity)
 
     def innovations(self, state: KalmanState) -> Innovations:
-        """Return what the last readings said beside what was expected, in std."""
+        """Return the innovations of the last readings, in std."""
         return state.innovations
 
     def _as(self, like: Array, std: Array) -> Array:
@@ -285,7 +285,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _measured(
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
-        """Return the state corrected by what is new (F2)."""
+        """Return the state corrected by new readings (F2)."""
         none = jnp.zeros((state.places.size // BLOCK, BLOCK, *state.since_fix.shape), state.since_fix.dtype)
         carry: Corrected = (state.covariance, none, state.since_fix, state.innovations, state.slow)
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):

@@ -48,5 +48,5 @@ def _returns(axes: Axes, found: Sequence[Scored]) -> None:
         axes.set_xscale("symlog", linthresh=max(1e-3, float(np.quantile(np.abs(every), 0.1))))
         low, high = float(every.min()), float(every.max())
         axes.set_xlim(low * (1.5 if low < 0.0 else 0.7), high * (0.7 if high < 0.0 else 1.5))
-    axes.set_xlabel("return of an episode; x: somebody stopped; black: mean, 95 % interval")
+    axes.set_xlabel("return of an episode; x: a vehicle stopped; black: mean, 95 % interval")
     axes.grid(alpha=0.3)

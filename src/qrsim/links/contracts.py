@@ -1,4 +1,4 @@
-"""What links to other software hand to the world that they share (shared/), and what they get from it."""
+"""Records that links to other software exchange with the world that they share (shared/)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ON_SILENCE: tuple[str, ...] = get_args(OnSilence)
 
 @dataclass(frozen=True)
 class Order:
-    """What one vehicle is to do until its next order.
+    """The order of one vehicle, until its next one.
 
     Attributes:
         vehicle: name.
@@ -31,12 +31,12 @@ class Order:
 
 @dataclass(frozen=True)
 class Words:
-    """A message that one vehicle is to say over the radio.
+    """A message that one vehicle sends by radio.
 
     Attributes:
         vehicle: name.
         numbers: of the message.
-        to: name of the vehicle that alone is to hear it; None: all.
+        to: name of the only recipient; None: all.
     """
 
     vehicle: str
@@ -46,7 +46,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Silence:
-    """What becomes of a vehicle without its controller.
+    """Behaviour of a vehicle without its controller.
 
     Attributes:
         does: "hold", "return" or "stop".

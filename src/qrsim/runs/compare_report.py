@@ -162,7 +162,7 @@ def _verdict(found: Comparison) -> str:
     if found.differences:
         first = found.differences[0]
         return f"The logs differ, for the first time at {first.first.time:.10g} s in {first.quantity}."
-    return "The logs differ in what was recorded; all common values are equal."
+    return "The logs record different quantities; all common values are equal."
 
 
 def to_json(first: Run, second: Run, found: Comparison) -> Content:

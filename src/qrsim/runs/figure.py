@@ -214,7 +214,7 @@ def _task_text(run: Run, data: _Data) -> str:
         found = int(np.isfinite(around.found).sum())
         return f"task search: {found} of {len(around.persons)} persons found"
     if around.task == "plume_mapping" and len(around.locations):
-        return f"task plume_mapping: {len(around.locations)} places asked for, scored by what is handed in for them"
+        return f"task plume_mapping: {len(around.locations)} locations, scored by the answer for them"
     if around.task == "pursuit" and (distances := _nearest_prey(run, data)):
         told = ", ".join(f"{distance:.1f}" for distance in distances)
         return f"task pursuit: at the end the cats are {told} m from the nearest mouse"

@@ -91,11 +91,11 @@ def parse_panel(run: Run, text: str) -> Panel:
         # A count or a flag has no unit, a ratio has 1.
         if (item.column.unit or "1") != (found[0].column.unit or "1"):
             units = [f"{other.name} is in {other.column.unit or '1'}" for other in (found[0], item)]
-            raise UsageError(f"{where}: {' and '.join(units)}; give each unit a panel of its own")
+            raise UsageError(f"{where}: {' and '.join(units)}; give each unit its own panel")
     panel = Panel(text, tuple(found))
     most = max(len(axis.quantities) for axis in per_axis(panel))
     if most > len(STYLES):
-        raise UsageError(f"{where}: {most} quantities are too many to tell apart; at most {len(STYLES)}")
+        raise UsageError(f"{where}: {most} quantities are too many to distinguish; at most {len(STYLES)}")
     return panel
 
 

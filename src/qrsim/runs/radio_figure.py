@@ -95,7 +95,7 @@ def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:
         for name, x, y in zip(run.vehicles, east, north, strict=True):
             axes.annotate(name, (x, y), (5, 5), textcoords="offset points", fontsize=8)
     axes.set(xlabel="east [m]", ylabel="north [m]")
-    axes.set_title("who heard whom: the half of a link at who hears; the thicker, the stronger", fontsize=10)
+    axes.set_title("received packets: the half of a link at the receiver; the thicker, the stronger", fontsize=10)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.1)
     axes.grid(alpha=0.3)
@@ -114,7 +114,7 @@ def _delivery(axes: Axes, found: Connectivity) -> None:
     axes.plot(found.time, found.delivery, color=colours_of(2)[0], lw=1.8, label="heard")
     for name, part in found.lost.items():
         axes.plot(found.time, part, color="0.35", ls=STYLES[name], lw=1.1, label=f"lost: {name}")
-    axes.set(ylabel="part of the packets", ylim=(-0.03, 1.03), title="delivery: what became of the packets")
+    axes.set(ylabel="part of the packets", ylim=(-0.03, 1.03), title="delivery: fate of the packets")
     axes.legend(fontsize=8, framealpha=0.8)
     axes.grid(alpha=0.3)
 

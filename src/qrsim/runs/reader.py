@@ -160,7 +160,7 @@ class Run(Tabled):
         """One line where the run is being written, or was killed while it was; "" where it has ended."""
         if self.info.state != "running":
             return ""
-        return f"{self.folder}: the run has not ended, or was killed; what is read ends at its last flush"
+        return f"{self.folder}: the run has not ended, or was killed; the data end at its last flush"
 
     @property
     def streams(self) -> tuple[str, ...]:

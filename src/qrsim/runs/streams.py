@@ -96,7 +96,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         items += loads(fleet, state, {name for name, *_ in items})
         standing = on_ground(fleet, state)
         if standing is not None:
-            items.append(("on_ground", np.asarray(standing), "", "whether the vehicle stands on the ground"))
+            items.append(("on_ground", np.asarray(standing), "", "whether the vehicle is on the ground"))
     if stream == "commands":
         items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
         items.append(("waypoint", state.guidance.index, "", "index of the waypoint flown to"))

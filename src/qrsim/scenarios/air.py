@@ -42,7 +42,9 @@ def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
             yield "world.gust.speed: missing (speed at which it is met; only a travelling gust has the wind's, m/s)"
         elif (gust.speed is None or gust.wind_from_rad is None) and convection_speed(scenario) == 0.0:
             name = "speed" if gust.speed is None else "wind_from_deg"
-            yield (f"world.gust.{name}: missing; it would be that of what carries the turbulence, which stands still")
+            yield (
+                f"world.gust.{name}: missing; it would be that of the wind that carries the turbulence, which is zero"
+            )
 
 
 def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:

@@ -33,7 +33,7 @@ def beacon_problems(scenario: Any) -> Iterator[str]:
     names = [beacon.name for beacon in scenario.world.beacons]
     for name, count in Counter(names).items():
         if count > 1:
-            yield f"world.beacons: {count} are called '{name}'; each needs a name of its own"
+            yield f"world.beacons: {count} are called '{name}'; names must differ"
     everybody = sum(len(fleet.vehicles) for fleet in scenario.fleets.values())
     for fleet_name, fleet in scenario.fleets.items():
         for sensor_name, sensor in fleet.sensors.items():
@@ -48,7 +48,7 @@ def beacon_problems(scenario: Any) -> Iterator[str]:
             others = {"none": 0, "fleet": len(fleet.vehicles), "all": everybody}[sensor.vehicles]
             partners = len(asked) + max(others - 1, 0)
             if not partners:
-                yield f"{path}: nobody to range to; give world.beacons, or vehicles: all where there are several"
+                yield f"{path}: nothing to range to; give world.beacons, or vehicles: all with several vehicles"
             elif partners > MOST_PARTNERS:
                 yield (
                     f"{path}: ranges to {partners} beacons and vehicles; allowed: {MOST_PARTNERS}; name fewer beacons, "

@@ -118,13 +118,13 @@ def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[st
         if INFO not in field.metadata:
             yield f"{title} has no unit; expected {field.name}: ... = qrsim.parameter(default, unit=..., doc=...)"
         elif field.name == "type":
-            yield f"{title}: 'type' is what a scenario names the component by; choose another name"
+            yield f"{title}: 'type' is the key that names the component in a scenario; choose another name"
         elif dataclasses.is_dataclass(field.default) and not isinstance(field.default, type):
             yield from _field_problems(kind, type(field.default), f"{prefix}{field.name}.")
         elif not info.unit and (not info.static or hints[field.name] is float):
-            yield f"{title} has no unit; expected unit='m' or the like, '1' for a plain number"
+            yield f"{title} has no unit; expected one such as unit='m', or '1' for a plain number"
         elif not info.doc:
-            yield f"{title} has no doc; expected one sentence that says what it is"
+            yield f"{title} has no doc; expected one sentence that describes it"
         else:
             yield from _default_problems(title, field, info, hints[field.name])
 
@@ -142,9 +142,9 @@ def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo
     elif not info.static:
         low, high, above = info.minimum, info.maximum, info.above
         if (low is not None and default < low) or (high is not None and default > high):
-            yield f"{title}: its default {default:g} is out of its own bounds"
+            yield f"{title}: its default {default:g} is outside its own bounds"
         if above is not None and default <= above:
-            yield f"{title}: its default {default:g} is out of its own bounds"
+            yield f"{title}: its default {default:g} is outside its own bounds"
 
 
 def _method_problems(kind: str, component: type) -> Iterator[str]:

@@ -350,8 +350,8 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
         span = f"{utc_from_gps_seconds(first):%Y-%m-%d %H:%M:%S} to {utc_from_gps_seconds(last):%Y-%m-%d %H:%M:%S} UTC"
         cut_off = ephemeris.cut_off if orbits.type == "sp3" else ""
         yield (
-            f"start_time: the run, {scenario.start_time:%Y-%m-%d %H:%M:%S} and {scenario.duration:g} s, is not inside "
-            f"what world.sky.orbits covers; allowed: {span}{cut_off}"
+            f"start_time: the run, {scenario.start_time:%Y-%m-%d %H:%M:%S} and {scenario.duration:g} s, is outside "
+            f"the time of world.sky.orbits; allowed: {span}{cut_off}"
         )
     yield from satellite_problems(scenario, ephemeris)
     if orbits.type in ("nominal_constellation", "nominal_constellations"):

@@ -36,7 +36,7 @@ def or_all(schema: dict[str, Any]) -> None:
 class FaultSpec(Strict):
     """A time during which a sensor does not say what it should."""
 
-    type: Literal["sensor"] = Field("sensor", description="what fails; may be left out")
+    type: Literal["sensor"] = Field("sensor", description="target that fails; may be left out")
     sensor: str = Field(description="name of the sensor")
     kind: Literal[
         "off",
@@ -51,23 +51,25 @@ class FaultSpec(Strict):
         "lost",
         "frozen",
         "biased",
-    ] = Field(description="what happens to its readings; lost, frozen and biased are off, stuck and wrong")
+    ] = Field(description="kind of the fault; lost, frozen and biased are other names of off, stuck and wrong")
     start: Finite = Field(description="start [s]", ge=0)
     end: Finite | None = Field(None, description="end [s]; default: the end of the run", gt=0)
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
     field: str | None = Field(
-        None, description="what of it is wrong, drifts, is noisy or garbage: position_ned.x, all axes of position_ned"
+        None, description="field that is wrong, drifts, is noisy or garbage: position_ned.x, position_ned for all axes"
     )
-    bias: Finite | None = Field(None, description="what is added, in the unit of the field (wrong)")
-    scale: Finite | None = Field(None, description="what it is multiplied by before (wrong)")
-    rate: Finite | None = Field(None, description="what is added in a second (drift)")
+    bias: Finite | None = Field(None, description="offset, in the unit of the field (wrong)")
+    scale: Finite | None = Field(None, description="factor, applied before the offset (wrong)")
+    rate: Finite | None = Field(None, description="offset per second (drift)")
     limit: Finite | None = Field(None, description="the most that is added (drift); default: any number", ge=0)
-    std: Finite | None = Field(None, description="standard deviation of what is added to each reading (noisy)", ge=0)
+    std: Finite | None = Field(None, description="standard deviation of the noise of each reading (noisy)", ge=0)
     times: Finite | None = Field(
         None, description="in place of std: white noise of the sensor so many times as large (noisy)", ge=1, le=1e6
     )
     range: Finite | None = Field(None, description="readings are drawn uniformly from - to + this (garbage)", ge=0)
-    every: int | None = Field(None, description="one reading of so many is delivered (slow)", ge=1, le=1_000_000)
+    every: int | None = Field(
+        None, description="number of readings of which one is delivered (slow)", ge=1, le=1_000_000
+    )
     by: Finite | None = Field(None, description="how late readings come [s] (delayed)", ge=0, le=600)
     share: Finite | None = Field(None, description="share of the readings that is lost (intermittent)", ge=0, le=1)
     on: Finite | None = Field(None, description="time with readings [s], then without (intermittent)", ge=0, le=1e6)
@@ -80,9 +82,7 @@ class RotorFaultSpec(Strict):
     type: Literal["rotor"] = Field(description="what fails")
     rotor: int = Field(description="number of the rotor, from 0", ge=0, strict=True)
     at: Finite = Field(description="when [s]", ge=0)
-    health: Finite = Field(
-        0.0, description="the part of its speed that it still reaches; 0: it stands still", ge=0, le=1
-    )
+    health: Finite = Field(0.0, description="share of its speed that it still reaches; 0: it stops", ge=0, le=1)
     speed: Finite | None = Field(
         None, description="the part of its largest speed that it is stuck at, in place of health", ge=0, le=1
     )

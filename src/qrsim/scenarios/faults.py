@@ -302,7 +302,7 @@ def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
     rotors = set(spec.rotors)
     broken = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
     if spec.rotors and not count:
-        yield f"{path}.rotors: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
+        yield f"{path}.rotors: a '{fleet.vehicle.type}' has no rotors that could fail; a 'multirotor' has"
     elif rotors - set(range(count)):
         yield f"{path}.rotors: the vehicle has no rotor {max(rotors)}; allowed: 0 to {count - 1}"
     elif len(rotors | broken) > MOST_FAILED_ROTORS:
@@ -344,7 +344,7 @@ def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Itera
     if fault.speed is not None and fault.health > 0.0:
         yield f"{path}.health: a rotor that is stuck at a speed has none"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
-        yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
+        yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors that could fail; a 'multirotor' has"
     elif fault.rotor >= len(fleet.vehicle.rotors):
         last = len(fleet.vehicle.rotors) - 1
         yield f"{path}.rotor: the vehicle has no rotor {fault.rotor}; allowed: 0 to {last}"
@@ -365,7 +365,7 @@ def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioS
     fields = reading_fields(fleet.sensors[fault.sensor].type)
     if TAKES[kind_of(fault.kind)].field and not fields:
         sensor = known.SENSORS[fleet.sensors[fault.sensor].type].__name__
-        yield f"{path}.sensor: {sensor}.step does not say what it reports; expected '-> tuple[State, Reading]'"
+        yield f"{path}.sensor: {sensor}.step does not declare its return type; expected '-> tuple[State, Reading]'"
         return
     white = _white_noise(fleet, fault.sensor, scenario) if fault.times is not None else None
     for name, problem in number_problems(fault.kind, fault.field, _given(fault), fields, white):

@@ -43,7 +43,7 @@ _GIVEN: dict[str, dict[str, tuple[object, object]]] = {
         "position_ned": (Position, Field(_ZERO, description="centre of where it is heard [m]: north, east, down")),
         "offset_ned": (Position, Field(_ZERO, description="offset of a fix at the start [m]")),
         "rate_ned": (Position, Field(_ZERO, description="by which it moves a fix on [m/s]")),
-        "vehicles": (list[str] | None, Field(None, description="names; default: all that hear it", min_length=1)),
+        "vehicles": (list[str] | None, Field(None, description="names; default: all within its range", min_length=1)),
     },
     "outage": {
         "systems": (str | None, Field(None, description="letters of the systems that fail, of G, E, R, C")),

@@ -133,7 +133,7 @@ def _polygon_elements(path: str) -> list[tuple[str, Element]]:
         others = Counter(
             _tag(part) for placemark in placemarks for part in placemark.iter() if _tag(part) in GEOMETRIES
         )
-        words = ", ".join(f"{count} {tag}" for tag, count in others.items()) or "no geometry at all"
+        words = ", ".join(f"{count} {tag}" for tag, count in others.items()) or "no geometry"
         raise UsageError(f"{path}: has no Polygon in a Placemark; found {words}")
     return found
 
@@ -144,7 +144,7 @@ def _polygon(path: str, name: str, element: Element) -> KmlPolygon:
     if _children(element, "innerBoundaryIs"):
         raise UsageError(
             f"{where}: has a hole (innerBoundaryIs), and holes are not supported; "
-            "draw what is to be kept out of as a polygon of its own"
+            "draw the excluded area as a separate polygon"
         )
     rings = [ring for outer in _children(element, "outerBoundaryIs") for ring in _children(outer, "LinearRing")]
     texts = [_text(ring, "coordinates") for ring in rings]

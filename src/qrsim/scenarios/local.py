@@ -40,7 +40,7 @@ def swapped_hint(latitude: object, longitude: object) -> str:
     """Return a hint where what is given as a latitude [deg] can only be a longitude, and the other way round."""
     pair = [float(each) for each in (latitude, longitude) if isinstance(each, int | float)]
     swapped = len(pair) == 2 and 90.0 < abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0
-    return "; latitude and longitude look swapped" if swapped else ""
+    return "; latitude and longitude seem to be swapped" if swapped else ""
 
 
 def _if_swapped(site: Site, place: tuple[float, float, float]) -> str:

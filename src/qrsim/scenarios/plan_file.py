@@ -163,7 +163,7 @@ class _Route:
         if flight.jump is None or first is None:
             return
         if self.again in (None, len(self.waypoints)):
-            what = "jumps for ever over items that are not flown; the plan ends there"
+            what = "jumps endlessly over items that are not flown; the plan ends there"
             self.again, more = None, [Ignored(flight.jump.number, "DO_JUMP", what)]
         else:
             # Delays between the jump and the next waypoint belong to the last one.
@@ -171,8 +171,8 @@ class _Route:
                 if item.content.get("command") in FLOWN:
                     break
                 self._add_one(item)
-            more = [Ignored(flight.jump.number, "DO_JUMP", "", "repeated once, not for ever")]
-        never = f"never reached, because DO_JUMP (item {flight.jump.number}) repeats for ever"
+            more = [Ignored(flight.jump.number, "DO_JUMP", "", "repeated once, not endlessly")]
+        never = f"never reached, because DO_JUMP (item {flight.jump.number}) repeats endlessly"
         for item in self.items:
             if item.number in flight.unreached:
                 more.append(Ignored(item.number, _name_of(item.content.get("command")), never))

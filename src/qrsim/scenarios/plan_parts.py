@@ -148,7 +148,7 @@ def section_of(content: Mapping[str, object], key: str, version: int) -> Content
 def number_of(value: object, where: str, limit: float, unit: str) -> float:
     """Return a number whose size is at most a limit."""
     if not isinstance(value, int | float) or isinstance(value, bool):
-        meaning = ", which stands for 'the current one'" if value is None else ""
+        meaning = ", which means 'the current one'" if value is None else ""
         kind = f"a number [{unit}]" if unit else "a number"
         raise PlanFaultError(f"{where}: expected {kind}, found {shown(value)}{meaning}")
     # NaN fails this comparison too.

@@ -67,7 +67,7 @@ def provide_components(content: object, source: str, named_code: bool = True) ->
         name = part["type"]
         if code.is_code(name) and not named_code:
             if name not in catalogue.KINDS[kind]:
-                problems.append(f"{path}.type: {name} is Python code, which is not loaded to look at a run; {TRUST}")
+                problems.append(f"{path}.type: {name} is Python code, which is not loaded to read a run; {TRUST}")
             continue
         try:
             registry.provide(kind, name)

@@ -52,7 +52,7 @@ def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[
         return
     for name, fleet in scenario.fleets.items():
         if _INBOX in fleet.sensors:
-            yield f"fleets.{name}.sensors.inbox: with a radio, reading.inbox is what it has heard; call it otherwise"
+            yield f"fleets.{name}.sensors.inbox: reading.inbox contains received messages; choose another name"
     size, length = network.size, network.packet.bytes
     if _NUMBER * size > length:
         yield (

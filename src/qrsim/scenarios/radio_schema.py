@@ -35,6 +35,6 @@ class FleetRadioSpec(Strict):
     def _none(cls, data: object) -> object:
         if isinstance(data, str):
             if data != NONE:
-                raise ValueError(f"is {data!r}; expected 'none', or what is different from world.radio")
+                raise ValueError(f"is {data!r}; expected 'none', or values that differ from world.radio")
             return {"works": False}
         return data

@@ -103,7 +103,7 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
         ]
         return f"{path} cannot be drawn; allowed: numbers of {', '.join(parts_known)}"
     if isinstance(value, bool) or not isinstance(value, int | float) or _is_setting(scenario, path):
-        return f"{path} is not a number that can differ from episode to episode: it is part of what is compiled"
+        return f"{path} is not a number that can differ from episode to episode: it is compiled into the program"
     return ""
 
 

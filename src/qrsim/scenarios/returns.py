@@ -354,7 +354,7 @@ def _action(fleet: Any, action: Any) -> Iterator[str]:
     taken = (*getattr(type(fleet.controller), "setpoints", ()), *fleet.vehicle.actions)
     if not isinstance(action, taken):
         names = ", ".join(dict.fromkeys(each.__name__ for each in taken))
-        yield f"{what} is {_name(action)}; expected one of what its controller and vehicles take: {names}; or None"
+        yield f"{what} is {_name(action)}; expected a kind that its controller and vehicles take: {names}; or None"
         return
     for path, leaf in jax.tree_util.tree_leaves_with_path(action):
         name = f"{type(action).__name__}{jax.tree_util.keystr(path)}"

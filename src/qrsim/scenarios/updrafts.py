@@ -49,7 +49,7 @@ def updraft_warnings(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}.z_i: {updraft.z_i:g} m, and {where} is at {height:g} m or sent there; no air rises there"
             number = updraft_of(scenario, i).number
             if number > MANY_THERMALS:
-                yield f"{path}: {number} thermals, each of which every vehicle looks at in every tick; expect slow runs"
+                yield f"{path}: {number} thermals, all computed for every vehicle in every tick; expect slow runs"
         elif updraft.type in ("ridge_lift", "building_wakes") and _is_calm(scenario):
             yield f"{path}: '{updraft.type}' does nothing without a wind; world.wind is calm"
 

@@ -143,7 +143,7 @@ def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
     if over[i] > 0.0:
         yield (
             f"world.wind: {wind[i]:.3g} m/s at {heights[i]:g} m, where {path}.vehicles.{i} is to fly; above "
-            f"{held.airspeed[i]:.3g} m/s the controller 'waypoint' stands farther than guidance.acceptance_radius, "
+            f"{held.airspeed[i]:.3g} m/s the controller 'waypoint' rests farther than guidance.acceptance_radius, "
             f"{radius[i]:g} m, from a waypoint and may never reach it; use 'cascade' or a larger radius"
         )
 

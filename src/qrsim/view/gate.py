@@ -110,7 +110,7 @@ class Gate:
         if not self.token and name not in LOCAL_NAMES:
             return f"this page is at one of {', '.join(LOCAL_NAMES)}, not at {name}"
         if origin is not None and urlsplit(origin).netloc != host:
-            return f"pages of {origin} may not look"
+            return f"pages of {origin} may not view this page"
         return None
 
     def _request(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:

@@ -48,7 +48,7 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
         ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s a step"),
         ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s a step"),
     ],
-    LINKS: [("scale", list(colours.WIND), "radio at who hears: 0 to all packets arrive; thin: the last was lost")],
+    LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
     "area": [("thin", [colours.GREY], "flight area")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],

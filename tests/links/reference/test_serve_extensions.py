@@ -216,7 +216,7 @@ def test_sessions_are_isolated_and_can_be_watched():
         assert slow.is_alive(), "the other session is in its long step meanwhile"
         with Client(port=served.port) as third:
             assert third.hello()["sessions"] == [1, 2]
-            with pytest.raises(Refused, match="2 sessions run; say which"):
+            with pytest.raises(Refused, match="2 sessions run; name one"):
                 third.watch()
             with pytest.raises(Refused, match="there is no session 9; running: 1, 2"):
                 third.watch(9)

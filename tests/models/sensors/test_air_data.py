@@ -221,7 +221,7 @@ class TestAirspeed:
         assert slow.differential_pressure == pytest.approx(0.6125 * 4.9**2, rel=1e-4)
         assert math.isnan(slow.indicated_airspeed)
         assert math.isnan(slow.true_airspeed)
-        assert slow.reason(0) == "slower than a pitot tube can tell"
+        assert slow.reason(0) == "slower than a pitot tube can measure"
         always = at(self.pitot(speed_min=0.0), scene(0.0))
         assert always.indicated_airspeed == 0.0
 
@@ -345,7 +345,7 @@ class TestInAWorld:
             # What clients of the reference protocol are sent as barometric height and its rate.
             sent = Readout(simulation).message().eX[0].value
             assert [sent[16], sent[19]] == pytest.approx([reading.baro.height[0], reading.baro.height_rate[0]])
-            assert reading.pitot.reasons == ["slower than a pitot tube can tell"]
+            assert reading.pitot.reasons == ["slower than a pitot tube can measure"]
             flown.append((reading.baro.height, reading.baro.pressure, reading.pitot.differential_pressure))
             assert abs(reading.pitot.differential_pressure[0] - 100.0) < 20.0
         for a, b, tolerance in zip(*flown, (0.02, 0.3, 0.1), strict=True):

@@ -209,7 +209,7 @@ def test_presets() -> None:
     ("given", "message"),
     [
         ({"beacons": ["masst"]}, "uwb.beacons: no beacon is called 'masst'; did you mean 'mast'"),
-        ({"beacons": [], "vehicles": "none"}, "uwb: nobody to range to; give world.beacons"),
+        ({"beacons": [], "vehicles": "none"}, "uwb: nothing to range to; give world.beacons"),
         ({"vehicles": "fleets"}, "fleet"),
         ({"preset": "dw100"}, "dw1000"),
         ({"noise_std": -0.1}, "uwb.noise_std: -0.1 is out of range"),
@@ -223,7 +223,7 @@ def test_errors(given: dict[str, Any], message: str) -> None:
 
 
 def test_errors_of_beacons() -> None:
-    with pytest.raises(ScenarioError, match=r"world\.beacons: 2 are called 'mast'; each needs a name of its own"):
+    with pytest.raises(ScenarioError, match=r"world\.beacons: 2 are called 'mast'; names must differ"):
         make_scenario(STARTS, beacons=[BEACONS[0], {**BEACONS[1], "name": "mast"}], controller=TRUTH)
     with pytest.raises(ScenarioError, match=r"ranges to 79 beacons and vehicles; allowed: 64"):
         make_scenario(

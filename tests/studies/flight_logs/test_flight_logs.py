@@ -288,7 +288,7 @@ class TestMessagesOfAULog:
         good, bad = ulog_message(b"I", b"abc"), b"\x05\x00\x00" + bytes(40)
         kept, notes = whole_messages(self.HEADER + good + bad + self.SYNC + good)
         assert kept == self.HEADER + good + self.SYNC + good
-        assert notes == ["the file is damaged; what can be read between the damaged parts is used"]
+        assert notes == ["the file is damaged; only the parts that can be read are used"]
 
     def test_a_whole_log_is_left_as_it_is(self) -> None:
         content = self.HEADER + ulog_message(b"B", bytes(40)) + ulog_message(b"F", b"t:uint64_t timestamp;")
@@ -299,7 +299,7 @@ class TestMessagesOfAULog:
         good = ulog_message(b"I", b"abc")
         kept, notes = whole_messages(self.HEADER + good + b"\x08\x00s" + self.SYNC[3:] + good)
         assert kept == self.HEADER + good + self.SYNC + good
-        assert notes == ["the file is damaged; what can be read between the damaged parts is used"]
+        assert notes == ["the file is damaged; only the parts that can be read are used"]
 
     def test_messages_in_the_wrong_section_are_left_out(self) -> None:
         """pyulog reads these byte by byte, and the first part sends it back to the second for ever."""

@@ -44,7 +44,7 @@ def test_no_landmark_in_range_is_an_error(flight: Flight) -> None:
 @pytest.mark.parametrize(
     ("row", "reason"),
     [
-        ([0.1, 0.0, math.nan], r"row 1 is \[0.1, 0.0, nan\]: leave out what was not measured"),
+        ([0.1, 0.0, math.nan], r"row 1 is \[0.1, 0.0, nan\]: leave out missing measurements"),
         ([math.inf, 0.0, 3.0], "row 1 is"),
         ([0.1, 0.0, -2.0], "row 1: a range of -2 m is negative"),
         ([0.1, 2.0, 3.0], "row 1: landmark 2; expected a number from 0 to 1"),

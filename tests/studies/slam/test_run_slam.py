@@ -70,7 +70,7 @@ def test_ones_own_ranges(run: Path, solved: Any) -> None:
     assert np.isnan(again.landmark_rmse_m)
     with pytest.raises(UsageError, match="row 0 is"):
         qrsim.slam.from_run(run, ranges=[[0.0, 0.0, np.nan]], landmarks_guess_ned=[[0.0, 0.0, 0.0]])
-    with pytest.raises(UsageError, match="say how many landmarks there are"):
+    with pytest.raises(UsageError, match="give the number of landmarks"):
         qrsim.slam.from_run(run, ranges=rows)
 
 

@@ -186,7 +186,7 @@ def test_the_command_writes_pictures_and_tables(tmp_path: Path, capsys: Any) -> 
     assert main(["sweep-report", str(store)]) == 0
     told = capsys.readouterr().out
     assert "small: 60 episodes at 12 points" in told
-    assert "to look at the first: qrsim run hover_ideal --seed" in told
+    assert "to fly the first again: qrsim run hover_ideal --seed" in told
     folder = tmp_path / "store-report"
     assert {"response.png", "map.png", "scenario.yaml", "report.json"} <= {item.name for item in folder.iterdir()}
     assert main(["sweep-report", str(store), "--json", "--metric", "wind_max_m_s", "--out", str(tmp_path / "r")]) == 0

@@ -267,7 +267,7 @@ def test_metrics_of_the_users_own_are_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "metric", "words"),
     [
-        ("Silent", "speed_max_m_s", "does not say which numbers it gives; expected numbers = "),
+        ("Silent", "speed_max_m_s", "does not declare its numbers; expected numbers = "),
         ("Vague", "speed_max_m_s", r"over: found 'largest'; allowed: mean, max, min, sum, rms over the vehicles"),
         ("Speed", "sped_max_m_s", r"no metric is called 'sped_max_m_s'; did you mean 'speed_max_m_s'\?"),
         ("Sped", "speed_max_m_s", r"'Sped'.*did you mean 'Speed'\?"),

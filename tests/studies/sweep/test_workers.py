@@ -119,7 +119,7 @@ def test_versions_that_differ_are_listed() -> None:
     assert "2 of 3 workers" in said
     assert "b: numpy: " in said
     assert "1.0 there" in said
-    assert "c: it cannot say its versions: ModuleNotFoundError: No module named 'qrsim'" in said
+    assert "c: it does not report its versions: ModuleNotFoundError: No module named 'qrsim'" in said
 
 
 @pytest.mark.long

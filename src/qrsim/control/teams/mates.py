@@ -1,4 +1,4 @@
-"""What each vehicle of a fleet knows of the others of its fleet, and what guidances that use it share."""
+"""Neighbour lists of the vehicles of a fleet, and the base of guidances that use them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from qrsim.core.neighbours import always_room, neighbours
 from qrsim.core.tree import map_tree, quantity, record, replace
 from qrsim.core.vectors import Vec3, root
 
-KNOWS = "whom it knows of: all, at once; heard: whose beacons its radio has received"
+KNOWS = "known neighbours; all: without loss or latency; heard: those whose beacons its radio has received"
 
 
 @record
 class Mates:
-    """Up to K others of the fleet of each of n vehicles, nearest first; rows of nobody are zero and not known."""
+    """Up to K neighbours of each of n vehicles in its fleet, nearest first; empty rows are zero and not ``known``."""
 
     number: Array = quantity(doc="(K, n) int32 number of the vehicle in the fleet; -1: none")
     position_ned: Vec3 = quantity(unit="m", doc="(K, n) its reported position")
@@ -32,22 +32,22 @@ class Mates:
 
     @property
     def known(self) -> Array:
-        """Whether there is somebody, (K, n) bool."""
+        """Rows that contain a neighbour, (K, n) bool."""
         return self.number >= 0
 
     def now(self) -> Mates:
-        """Return them where they are by now if they went on as they said."""
+        """Return the neighbours extrapolated to now by their reported velocity."""
         position = self.position_ned + self.velocity_ned * self.age
         return replace(self, position_ned=position, age=0.0 * self.age)
 
 
 def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -> Mates:
-    """Return what vehicles (n,) know of each other that all hear each other at once.
+    """Return the neighbour lists of vehicles (n,) that receive each other without loss or latency.
 
     Args:
-        position_ned, velocity_ned: what each believes of itself (n,) [m], [m/s]; NaN for who does not fly.
-        reach: () or (n,) [m] how far they hear.
-        count: K, how many of the nearest.
+        position_ned, velocity_ned: estimates of each vehicle (n,) [m], [m/s]; NaN if it does not fly.
+        reach: () or (n,) [m] largest distance of a neighbour.
+        count: K, the number of nearest neighbours.
     """
     near = neighbours(*position_ned.axes, jnp.max(reach), count)
     nobody = (near.index < 0) | (near.squared > jnp.broadcast_to(reach * reach, position_ned.x.shape)[None])
@@ -66,19 +66,19 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
 
 
 def mates_wanted(mates: int, fleet: int) -> int:
-    """Return how many others at most each of a fleet of so many vehicles knows that is to know ``mates``."""
+    """Return the length of a neighbour list for ``mates`` neighbours in a fleet of ``fleet`` vehicles."""
     return max(1, min(mates, fleet - 1))
 
 
 def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, reach: Array) -> Mates:
-    """Return what vehicles (n,) know of those of their fleet whose beacons they have received.
+    """Return the neighbour lists of vehicles (n,) from the beacons that they have received from their fleet.
 
     Args:
         number: (K, n) int32 of the sender in the fleet; below zero: no message, or of another fleet.
         payload: (K, D, n) position NED [m] and velocity NED [m/s], and more.
         age: (K, n) of the messages [s].
-        position_ned: what each believes of itself (n,) [m].
-        reach: () or (n,) [m] from where on nobody counts.
+        position_ned: estimate of each vehicle (n,) [m].
+        reach: () or (n,) [m] largest distance of a neighbour.
     """
     place, fast = (Vec3(*(payload[:, first + axis] for axis in range(3))) for first in (0, 3))
     away = place - position_ned.map(lambda axis: axis[None])
@@ -94,10 +94,10 @@ def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, r
 
 @runtime_checkable
 class TeamGuidance(Guidance, Protocol):
-    """A guidance that asks for horizontal velocities by what is known of the others of the fleet.
+    """A guidance that commands horizontal velocities from the neighbour list.
 
-    A component has ``reach`` and ``mates``, how far and how many of the nearest it looks at, ``knows``, and
-    ``velocity``. With ``knows`` "heard" it looks at all whom its radio has heard.
+    A component has ``reach`` and ``mates``, the largest distance and number of neighbours, ``knows``, and ``velocity``.
+    With ``knows`` "heard" the list contains all vehicles of the fleet from which its radio has received a beacon.
     """
 
     reach: Array

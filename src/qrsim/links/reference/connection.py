@@ -283,7 +283,7 @@ class Connection(asyncio.Protocol):
             self.acknowledge(str(error))
         except Exception as error:
             self.server.report_bug(error)
-            self.acknowledge(f"internal error of the server ({type(error).__name__}); its output says more")
+            self.acknowledge(f"internal error of the server ({type(error).__name__}); see its output")
         return message.type != Message.INIT
 
     async def _close(self) -> None:

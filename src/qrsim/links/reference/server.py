@@ -344,7 +344,7 @@ class Server:
             raise UsageError(f"WATCH: there is no session {session}; running: {running}")
         if session is None and self.options.sessions:
             if len(self.sessions) != 1:
-                raise UsageError(f"WATCH: {len(self.sessions)} sessions run; say which")
+                raise UsageError(f"WATCH: {len(self.sessions)} sessions run; name one")
             session = next(iter(self.sessions))
         self._watching[connection] = Watching(session, period)
 

@@ -134,7 +134,7 @@ class Sharing:
         plant = self.session.plant
         plant.check(client.number, orders)
         if not plant.claims.of(client.number):
-            raise UsageError("COMMAND: this client has claimed no vehicle, so there is nobody to wait for; CLAIM first")
+            raise UsageError("COMMAND: this client has claimed no vehicle; CLAIM first")
         now = plant.now
         until = now + 1 if until is None else until
         if until > now + MOST_TICKS:

@@ -79,7 +79,7 @@ class Claims:
         if name not in self._names:
             raise self._unknown(name, "CLAIM")
         if name in self._deaf:
-            raise UsageError(f"CLAIM: '{name}' takes no orders: it moves as its scenario says")
+            raise UsageError(f"CLAIM: '{name}' takes no orders: its scenario sets its motion")
 
     def _unknown(self, name: str, what: str) -> UsageError:
         return UsageError(f"{what}: no vehicle is called '{name[:60]}'{did_you_mean(name[:60], self._names)}")

@@ -94,7 +94,7 @@ class Turbulence(Protocol):
         normals: standard normals that ``init`` and ``step`` draw for each vehicle.
         rates: whether it gives the rotation of the air.
         reads: of "position_ned" (n,) [m], "seconds", "fraction" and "field", what ``gust_ned`` and ``gust_rates_ned``
-            are handed by these names beside the state and the height.
+            are passed by these names, in addition to the state and the height.
         field_ids: numbers of what ``draw_field`` draws for, once an episode for the whole world; 0: nothing is drawn.
         sees_wind: whether ``draw_field`` is handed the mean wind.
     """

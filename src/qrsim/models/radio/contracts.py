@@ -1,4 +1,4 @@
-"""What goes between the radio and the rest of a world: messages, who has heard them, and the radio's contract."""
+"""Messages, their recipients, and the contract of the radio."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Inbox:
 
 @record
 class Outbox:
-    """What vehicles (n,) have to say."""
+    """Messages that vehicles (n,) send."""
 
     payload: Array = quantity(doc="(D, n) numbers")
     send: Array = quantity(doc="(n,) bool: it is sent now")
@@ -44,7 +44,7 @@ class Outbox:
 
 @record
 class Surfaces:
-    """Where the ends of links are, and what stands between them."""
+    """Positions of the ends of links, and obstacles between them."""
 
     position_ned: Vec3 = quantity(unit="m", doc="true position of each vehicle (n,)")
     works: Array = quantity(doc="(n,) bool: has a radio that is on, and flies")
@@ -100,7 +100,7 @@ class Radio(Protocol):
 
     @property
     def asks_height(self) -> bool:
-        """Whether it matters how high the ends of links are above the ground."""
+        """Whether the height of the ends of links above the ground matters."""
         return False
 
     @property

@@ -104,7 +104,7 @@ class Ground(Protocol):
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
         """Return how far [m] rays (...) go until they meet the ground, 0 from below it, infinite beyond their reach.
 
-        By default the ground is looked at every ``reach``/32, and the first crossing found there is narrowed down: a
+        By default the ground is sampled every ``reach``/32, and the first crossing found there is narrowed down: a
         ridge that a ray passes between two looks is overlooked.
 
         Args:
@@ -164,7 +164,7 @@ class Plume(Protocol):
 
     Attributes:
         needs_wind: whether it needs a wind that blows.
-        random: whether ``init`` draws it anew for each episode.
+        random: whether ``init`` draws it again for each episode.
         changes: whether ``step`` advances it once a period.
         period: interval between steps [s]; 0 where it does not change.
         ids: numbers of what is drawn for.
@@ -198,7 +198,7 @@ class GroundCover(Protocol):
     """Ground cover of the area.
 
     Attributes:
-        random: whether ``init`` draws it anew for each episode.
+        random: whether ``init`` draws it again for each episode.
     """
 
     random: ClassVar[bool] = True
@@ -221,7 +221,7 @@ class People(Protocol):
     """Persons on the ground.
 
     Attributes:
-        random: whether ``init`` draws them anew for each episode; else nobody is there.
+        random: whether ``init`` draws them again for each episode; if false, there are none.
         period: interval between looks [s]; 0 where nobody is there.
         most: most persons of an episode (P).
         size: side of the square that a person is [m]; where nobody is, what pictures are cut into windows by.
@@ -237,7 +237,7 @@ class People(Protocol):
         return None
 
     def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> object:
-        """Mark whom the vehicles (n,) find at a tick."""
+        """Mark the persons that vehicles (n,) find at a tick."""
         return state
 
 
@@ -263,7 +263,7 @@ class Placement(Protocol):
     """Start positions of the n vehicles of a fleet in an episode.
 
     Attributes:
-        random: whether ``place`` draws them anew for each episode; else each starts where the scenario says.
+        random: whether ``place`` draws them again for each episode; if false, each starts as in the scenario.
     """
 
     random: ClassVar[bool] = True

@@ -35,7 +35,7 @@ class AirspeedReading(Explained):
 
     def reason(self, vehicle: int) -> str:
         """Return why a vehicle has no airspeed."""
-        return "slower than a pitot tube can tell"
+        return "slower than a pitot tube can measure"
 
 
 @record

@@ -34,7 +34,7 @@ ROOM = 64
 
 @record
 class NeighboursReading(Explained):
-    """Up to K others, the nearest first by what was measured; what a slot lacks is NaN."""
+    """Up to K neighbours, the nearest first by measured distance; numbers that a slot lacks are NaN."""
 
     position: tuple[Vec3, ...] = quantity(
         unit="m", doc="position of a neighbour relative to the sensor, in the sensor's axes"
@@ -49,7 +49,7 @@ class NeighboursReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return how many it sees."""
+        """Return the number of neighbours in view (n,)."""
         return f"sees {float(self.count[vehicle]):.0f}, and has room for {len(self.distance)}"
 
 
@@ -62,7 +62,7 @@ def _velocity() -> bool:
 
 
 class Looking(Sensor):
-    """Base of the sensors of this file: their state counts the looks at crowds; None where no crowd is too large."""
+    """Base of the sensors of this file: their state counts readings whose search overflowed; None if it cannot."""
 
     slots: int
     velocity: bool
@@ -73,7 +73,7 @@ class Looking(Sensor):
     def init(
         self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return whom vehicles (n,) see."""
+        """Return the neighbours in view of vehicles (n,)."""
         start = None
         if not always_room(traffic.count, self.slots, ROOM):
             start = jnp.zeros(position_ned.x.shape, jnp.int32)
@@ -89,25 +89,25 @@ class Looking(Sensor):
         ground: Ground,
         traffic: Traffic,
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return whom vehicles (n,) see."""
+        """Return the neighbours in view of vehicles (n,)."""
         reading, crowded = self.look(draw, position_ned, attitude, obstacles, ground, traffic)
         return None if state is None else state + crowded.astype(jnp.int32), reading
 
     def restart(
         self, state: Array | None, draw: object, since: Array, *args: Any, **scene: Any
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return whom vehicles (n,) see that were put elsewhere; what was counted before counts."""
+        """Return the neighbours of vehicles (n,) that were moved; the count of overflows continues."""
         return self.step(state, draw, *args, **scene)
 
     def overfull(self, state: Array | None) -> Array | None:
-        """Return the looks (n,) in which more were around a vehicle than are looked at; None: that cannot be."""
+        """Return the number of readings (n,) whose search overflowed; None: it cannot overflow."""
         return state
 
     @abstractmethod
     def look(
         self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
-        """Return whom vehicles (n,) see, and around whom (n,) there were more than are looked at."""
+        """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
 
 
 @record
@@ -155,7 +155,7 @@ class NeighbourSensor(Looking):
     def look(
         self, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
-        """Return whom vehicles (n,) see, and around whom (n,) there were more than are looked at."""
+        """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
         direction = rotation(attitude)
         reach = jnp.asarray(self.range_max)
         who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
@@ -205,7 +205,7 @@ class IdealNeighbours(Looking):
     def look(
         self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
-        """Return where others are, and around whom (n,) there were more than are looked at."""
+        """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
         reach, direction = jnp.asarray(self.range_max), rotation(attitude)
         who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
         apart = _apart(who, direction, position_ned, traffic)
@@ -229,25 +229,25 @@ def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> 
 
 
 def _rows(position_ned: Vec3, traffic: Traffic) -> Array:
-    """Return the numbers (n,) of the vehicles that look."""
+    """Return the numbers (n,) of the observing vehicles."""
     own = jnp.arange(position_ned.x.shape[0], dtype=jnp.int32) + traffic.first
     return jnp.minimum(own, traffic.count - 1)
 
 
 def _own_velocity(position_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return the velocity over ground (n,) [m/s] of the vehicles that look."""
+    """Return the velocity over ground (n,) [m/s] of the observing vehicles."""
     row = _rows(position_ned, traffic)
     return traffic.velocity_ned.map(lambda axis: jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
 
 def _apart(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return where others (K, n) are against the sensor, in its axes [m]."""
+    """Return positions of others (K, n) relative to the sensor, in its axes [m]."""
     pairs = zip(traffic.position_ned.axes, position_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
 
 
 def _against(who: Array, direction: Rotation, velocity_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return how fast others (K, n) move against the vehicles that look, in the sensor's axes [m/s]."""
+    """Return velocities of others (K, n) relative to the observing vehicles, in the sensor's axes [m/s]."""
     pairs = zip(traffic.velocity_ned.axes, velocity_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
 
@@ -310,7 +310,7 @@ def _anywhere(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
 
 
 def _in_order(slots: int, away: Array, place: Vec3, number: Array, fast: Vec3 | None) -> NeighboursReading:
-    """Return others (M, n) by the distance that was measured, infinite of who is not seen."""
+    """Return others (M, n) in the order of measured distance, infinite if not in view."""
     row = jnp.arange(away.shape[0], dtype=jnp.int32)[:, None]
     places, distances, numbers, velocities = [], [], [], []
     taken = jnp.zeros_like(away[0])

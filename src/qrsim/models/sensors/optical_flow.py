@@ -23,7 +23,7 @@ from qrsim.models.sensors.contracts import Explained, Sensor
 
 MEASURED, TOO_NEAR, NOTHING, TOO_DARK, TOO_FAST = 0.0, 1.0, 2.0, 3.0, 4.0
 WHY = {
-    TOO_NEAR: "too near to what it looks at",
+    TOO_NEAR: "too near to the surface",
     NOTHING: "nothing to be seen within its reach",
     TOO_DARK: "the picture is too poor",
     TOO_FAST: "the picture moves too fast",

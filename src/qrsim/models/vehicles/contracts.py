@@ -63,7 +63,7 @@ class Pose:
 
 @record
 class Handling:
-    """What a controller that commands tilt and throttle knows of its vehicle; each a number or (n,)."""
+    """Properties of a vehicle for controllers that command tilt and throttle; each a number or (n,)."""
 
     mass: Array = quantity(unit="kg", doc="take-off mass")
     gravity: Array = quantity(unit="m/s^2", doc="gravitational acceleration")
@@ -115,7 +115,7 @@ class Outline:
 
 
 class VehicleState(Protocol):
-    """What the state of every vehicle model has: a position; all else is read through ``pose``."""
+    """The part that the state of every vehicle model has: a position; all else is read through ``pose``."""
 
     @property
     def position_ned(self) -> Vec3:
@@ -200,7 +200,7 @@ class Vehicle(Protocol):
         return found
 
     def with_thrust(self, state: Any, thrust: Array) -> VehicleState:
-        """Return a state at a thrust (n,) [N], where it has one; a NaN leaves it as it is."""
+        """Return a state at a thrust (n,) [N], if it has one; NaN leaves it unchanged."""
         return state
 
     @abstractmethod
@@ -309,7 +309,7 @@ class Vehicle(Protocol):
         return 1.0
 
     def on_ground(self, state: Any) -> Array | None:
-        """Return which vehicles (n,) stand on the ground by a contact of their own, bool; None: it has none."""
+        """Return which vehicles (n,) are on the ground by their own contact model, bool; None: they have none."""
         return None
 
     def standing_height(self) -> Array | float:
@@ -317,7 +317,7 @@ class Vehicle(Protocol):
         return 0.0
 
     def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:
-        """Return the state at a start, where who begins on the ground by its own contact stands; see ``Around``."""
+        """Return the state at a start, in which vehicles with a contact model stand on the ground; see ``Around``."""
         found: VehicleState = state
         return found
 
@@ -331,12 +331,12 @@ class Vehicle(Protocol):
         return None
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return the vehicle's own stop conditions (n,), besides area, limits and collisions."""
+        """Return the vehicle's own stop conditions (n,), in addition to area, limits and collisions."""
         return []
 
 
 class Charged(Protocol):
-    """What the state of a battery that ``drains`` has."""
+    """The part that the state of every battery that ``drains`` has."""
 
     @property
     def charge(self) -> Array:
@@ -371,7 +371,7 @@ class Battery(Protocol):
         """Return the voltage under load (n,) [V], None for that of the command."""
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return its own stop conditions (n,), besides that of an empty battery."""
+        """Return its own stop conditions (n,), in addition to that of an empty battery."""
         return []
 
 
@@ -380,6 +380,6 @@ handling_of = on_host(lambda vehicle: vehicle.handling())
 
 
 def has_contact(vehicle: object) -> bool:
-    """Return whether a vehicle, or a class of vehicles, stands on the ground by a contact of its own."""
+    """Return whether a vehicle, or a class of vehicles, has its own contact model."""
     kind: type[Vehicle] = vehicle if isinstance(vehicle, type) else type(vehicle)
     return kind.on_ground is not Vehicle.on_ground

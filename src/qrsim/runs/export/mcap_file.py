@@ -52,7 +52,7 @@ def write(run: Run, place: Place, path: Path, every: int) -> Written:
         RunError: the file cannot be written, there is nothing to write, or the time does not fit into the format.
     """
     if not 0 <= place.start_us < LAST_START_US:
-        raise RunError(f"{run.folder}: its start_time is outside 1970 to 2106, the times that MCAP can say")
+        raise RunError(f"{run.folder}: its start_time is outside 1970 to 2106, the range of MCAP")
     count = 0
     with replacing(path) as file:
         writer = Writer(file)

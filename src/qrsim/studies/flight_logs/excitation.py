@@ -273,7 +273,7 @@ def nature(excitation: Excitation) -> str:
         return "logged too slowly to show how a vehicle answers"
     if not asked:
         return f"not commanded: {', '.join(moving)} move, but no command does (carried by hand, or not armed)"
-    return "not in flight, or not by these commands: what moves does not follow what was asked for"
+    return "not in flight, or not by these commands: the motion does not follow the commands"
 
 
 def without_ground(log: FlightLog) -> FlightLog:

@@ -46,7 +46,7 @@ def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
     except Exception as error:  # pyulog raises whatever its parsing runs into
         raise LogError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
     if log.file_corruption and not notes:
-        notes.append("the file is damaged; what can be read between the damaged parts is used")
+        notes.append("the file is damaged; only the parts that can be read are used")
     return log, notes
 
 
@@ -78,7 +78,7 @@ def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
         lost, place = end - place, end
     notes = []
     if damaged:
-        notes.append("the file is damaged; what can be read between the damaged parts is used")
+        notes.append("the file is damaged; only the parts that can be read are used")
     if lost > 0:
         notes.append(f"the file ends inside a message: the last {lost} bytes are lost (log cut off)")
     return kept, notes

@@ -177,5 +177,5 @@ def _log_section(result: Result, i: int) -> list[str]:
         lines.append(f"{first} {each['ljung_box_p']:.2g} | {each['input']:.2f} |")
     lines += ["", f"![held out](held_out_{i}.png)", "", f"![residuals](residuals_{i}.png)", ""]
     if any(name in scores["identified"] for name in VELOCITY):
-        lines += ["Velocity over a long time is an integral in unknown wind; the 5 s horizons say more of it.", ""]
+        lines += ["Velocity over a long time is an integral in unknown wind; the 5 s horizons show more.", ""]
     return lines

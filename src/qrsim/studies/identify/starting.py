@@ -24,7 +24,7 @@ def starting_values(path: Path | None, separate: bool) -> dict[str, float]:
     if content.get("type") not in ("pelican", "quadrotor"):
         raise UsageError(f"{path}: a vehicle of type '{content.get('type')}'; expected pelican or quadrotor")
     if not separate and content["type"] == "quadrotor":
-        raise UsageError(f"{path}: has pitch constants of its own; add --separate")
+        raise UsageError(f"{path}: has separate pitch constants; add --separate")
     values |= {name: float(content[name]) for name in CONSTANTS if name in content}
     if content["type"] == "pelican":
         values |= {pitch: values[roll] for pitch, roll in zip(PITCH, ROLL, strict=True)}

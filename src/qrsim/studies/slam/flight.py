@@ -159,7 +159,7 @@ def _filled(values: Floats, name: str) -> Floats:
     """Return values (T, 3) with the last one known where a row is NaN, as a controller believes them."""
     known = np.isfinite(values).all(axis=1)
     if not known.any():
-        raise RunError(f"{name}: a sensor that the estimate needs never had anything to say")
+        raise RunError(f"{name}: a sensor that the estimate needs never had a reading")
     index = np.maximum.accumulate(np.where(known, np.arange(len(values)), np.argmax(known)))
     return values[index]
 

@@ -89,7 +89,7 @@ def landmarks_given(
     if not ranged and known is None:
         known = landmarks_of(seed, centre)
     if known is None and guess is None:
-        raise UsageError("ranges: say how many landmarks there are by landmarks_ned or landmarks_guess_ned, (L, 3)")
+        raise UsageError("ranges: give the number of landmarks by landmarks_ned or landmarks_guess_ned, (L, 3)")
     count = len(known if known is not None else guess)  # type: ignore[arg-type]
     if guess is None:
         guess = guesses_of(seed, centre, count)
@@ -143,7 +143,7 @@ def given_ranges(
     if table.ndim != 2 or table.shape[1] != 3 or not len(table):
         raise UsageError(f"ranges: expected rows (R, 3) of time, landmark and range, found shape {table.shape}")
     for i in np.flatnonzero(~np.isfinite(table).all(axis=1))[:1]:
-        raise UsageError(f"ranges: row {i} is {table[i].tolist()}: leave out what was not measured")
+        raise UsageError(f"ranges: row {i} is {table[i].tolist()}: leave out missing measurements")
     for i in np.flatnonzero(table[:, 2] < 0.0)[:1]:
         raise UsageError(f"ranges: row {i}: a range of {table[i, 2]:g} m is negative")
     number = np.round(table[:, 1]).astype(np.int64)

@@ -54,7 +54,7 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
     if not flying.all():
         count = int(np.argmin(flying))
         stopped = run["truth"].time[count]
-        warn_user(f"{run.folder}: {run.vehicles[index]} stopped at {stopped:g} s; what follows is left out")
+        warn_user(f"{run.folder}: {run.vehicles[index]} stopped at {stopped:g} s; later data are left out")
     believed, gnss = _believed(run, index, count, truth[:count])
     model: Any = fleet.vehicle
     if process_noise is not None:

@@ -124,12 +124,12 @@ def check_workers(client: Any, address: str) -> None:
         theirs = client.run(network_versions, on_error="return")
     except Exception as error:
         raise RunError(
-            f"--scheduler {address}: its workers cannot say their versions: {type(error).__name__}: {_reason(error)}"
+            f"--scheduler {address}: its workers do not report their versions: {type(error).__name__}: {_reason(error)}"
         ) from error
     wrong = []
     for worker, found in theirs.items():
         if isinstance(found, BaseException):
-            wrong.append(f"{worker}: it cannot say its versions: {type(found).__name__}: {found}")
+            wrong.append(f"{worker}: it does not report its versions: {type(found).__name__}: {found}")
         elif found != mine:
             wrong.append(f"{worker}: {'; '.join(differences(mine, found))}")
     if wrong:

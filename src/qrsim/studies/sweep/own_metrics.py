@@ -35,7 +35,7 @@ def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
     found = made("metric", source)
     numbers = getattr(found, "numbers", None)
     if not isinstance(numbers, Mapping) or not numbers:
-        raise UsageError(f"own_metrics: {source} does not say which numbers it gives; expected {EXAMPLE}")
+        raise UsageError(f"own_metrics: {source} does not declare its numbers; expected {EXAMPLE}")
     return found, {str(name): _metric(source, str(name), about) for name, about in numbers.items()}
 
 

@@ -254,7 +254,7 @@ def print_report(report: Report, folder: Path) -> None:
         numbers = " ".join(f"{values[episode]:9.4g}" for values in columns)
         print(f"  {numbers}  seed {results.seeds[episode]}, {where}")
     if report.worst:
-        print(f"\nto look at the first: {replay(results, report.worst[0], folder)}")
+        print(f"\nto fly the first again: {replay(results, report.worst[0], folder)}")
 
 
 def _ranked_by(report: Report) -> str:
@@ -294,7 +294,7 @@ def _print_boundary(found: analysis.Boundary | str) -> None:
     for i, parameter in enumerate(found.parameters):
         at = found.crossing(i)
         if at is None:
-            print(f"  {parameter.label:<26} not within what was flown")
+            print(f"  {parameter.label:<26} not within the values that were flown")
             continue
         interval = "" if np.isnan(at[1]) else f"   {at[1]:.4g} to {at[2]:.4g}"
         print(f"  {parameter.label:<26} {at[0]:>9.4g}{interval}")

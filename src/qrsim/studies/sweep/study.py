@@ -40,7 +40,7 @@ class SamplingSpec(Part):
     """Joint sampling of the parameters that have a range."""
 
     type: Literal["list", "latin_hypercube", "sobol", "saltelli"] = Field(
-        description="list: the values of all parameters one by one; saltelli: what Sobol indices are computed from"
+        description="list: the values of all parameters one by one; saltelli: a sample for Sobol indices"
     )
     points: int | None = Field(
         None, description="number of points; of saltelli, of the base sample", ge=1, le=MOST_POINTS

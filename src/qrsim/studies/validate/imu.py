@@ -119,10 +119,10 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     found = {preset: chips_of(preset, CHIPS if full else FEW_CHIPS) for preset in DATA_SHEETS}
     checks = _checks(found)
     return Outcome(
-        method=f"Chips of the presets whose data sheets were at hand lie still for {SECONDS:g} s. White noise is the"
+        method=f"Chips of the presets with available data sheets are at rest for {SECONDS:g} s. White noise is the"
         f" Allan deviation over {NOISE_WINDOW * PERIOD:g} s times the root of that; a data sheet's one-sided density"
         " is the root of 2 times that. Turn-on bias is the mean over the minute, from chip to chip.",
-        reading="Noise and turn-on bias are those of the data sheets, as far as these say any.",
+        reading="Noise and turn-on bias are those of the data sheets, if these state them.",
         checks=checks,
         findings=[],
         pictures=[_picture(found)],
@@ -161,4 +161,4 @@ def _picture(found: Mapping[str, Mapping[str, Chips]]) -> Picture:
     return picture(figure, "Allan deviations of chips at rest; dashed, white noise as the data sheet has it.")
 
 
-PART = Part("imu", "Gyroscope and accelerometer", "no figure of the paper: what data sheets say of chips", (), _run)
+PART = Part("imu", "Gyroscope and accelerometer", "no figure of the paper: data sheets of chips", (), _run)

@@ -76,7 +76,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         method="A rig measured the thrust of a Pelican held still, 50 times a second, while its throttle was stepped."
         " The model gets the recorded throttle and battery voltage and one start value (15.4 N); nothing is fitted"
         " here, and nothing is fed back from the recording.",
-        reading=f"The thrust model explains {100 * explained:.1f} % of what the rig measured, to {rms:.2f} N rms of a"
+        reading=f"The thrust model explains {100 * explained:.1f} % of the measured variance, to {rms:.2f} N rms of a"
         f" hover thrust of 16.5 N.",
         checks=checks,
         findings=[finding],

@@ -117,7 +117,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     winds, own = fly_winds(flight), consistency(flight)
     numbers = _numbers(flight, match, force, winds) | {"record": own, "restarted": horizons(flight, winds.wind)}
     return Outcome(
-        method="A Pelican flew outdoors by stick commands, in wind that nobody measured. The model gets the commands of"
+        method="A Pelican flew outdoors by stick commands, in unmeasured wind. The model gets the commands of"
         " the first 160 s and the first row's attitude; velocity is then one integral of what it computes, position a"
         " second. The record's commands lead its motion by 0.5 s, which the comparison takes out. The horizontal wind"
         " is fitted by linear least squares, exact because the model is linear in the wind.",
@@ -232,9 +232,9 @@ def _findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
         Finding(
             "horizontal velocity, restarted from the record every 5 s",
             f"rms error after 1, 5, 20 s: {_three(drift['fitted_wind'])} m/s in the fitted wind;"
-            f" {_three(drift['no_change'])} m/s for a velocity that stays what it was",
+            f" {_three(drift['no_change'])} m/s for a constant velocity",
             share_verdict(1.0 - (drift["fitted_wind"]["5_s"] / drift["no_change"]["5_s"]) ** 2),
-            "What the model is worth where its errors cannot pile up; the verdict is on the share of the squared"
+            "The accuracy of the model without accumulated errors; the verdict is on the share of the squared"
             " changes within 5 s that it explains. The wind comes from the same flight.",
         ),
         Finding(
@@ -291,11 +291,11 @@ def _horizon_picture(restarted: dict[str, dict[str, float]]) -> Picture:
 
     figure = new_figure(7.0, 3.6)
     axes = figure.subplots()
-    styles = {"no_change": ("gray", "velocity stays what it was"), "still_air": (SIMULATED, "model, still air")}
+    styles = {"no_change": ("gray", "velocity stays constant"), "still_air": (SIMULATED, "model, still air")}
     styles["fitted_wind"] = (OTHER, "model, fitted wind")
     for name, (colour, label) in styles.items():
         axes.plot(HORIZONS_S, list(restarted[name].values()), "o-", color=colour, label=label)
-    axes.set(xlabel="time since the last look at the record [s]", ylabel="rms error of the\nhorizontal velocity [m/s]")
+    axes.set(xlabel="time since the last restart [s]", ylabel="rms error of the\nhorizontal velocity [m/s]")
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=9, loc="lower right")

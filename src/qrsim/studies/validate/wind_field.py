@@ -249,7 +249,7 @@ def _picture(points: dict[str, dict[str, tuple[float, float]]]) -> Picture:
 PART = Part(
     "wind_field",
     "Gusts of one field",
-    "no figure of the paper, whose gusts were each vehicle's own: two points of one air",
+    "no figure of the paper, with independent gusts for each vehicle: two points of one field",
     (),
     _run,
 )

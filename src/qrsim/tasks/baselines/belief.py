@@ -86,7 +86,7 @@ class Belief:
         persons = play.world.contents.persons
         assert isinstance(play.task, Search)
         if not isinstance(persons, Persons):
-            raise UsageError("policy baseline: it looks for lying persons; world.persons has none (type: lying)")
+            raise UsageError("policy baseline: it searches for lying persons; world.persons has none (type: lying)")
         self.camera = play.task.lens(play.world)
         self.low = np.array([float(area.x_min), float(area.y_min)])
         self.extent = np.array([float(area.x_max), float(area.y_max)]) - self.low

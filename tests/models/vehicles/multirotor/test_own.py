@@ -183,7 +183,7 @@ def test_the_power_of_a_motor_may_be_voltage_and_current(tmp_path: Path) -> None
         ("a,b\n1,2\n", "line 1: no column is called throttle"),
         (
             "throttle,thrust_N,rpm,current_A\n0.5,5,4000,3\n1,9,6000,9\n",
-            "motor.csv: has no column power_W, nor voltage_V and current_A, whose product it is",
+            "motor.csv: has no column power_W, nor voltage_V and current_A, from which it follows",
         ),
         ("", "not CSV: the file is empty"),
     ],

@@ -98,5 +98,5 @@ def test_a_wrong_fault_is_named(fault: dict[str, Any], words: str) -> None:
 
 
 def test_a_vehicle_without_rotors_of_its_own_is_refused() -> None:
-    with pytest.raises(ScenarioError, match="a 'pelican' has no rotors of its own that could fail"):
+    with pytest.raises(ScenarioError, match="a 'pelican' has no rotors that could fail"):
         qrsim.load_scenario(scenario({"type": "pelican"}, [{"type": "rotor", "rotor": 0, "at": 1.0}]))

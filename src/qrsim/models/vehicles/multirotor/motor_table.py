@@ -87,7 +87,7 @@ class MotorTable:
             found["power"] = volts * amperes
         for quantity in ("throttle", "thrust", "speed", "power"):
             if quantity == "power" and quantity not in found:
-                raise UsageError("has no column power_W, nor voltage_V and current_A, whose product it is")
+                raise UsageError("has no column power_W, nor voltage_V and current_A, from which it follows")
             if quantity not in found:
                 raise UsageError(f"has no column {_names_of(quantity)}; found {', '.join(columns)}")
         return MotorTable(**found)._checked()
