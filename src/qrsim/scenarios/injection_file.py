@@ -161,7 +161,8 @@ def _targets(scenario: Scenario) -> list[str]:
     """Return what may fail in any fleet."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
-    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets)))), BATTERY, WORLD]
+    rotors = [f"rotor {i}" for i in range(max(map(rotors_of, fleets)))]
+    return [*sorted(sensors), *rotors, *[BATTERY] * any(_has(fleet, BATTERY) for fleet in fleets), WORLD]
 
 
 # ---- as faults of the scenario ----
