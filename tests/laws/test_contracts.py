@@ -54,8 +54,8 @@ ALLOWED = {
     "files/interruptions.py": 3, "files/recordings.py": 1, "files/user_files.py": 3,
     "files/yaml_text.py": 1, "interface/policies.py": 6, "links/reference/connection.py": 2,
     "runs/parts.py": 1, "runs/reader.py": 1, "runs/writer.py": 1,
-    "scenarios/build.py": 1, "scenarios/cross_checks.py": 1, "scenarios/interference.py": 1, "scenarios/making.py": 2,
-    "scenarios/registry.py": 2, "scenarios/problems.py": 1, "scenarios/ranges.py": 1,
+    "scenarios/components.py": 1, "scenarios/cross_checks.py": 1, "scenarios/interference.py": 1,
+    "scenarios/making.py": 2, "scenarios/registry.py": 2, "scenarios/problems.py": 1, "scenarios/ranges.py": 1,
     "simulation/rollout.py": 1, "simulation/snapshot.py": 2, "studies/sweep/own_metrics.py": 1,
     "view/browser.py": 1, "view/gate.py": 1, "view/script.py": 1,
 }  # fmt: skip

@@ -193,6 +193,28 @@ def test_events_that_are_refused(event: dict[str, Any], message: str) -> None:
     assert message in str(caught.value)
 
 
+def test_numbers_beyond_their_limits() -> None:
+    simulation = Simulation(load_scenario(content(injectable="all"), quiet=True).world())
+    for call, message in (
+        (lambda: simulation.set_gusts(10.5), r"times: 10\.5; allowed: 0 to 10$"),
+        (lambda: simulation.set_gusts(-0.1), r"times: -0\.1; allowed: 0 to 10$"),
+        (lambda: simulation.set_gusts(2.0, over=1.1e6), r"over: 1100000\.0; allowed: 0 to 1e\+06 s$"),
+        (lambda: simulation.set_gusts(2.0, over=float("nan")), r"over: nan; allowed: 0 to 1e\+06 s$"),
+        (lambda: simulation.set_jammer(0, 1.1e6), r"power_w: 1100000\.0; allowed: 0 to 1e\+06 W$"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            call()
+    assert simulation.requests == []
+    events = [{"at": 0.02 * i, "gusts": {"times": 0.1 * (i % 3)}} for i in range(51)]
+    assert load_scenario(content(events=events[:50]), quiet=True).world().changes is not None
+    with pytest.raises(ScenarioError, match=r"world\.events: expected at most 50 entries, found 51"):
+        load_scenario(content(events=events), quiet=True)
+    # There is always room for one more in flight.
+    full = Simulation(load_scenario(content(events=events[:50]), quiet=True).world())
+    full.set_gusts(3.0)
+    full.set_gusts(2.0)
+
+
 def test_what_cannot_be_asked_for_in_flight() -> None:
     simulation = Simulation(load_scenario(content(), quiet=True).world())
     for call, message in (

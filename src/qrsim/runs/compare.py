@@ -6,7 +6,9 @@ a number equals another that is not. The logs are read part by part.
 
 from __future__ import annotations
 
+import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -344,18 +346,23 @@ def _same_bits(first: NumpyArray, second: NumpyArray) -> bool:
 
 
 def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> InjectionComparison:
-    left, only = list(second), []
-    for entry in first:
-        same = next((other for other in left if _asked(other) == _asked(entry)), None)
-        if same is None:
-            only.append(entry)
-        else:
-            left.remove(same)
-    return InjectionComparison(len(first) - len(only), (tuple(only), tuple(left)))
+    left = Counter(map(_asked, second))
+    only = [entry for entry in first if not _taken(left, entry)]
+    rest = Counter(map(_asked, first))
+    return InjectionComparison(
+        len(first) - len(only), (tuple(only), tuple(entry for entry in second if not _taken(rest, entry)))
+    )
 
 
-def _asked(entry: Content) -> Content:
-    return {name: value for name, value in entry.items() if name != "asked_by"}
+def _taken(left: Counter[str], entry: Content) -> bool:
+    """Take an entry from those that are left; return False where it is not among them."""
+    asked = _asked(entry)
+    left[asked] -= 1
+    return left[asked] >= 0
+
+
+def _asked(entry: Content) -> str:
+    return json.dumps({name: value for name, value in entry.items() if name != "asked_by"}, sort_keys=True)
 
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:

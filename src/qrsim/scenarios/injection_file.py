@@ -166,7 +166,9 @@ def _targets(scenario: Scenario) -> list[str]:
     """Return what may fail in any fleet."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
-    return [*sorted(sensors), *(f"rotor {i}" for i in range(max(map(rotors_of, fleets)))), *PLAIN, WORLD]
+    rotors = [f"rotor {i}" for i in range(max(map(rotors_of, fleets)))]
+    parts = [part for part in PLAIN if any(_has(fleet, part, scenario.spec.world) for fleet in fleets)]
+    return [*sorted(sensors), *rotors, *parts, WORLD]
 
 
 # ---- as faults of the scenario ----

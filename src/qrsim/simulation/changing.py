@@ -12,9 +12,11 @@ import numpy as np
 from qrsim.core.arrays import is_number
 from qrsim.core.tree import cast, field_info, record_of, replace
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.turbulence import Still
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.atmosphere.wind_series import VeeringShear
+from qrsim.models.gnss.slots import SlottedSky
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.world.changes import Changes, Course
 from qrsim.world.state import World
@@ -146,7 +148,8 @@ def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
         events: changes at set times of one number, at most.
     """
     wind: Any = world.wind
-    jammers = getattr(getattr(world.sky, "interference", None), "jammers", ())
+    interference = world.sky.interference if isinstance(world.sky, SlottedSky) else None
+    jammers = () if interference is None else interference.jammers
     changes = Changes()
     if WIND in kinds and _may_change(world):
         speed, bearing = (_steady(value, events + 2) for value in (wind.speed_20ft, wind.wind_from_rad))
@@ -243,7 +246,7 @@ def wind_limit(world: World) -> float:
     # Their place is a speed times a time, and would jump.
     if world.gust.reads:
         raise UsageError("wind: a gust moves with it; give world.gust a speed and a wind_from_deg to change the wind")
-    if any(getattr(updraft, "drifts", False) for updraft in world.updrafts):
+    if any(isinstance(updraft, Thermals) and updraft.drifts for updraft in world.updrafts):
         raise UsageError("wind: thermals drift with it; give them drifts: false to change the wind in flight")
     limit = next(field_info(field).maximum for field in dataclasses.fields(wind) if field.name == "speed_20ft")
     return math.inf if limit is None else limit

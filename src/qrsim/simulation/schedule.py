@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable
 
 from qrsim.simulation.injections import Injection
@@ -18,18 +19,20 @@ class Schedule:
 
     def __init__(self, simulation: Simulation, requests: Iterable[Injection]):
         self._simulation = simulation
-        self._left = sorted(requests, key=lambda request: request.tick)
+        self._requests = sorted(requests, key=lambda request: request.tick)
+        self._ticks = [request.tick for request in self._requests]
+        self._made = 0
 
     def make(self) -> None:
         """Make the requests that are due at the simulation's tick."""
-        count = sum(request.tick <= self._simulation.tick for request in self._left)
-        if count:
-            due, self._left = self._left[:count], self._left[count:]
-            self._simulation.repeat(due)
+        due = bisect_right(self._ticks, self._simulation.tick)
+        if due > self._made:
+            self._simulation.repeat(self._requests[self._made : due])
+            self._made = due
 
     def ticks(self, most: int) -> int:
         """Return how many ticks to fly until the next request, at most ``most``."""
-        return min(most, self._left[0].tick - self._simulation.tick) if self._left else most
+        return min(most, self._ticks[self._made] - self._simulation.tick) if self else most
 
     def __bool__(self) -> bool:
-        return bool(self._left)
+        return self._made < len(self._requests)
