@@ -9,8 +9,8 @@ from typing import Any
 from qrsim.errors import UsageError
 from qrsim.models.sensors.fault_numbers import TAKES
 from qrsim.models.sensors.faults import KINDS
+from qrsim.scenarios.live_requests import OK, Request, numbers_of
 from qrsim.simulation.injections import BATTERY_KINDS, ROTOR_KINDS
-from qrsim.simulation.live_requests import OK, Request, numbers_of
 from qrsim.world.state import Fleet, World
 
 # What the numbers of a kind are at first.

@@ -16,9 +16,9 @@ from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.sim_parameters import AXES
 from qrsim.models.vehicles.multirotor import Multirotor
+from qrsim.scenarios.live_requests import OK, Request, apply, wind
 from qrsim.simulation.injecting import wind_limit
 from qrsim.simulation.injections import targets_of
-from qrsim.simulation.live_requests import OK, Request, apply, wind
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 

@@ -11,8 +11,8 @@ from tests.small_worlds import pair
 
 import qrsim
 from qrsim.errors import UsageError
+from qrsim.scenarios.live_requests import Request, apply, injected_rows, numbers_of, parsed
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.live_requests import Request, apply, injected_rows, numbers_of, parsed
 
 WINDY = {"world": {"wind": {"type": "log_shear", "speed_20ft": 2.0, "wind_from_deg": 90.0}}}
 
