@@ -12,12 +12,12 @@ import pytest
 
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
+from qrsim.scenarios.live_requests import wind
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 from qrsim.view.recording import Recording
-from qrsim.view.steering import Wind
 from qrsim.world.episode import develop, picture
 
 pytestmark = pytest.mark.long
@@ -33,9 +33,9 @@ def searched() -> Scenario:
 
 
 @cache
-def puffing() -> Scenario:
+def puffing(*more: str) -> Scenario:
     """Return a mapping of puffs that come every second."""
-    return load_scenario("plume_mapping/3E", ["duration=6", "world.plume.gap=1.0", "world.plume.puffs=600"])
+    return load_scenario("plume_mapping/3E", ["duration=6", "world.plume.gap=1.0", "world.plume.puffs=600", *more])
 
 
 def recorded(scenario: Scenario, folder: Path) -> Recording:
@@ -107,8 +107,9 @@ def test_puffs_are_where_they_were_at_any_time(tmp_path: Path):
 def test_a_plume_goes_with_the_wind_that_was_asked_for(tmp_path: Path):
     view = LiveView(0, Clock(float("inf")))
     try:
-        view._wished = Wind(7.0, 90.0)
-        fly(puffing(), tmp_path / "run", seed=SEED, precision="float32", view=view)
+        view.ask(wind(7.0, 90.0))
+        # A wind that every episode draws cannot be changed.
+        fly(puffing("ranges=[]"), tmp_path / "run", seed=SEED, precision="float32", view=view)
     finally:
         view.close()
     recording = Recording(open_run(tmp_path / "run"))

@@ -17,9 +17,9 @@ from tests.view.fetching import fetching
 from qrsim.links.shared.injectable import with_injectable
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
+from qrsim.scenarios.live_requests import Request
+from qrsim.scenarios.live_requests import wind as blowing
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation.live_requests import Request
-from qrsim.simulation.live_requests import wind as blowing
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView

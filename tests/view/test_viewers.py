@@ -12,8 +12,8 @@ from tests.apps.test_view_life import CAMERA
 from tests.view.fetching import fetching
 
 from qrsim.models.sensors.faults import KINDS
+from qrsim.scenarios.live_requests import Request
 from qrsim.simulation.injections import BATTERY_KINDS, ROTOR_KINDS
-from qrsim.simulation.live_requests import Request
 from qrsim.view.clock import Clock
 from qrsim.view.failing import FailingControls, Target
 from qrsim.view.frame import Cast, Frame

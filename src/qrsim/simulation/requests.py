@@ -73,7 +73,7 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
             continue
         what, by = f"{request.target} {request.kind}", f"asked by {request.asked_by}"
         part = request.numbers.get("field")
-        values = [value for name, value in request.numbers.items() if name != "field"]
+        values = [value for value in request.numbers.values() if is_number(value)]
         kind = CLEARED if request.kind == OK else INJECTED
         words = f"{request.target} cleared at {time:.2f} s, {by}"
         if kind == INJECTED:
@@ -84,7 +84,7 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
                 "vehicle": vehicle,
                 "kind": kind,
                 "field": request.target if part is None else f"{request.target}.{part}",
-                "value": float(values[0]) if values and is_number(values[0]) else None,
+                "value": float(values[0]) if values else None,
                 "message": f"{vehicle}: {words}",
             }
 

@@ -10,8 +10,8 @@ from qrsim.errors import UsageError
 from qrsim.models.sensors.fault_numbers import TAKES
 from qrsim.models.sensors.faults import KINDS
 from qrsim.models.vehicles.fault_numbers import PARTS
+from qrsim.scenarios.live_requests import Request, numbers_of
 from qrsim.simulation.injections import OK, targets_of
-from qrsim.simulation.live_requests import Request, numbers_of
 from qrsim.world.state import Fleet, World
 
 # What the numbers of a kind of a sensor are at first, and those of other parts by their names.

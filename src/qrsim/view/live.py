@@ -15,8 +15,8 @@ import numpy as np
 from qrsim.core.arrays import Floats
 from qrsim.core.tree import walk
 from qrsim.errors import UsageError
+from qrsim.scenarios.live_requests import Request, wind
 from qrsim.simulation.history import History
-from qrsim.simulation.live_requests import Request, wind
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks.places import Places
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from qrsim.errors import UsageError
+from qrsim.scenarios.live_requests import Request, apply
 from qrsim.simulation.changing import wind_limit, with_wind
-from qrsim.simulation.live_requests import Request, apply
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
 

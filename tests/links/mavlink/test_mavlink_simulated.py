@@ -90,7 +90,8 @@ def test_of_several_faults_of_a_sensor_the_graver_one_acts(field: Field) -> None
     assert faults(field, 3)["barometer"][0] == "drift"
     put(field, 3, ("BARO_DRIFT", 0.0))
     assert faults(field, 3)["barometer"] == ("wrong", {"field": "height", "bias": 3.0})
-    put(field, 3, ("BARO_GLITCH", 0.0))
+    put(field, 3, ("BARO_GLITCH", 0.0), ("GPS1_NUMSATS", 4.0))
+    assert faults(field, 3) == {}
 
 
 @pytest.mark.long
@@ -150,13 +151,20 @@ def test_the_wind_follows_its_parameters(field: Field) -> None:
     assert (values["SIM_WIND_SPD"], values["SIM_WIND_DIR"]) == pytest.approx((6.0, 240.0), abs=1e-3)
     assert put(field, 0, ("WIND_TC", 5.0), ("WIND_SPD", 8.0), ("WIND_DIR", 10.0)) == [SET, SET, SET]
     field.run(5.0 / 6.2832)
-    # By then 1 - 1/e of the change, within a step of 0.2 s.
-    assert 7.1 < wind() < 7.6
+    # After 0.8 s, which are four steps of 0.2 s with a time constant of 5 s / 2 pi, and perhaps a fifth.
+    steps = [6.0 + 2.0 * (1.0 - np.exp(-0.2 * count * 2.0 * np.pi / 5.0)) for count in (4, 5)]
+    assert min(abs(wind() - step) for step in steps) < 2e-3
     field.run(25.0 - 1.0)
     assert wind() == pytest.approx(8.0, abs=0.01)
     assert float(simulation.world.wind.wind_from_rad) % (2.0 * np.pi) == pytest.approx(np.radians(10.0), abs=1e-3)  # type: ignore[attr-defined]
     other: Any = field.world.systems[3].stack.parameters
     assert other["SIM_WIND_SPD"] == 8.0
+    # A time constant below 0.1 s is 0.1 s: after one step of 0.2 s all but e^-12.6 of the change.
+    put(field, 0, ("WIND_TC", 0.0), ("WIND_SPD", 9.0))
+    assert wind() == pytest.approx(9.0, abs=1e-4)
+    assert wind() != 9.0
+    put(field, 0, ("WIND_SPD", 8.0))
+    field.run(1.0)
     assert put(field, 0, ("WIND_SPD", 900.0)) == [REFUSED]
     assert field.said[-1].startswith("SIM_WIND_SPD: 900 m/s; allowed: 0 to ")
     assert values["SIM_WIND_SPD"] == 8.0

@@ -17,7 +17,7 @@ from qrsim.links.reference.injecting import request_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.tasks import Tasks
-from qrsim.simulation.live_requests import Request
+from qrsim.scenarios.live_requests import Request
 from small_worlds import pair
 
 WIND = {"type": "log_shear", "speed_20ft": 0.0, "wind_from_deg": 0.0}

@@ -13,8 +13,8 @@ from wires import HERE, TASK, running
 from qrsim.links.reference.client import Client
 from qrsim.links.reference.tasks import Tasks
 from qrsim.runs import open_run
+from qrsim.scenarios.live_requests import wind
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.live_requests import wind
 from qrsim.view.live import LiveView
 
 HOLD = [[*HERE, 0.0]]

@@ -16,9 +16,9 @@ from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.sim_parameters import AXES
 from qrsim.models.vehicles.multirotor import Multirotor
+from qrsim.scenarios.live_requests import Request, apply, wind
 from qrsim.simulation.changing import wind_limit
 from qrsim.simulation.injections import OK, targets_of
-from qrsim.simulation.live_requests import Request, apply, wind
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
@@ -47,6 +47,7 @@ class SimWind:
 
     Attributes:
         tables: values of the parameters of all vehicles, which show it.
+        now: present speed [m/s] and bearing [degrees]; None: the wind has no such numbers.
     """
 
     def __init__(self, simulation: Simulation):
@@ -54,10 +55,9 @@ class SimWind:
         self._target: tuple[float, float] | None = None
         self._rate = self._next = 0.0
         self.tables: list[dict[str, float]] = []
+        self.now = self._of_world()
 
-    @property
-    def now(self) -> tuple[float, float] | None:
-        """Present speed [m/s] and bearing [degrees]; None: the wind has no such numbers."""
+    def _of_world(self) -> tuple[float, float] | None:
         found: Any = self._simulation.world.wind
         if not hasattr(found, "speed_20ft"):
             return None
@@ -77,6 +77,7 @@ class SimWind:
 
     def again(self) -> None:
         """Let it be what the parameters say, after a reset."""
+        self.now = self._of_world()
         if self._by:
             table = self.tables[0]
             self.ask(table["SIM_WIND_SPD"], table["SIM_WIND_DIR"], table["SIM_WIND_TC"], self._by)
@@ -93,6 +94,7 @@ class SimWind:
             self._target = None
         else:
             speed, bearing = now[0] + share * (speed - now[0]), now[1] + share * turn
+        self.now = speed, bearing
         apply(self._simulation, wind(speed, bearing), self._by)
 
 

@@ -11,8 +11,8 @@ from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.roles import Client
 from qrsim.links.reference.sharing import Sharing
+from qrsim.scenarios.live_requests import Request, apply
 from qrsim.simulation.injections import OK, plain_target, targets_of
-from qrsim.simulation.live_requests import Request, apply
 from qrsim.world.state import World
 
 

@@ -18,7 +18,7 @@ from qrsim.links.ros2.node import Node, Reader
 from qrsim.links.ros2.pilots import Pilots
 from qrsim.links.ros2.radio import hand_over, said_topic
 from qrsim.links.ros2.typestore import Types
-from qrsim.simulation.live_requests import VERBS, apply, injected_rows, parsed
+from qrsim.scenarios.live_requests import VERBS, apply, injected_rows, parsed
 from qrsim.simulation.simulation import Simulation
 
 CONTROLS = ("pause", "resume", "reset", "step", *VERBS)

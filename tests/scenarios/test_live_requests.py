@@ -9,8 +9,8 @@ from tests.simulation.test_injections import scenario
 
 import qrsim
 from qrsim.errors import UsageError
+from qrsim.scenarios.live_requests import Request, apply, injected_rows, numbers_of, parsed
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.live_requests import Request, apply, injected_rows, numbers_of, parsed
 
 WINDY = {"world": {"wind": {"type": "log_shear", "speed_20ft": 2.0, "wind_from_deg": 90.0}}}
 
@@ -98,7 +98,10 @@ def test_requests_are_done_and_said() -> None:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        (Request("world", "wnd"), "kind: 'wnd' does not suit the world; allowed: wind, gusts, jam; did you mean 'wind'?"),
+        (
+            Request("world", "wnd"),
+            "kind: 'wnd' does not suit the world; allowed: wind, gusts, jam; did you mean 'wind'?",
+        ),
         (Request("world", "wind"), "speed_20ft: missing; a wind needs speed_20ft and wind_from_deg"),
         (
             Request("world", "wind", numbers={"speed_20ft": 3.0, "wind_from_deg": 0.0, "ower": 3.0}),
