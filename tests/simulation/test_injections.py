@@ -13,7 +13,8 @@ import qrsim
 from qrsim.engine import by_llvm
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation.injections import injected, without_faults
+from qrsim.simulation.injections import Injection, injected, without_faults
+from qrsim.simulation.requests import entry_of, events_of
 
 ALL = {"sensors": "all", "rotors": "all", "battery": True, "delay_max": 0.4}
 
@@ -275,6 +276,9 @@ def test_fields_have_numbers_of_their_own() -> None:
     velocity = {f"velocity_ned.{axis}": -1.0 for axis in "xyz"}
     assert {name: value for name, value in added.items() if value} == {"position_ned.x": 3.0} | velocity
     assert {name: value for name, value in times.items() if value != 1.0} == {"position_ned.y": 0.5}
+    request = Injection(1, "gnss", "wrong", ("uav_1",), 5, 10, numbers, "test", 4)
+    (event,) = events_of([request], 0.02)
+    assert (event["field"], event["value"], entry_of(request, 0.02)["bias"]) == ("gnss", None, numbers["bias"])
     # Vehicle 0 has no fault.
     assert not any(float(amount[0]) for amount in slot.numbers.amounts)
     for wrong, message in (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,14 @@ import pytest
 from shared_worlds import SEED, A, B, together
 from wires import Running, Wire, running
 
+from qrsim.cli import main
 from qrsim.errors import UsageError
 from qrsim.links.reference.client import Client, Refused
 from qrsim.links.reference.injecting import request_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.tasks import Tasks
+from qrsim.runs import open_run
 from qrsim.scenarios.live_requests import Request
 from small_worlds import pair
 
@@ -116,6 +119,30 @@ def test_clients_of_a_shared_world_let_their_own_vehicles_fail() -> None:
         one.clear()
         mine, _ = together(lambda: one.advance(ticks=5), lambda: other.advance(ticks=5))
         assert mine.vehicles[A].sensors["gnss"]["reason"] == ""
+
+
+@pytest.mark.long
+def test_what_clients_inject_is_recorded_and_replayed(tmp_path: Path) -> None:
+    with served(pace="barrier", allow_inject=True, record=tmp_path / "served") as (_, one, other):
+        one.claim()
+        one.advance({A: ("waypoint", HOLD[0]), B: ("waypoint", HOLD[1])}, ticks=20)
+        one.inject("gnss", "drift", A, field="position_ned", rate=0.5)
+        one.set_wind(6.0, 270.0)
+        one.advance(ticks=20)
+        one.clear()
+        one.advance(ticks=20)
+        one.disconnect()
+        other.disconnect()
+    (episode,) = (tmp_path / "served").glob("*/episode-0001")
+    run = open_run(episode)
+    kinds = ("injected", "wind_changed", "wind_changed", "cleared")
+    found = [(event.tick, event.kind) for event in run.events if event.kind in kinds]
+    assert found == list(zip((20, 20, 20, 40), kinds, strict=True))
+    assert "asked_by: 'tcp:1'" in (episode / "injections.yaml").read_text("utf-8")
+    assert main(["replay", str(episode), "--out", str(tmp_path / "again")]) == 0
+    again = open_run(tmp_path / "again")
+    for stream in ("truth", "measurements", "wind"):
+        assert again.table(stream).equals(run.table(stream)), stream
 
 
 @pytest.mark.long
