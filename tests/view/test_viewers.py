@@ -13,7 +13,6 @@ from tests.view.fetching import fetching
 
 from qrsim.models.sensors.faults import KINDS
 from qrsim.scenarios.live_requests import Request
-from qrsim.simulation.injections import BATTERY_KINDS, ROTOR_KINDS
 from qrsim.view.clock import Clock
 from qrsim.view.failing import FailingControls, Target
 from qrsim.view.frame import Cast, Frame
@@ -75,7 +74,11 @@ def test_what_can_fail_of_the_chosen_vehicle(page: Page):
         Target("gnss", KINDS, ("position_ned.x", "position_ned.y")),
         Target("barometer", KINDS, ("height",)),
     )
-    targets = [[gnss, barometer, Target("rotor 0", ROTOR_KINDS)], [Target("battery", BATTERY_KINDS)], []]
+    targets = [
+        [gnss, barometer, Target("rotor 0", ("off", "weak", "stuck"), is_part=True)],
+        [Target("battery", ("drop", "weak"), is_part=True)],
+        [],
+    ]
     asked: list[Request] = []
     said: list[str] = []
     page.failing = lambda gui: FailingControls(gui, targets, page.scene.cast.names, asked.append, said.append)
@@ -98,14 +101,14 @@ def test_what_can_fail_of_the_chosen_vehicle(page: Page):
         controls.ask_inject()
         controls.ask_clear()
         controls.target.value = "rotor 0"
-        assert controls.kind.options == ("off", "weak")
+        assert controls.kind.options == ("off", "weak", "stuck")
         controls.kind.value = "weak"
         controls.seconds.value = 0.0
         controls.ask_inject()
         controls.numbers.value = "health 0.5"
         controls.ask_inject()
         viewer.choose(1)
-        assert (controls.target.value, controls.kind.options) == ("battery", ("drop",))
+        assert (controls.target.value, controls.kind.options) == ("battery", ("drop", "weak"))
         viewer.choose(2)
         assert not controls.inject.visible
     assert asked == [

@@ -188,7 +188,7 @@ class _Told:
             raise AttributeError(name)
         part = self._parts[name]
         found: object
-        if isinstance(part, tuple) and not hasattr(part, "_fields"):
+        if isinstance(part, tuple) and type(part) is tuple:
             found = _Each(part, self._world)
         else:
             found = jax.tree.map(lambda leaf: leaf[self._world], part)

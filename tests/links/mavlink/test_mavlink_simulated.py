@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.links.mavlink.test_mavlink_failures import Field
 
-from qrsim.links.autopilot.ardupilot import FRAMES
+from qrsim.links.autopilot.fleet import FRAMES
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Reader
 from qrsim.links.mavlink.link import Link

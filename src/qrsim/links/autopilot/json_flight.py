@@ -11,6 +11,7 @@ from qrsim.links.autopilot import ardupilot, fleet
 from qrsim.links.autopilot.lockstep import FlownFleet, LockstepFlight, chosen
 from qrsim.links.autopilot.losses import Losses
 from qrsim.links.autopilot.servo_link import PORT_STEP, ServoLink
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
@@ -26,7 +27,7 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
     """
     order = fleet.motor_order(flown)
     if order is None:
-        count = len(getattr(flown.vehicle, "rotors", ()))
+        count = len(flown.vehicle.rotors if isinstance(flown.vehicle, Multirotor) else ())
         raise UsageError(
             f"fleet '{flown.name}': its {count} rotors are no frame X of ArduPilot's, with 4, 6 or 8 arms, the "
             "one right of the nose turning counter-clockwise (of 8: clockwise), and neighbours the other way"

@@ -15,6 +15,7 @@ from qrsim.links.mavlink.frames import frame
 from qrsim.links.shared import sight as s
 from qrsim.links.shared.sight import delivery
 from qrsim.models.atmosphere.standard import LAPSE, TEMPERATURE
+from qrsim.models.sensors.rangefinder import Rangefinder
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
@@ -150,7 +151,9 @@ class Px4Feed:
         found = []
         if s.RANGE in news and news[s.RANGE][i]:
             sensor = self._sensor(s.RANGE)
-            low, high = (_number(sensor, name, usual, i) for name, usual in (("range_min", 0.0), ("range_max", 600.0)))
+            low, high = IDEAL_RANGES
+            if isinstance(sensor, Rangefinder):
+                low, high = (_number(limit, i) for limit in (sensor.range_min, sensor.range_max))
             found.append((messages.DISTANCE, messages.distance_sensor(usec, row[s.RANGE], low, high, sensor.axis)))
         if s.FLOW in news and news[s.FLOW][i]:
             period = round(1e6 * self._sensor(s.FLOW).period)
@@ -166,6 +169,8 @@ class Px4Feed:
         return self._fleet.sensors[number]
 
 
+# Shortest and longest range [m] of a rangefinder without limits.
+IDEAL_RANGES = (0.0, 600.0)
 # Whose deliveries are followed: a barometer by the pressure that it reads, or else by its height.
 _COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.DIFFERENTIAL, s.RANGE, s.FLOW)
 
@@ -174,9 +179,9 @@ def _kind(sensor: object) -> str:
     return type(sensor).__name__
 
 
-def _number(sensor: Any, name: str, usual: float, i: int) -> float:
+def _number(value: object, i: int) -> float:
     """Return a parameter of a sensor, which may be one for each vehicle."""
-    found = np.ravel(np.asarray(getattr(sensor, name, usual), np.float64))
+    found = np.ravel(np.asarray(value, np.float64))
     return float(found[i if len(found) > 1 else 0])
 
 

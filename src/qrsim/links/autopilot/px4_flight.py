@@ -16,6 +16,7 @@ from qrsim.links.autopilot.px4_feed import Px4Feed, time_usec
 from qrsim.links.autopilot.px4_link import LOOPBACK, Px4Link
 from qrsim.links.autopilot.px4_parameters import MOST_MOTORS, Number, parameters
 from qrsim.links.pacing import Pacer
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet, Piloted
 
@@ -33,7 +34,7 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
     Raises:
         UsageError: more rotors than PX4 has motors.
     """
-    rotors = getattr(flown.vehicle, "rotors", ())
+    rotors = flown.vehicle.rotors if isinstance(flown.vehicle, Multirotor) else ()
     if len(rotors) > MOST_MOTORS:
         raise UsageError(f"fleet '{flown.name}': {len(rotors)} rotors, and PX4 has at most {MOST_MOTORS} motors")
     order = fleet.motor_order(flown, fleet.CORNER_DEG) if len(rotors) == 4 else None

@@ -89,7 +89,7 @@ def _sensors(fleet: Fleet, sight: FleetSight) -> dict[str, Number]:
     number = sight.sensors.get(s.FIX_POSITION)
     if number is not None:
         sensor, fitting = fleet.sensors[number], fleet.fitting(number)
-        periods = getattr(sensor, "delay", 0) + (fitting.delay if fitting is not None and fitting.is_late else 0.0)
+        periods = sensor.delay + (fitting.delay if fitting is not None and fitting.is_late else 0.0)
         delay = round(1e3 * periods * sensor.period)
         # Its name since 2026, and the one before; the other is an error message at the start, and no more.
         found |= {"SENS_GPS0_DELAY": delay, "EKF2_GPS_DELAY": delay}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.links.autopilot import px4_messages as messages
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.simulation import Simulation
 
 # WGS-84: semi-axes [m].
@@ -57,7 +58,8 @@ class TrueStates:
             leaves += [vector.x, vector.y, vector.z]
         self._places = np.array([np.arange(layout.slices[at].start, layout.slices[at].stop) for at in leaves])
         fleet = simulation.world.fleets[number]
-        self._gravity = np.broadcast_to(np.asarray(getattr(fleet.vehicle, "gravity", 9.81), np.float64), (fleet.size,))
+        vehicle_model = cast(Multirotor, fleet.vehicle)
+        self._gravity = np.broadcast_to(np.asarray(vehicle_model.gravity, np.float64), (fleet.size,))
         site = simulation.site
         self._origin, self._to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
@@ -15,6 +16,9 @@ from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.sim_parameters import AXES
+from qrsim.models.atmosphere.wind import LogShear
+from qrsim.models.atmosphere.wind_series import VeeringShear
+from qrsim.models.vehicles.lithium_cells import LithiumCells
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios.live_requests import Request, apply, wind
 from qrsim.simulation.changing import wind_limit
@@ -58,8 +62,8 @@ class SimWind:
         self.now = self._of_world()
 
     def _of_world(self) -> tuple[float, float] | None:
-        found: Any = self._simulation.world.wind
-        if not hasattr(found, "speed_20ft"):
+        found = self._simulation.world.wind
+        if not isinstance(found, LogShear | VeeringShear):
             return None
         return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
 
@@ -176,9 +180,9 @@ def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
     def own(value: object) -> Any:
         return np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number]
 
-    if hasattr(battery, "open_circuit"):
+    if isinstance(battery, LithiumCells):
         cells = own(battery.cells) / own(np.asarray(battery.cells).flat[0])
-        return np.asarray(battery.open_circuit(CHARGES), np.float64) * cells
+        return np.asarray(battery.open_circuit(cast(Array, CHARGES)), np.float64) * cells
     full, empty = own(battery.voltage_full), own(battery.voltage_empty)
     return np.asarray(empty + (full - empty) * CHARGES)
 
