@@ -90,7 +90,7 @@ class Ros2:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, or all; can be given several
+    """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, radio, or all; can be given several
     times."""
     paused: bool = False
     """Begin paused, until 'resume' or 'step N' arrives on /qrsim/control."""

@@ -11,7 +11,7 @@ from qrsim.scenarios.catalogue import BATTERIES, VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 
 # Names that are no sensors.
-PARTS = ("all", "rotors", "battery")
+PARTS = ("all", "rotors", "battery", "radio")
 # Longest delay of readings [s] that may be injected where all may be.
 DELAY_MAX = 0.5
 
@@ -21,7 +21,7 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
 
     Args:
         content: of the scenario.
-        names: sensors, ``rotors``, ``battery``, or ``all``.
+        names: sensors, ``rotors``, ``battery``, ``radio``, or ``all``.
 
     Raises:
         UsageError: no fleet has a sensor of that name.
@@ -32,7 +32,8 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
             raise UsageError(f"--injectable {name}: there is no such sensor{did_you_mean(name, sorted(known))}")
     for fleet in content["fleets"].values():
         if "all" in names:
-            fleet["injectable"] = {"sensors": "all", "rotors": "all", "battery": True, "delay_max": DELAY_MAX}
+            everything = {"sensors": "all", "rotors": "all", "battery": True, "radio": True}
+            fleet["injectable"] = everything | {"delay_max": DELAY_MAX}
             continue
         spec = fleet["injectable"] or {}
         before = spec.get("sensors", [])
@@ -43,6 +44,8 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
             more["rotors"] = "all"
         if "battery" in names and BATTERIES[fleet["battery"]["type"]].drains:
             more["battery"] = True
+        if "radio" in names and content["world"]["radio"] is not None and (fleet["radio"] or {}).get("works", True):
+            more["radio"] = True
         fleet["injectable"] = spec | more
 
 
