@@ -113,7 +113,7 @@ def test_asked_for_in_flight_it_is_the_same_to_the_bit(plain: np.ndarray, precis
 
 def test_a_step_is_that_of_a_wind_without_a_course() -> None:
     found = []
-    for world in ({}, {"injectable": ["wind"]}):
+    for world in ({}, {"injectable": ["wind", "gusts"]}):
         simulation = loaded(**world)
         simulation.step(ticks=20)
         simulation.set_wind(8.0, 10.0)
@@ -138,6 +138,7 @@ def test_a_run_has_their_events(tmp_path: Path) -> None:
     assert run.injections == []
 
 
+@pytest.mark.long
 def test_many_worlds_have_the_same_events(changed: np.ndarray) -> None:
     def wind(state: Any) -> Any:
         return state.fleets[0].mean_wind_ned.x
