@@ -11,7 +11,7 @@ from qrsim.errors import UsageError
 # Of each kind the number that it takes, from 0 to 1; None: it takes none.
 ROTOR: dict[str, str | None] = {"off": None, "weak": "health", "stuck": "speed"}
 BATTERY: dict[str, str | None] = {"drop": "charge", "weak": "health"}
-# Less of its voltage and capacity no battery has that is weak.
+# Smallest health of a weak battery.
 WEAKEST_BATTERY = 0.05
 
 
