@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from tests.small_worlds import bare_pair
 
 import qrsim
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.runs import open_run
+from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 
@@ -110,7 +113,7 @@ def test_asked_for_in_flight_it_is_the_same_to_the_bit(plain: np.ndarray, precis
 
 def test_a_step_is_that_of_a_wind_without_a_course() -> None:
     found = []
-    for world in ({}, {"injectable": ["wind"]}):
+    for world in ({}, {"injectable": ["wind", "gusts"]}):
         simulation = loaded(**world)
         simulation.step(ticks=20)
         simulation.set_wind(8.0, 10.0)
@@ -118,6 +121,24 @@ def test_a_step_is_that_of_a_wind_without_a_course() -> None:
     np.testing.assert_array_equal(*found)
 
 
+def test_a_run_has_their_events(tmp_path: Path) -> None:
+    fly(load_scenario(content(events=EVENTS), quiet=True), tmp_path / "run", seed=3, precision="float32")
+    run = open_run(tmp_path / "run")
+    found = [(event.tick, event.kind, event.field, event.value) for event in run.events if "changed" in event.kind]
+    assert found == [
+        (20, "wind_changed", "world.wind.speed_20ft", 8.0),
+        (20, "wind_changed", "world.wind.wind_from_deg", 10.0),
+        (30, "gusts_changed", "world.gusts.times", 0.0),
+        (50, "wind_changed", "world.wind.speed_20ft", 1.0),
+        (50, "wind_changed", "world.wind.wind_from_deg", 100.0),
+        (100, "gusts_changed", "world.gusts.times", 2.0),
+    ]
+    assert "wind changed at 0.40 s, over 1 s: 8 m/s at 20 ft" in [event.message for event in run.events]
+    # They are of the scenario, which flies them again by itself.
+    assert run.injections == []
+
+
+@pytest.mark.long
 def test_many_worlds_have_the_same_events(changed: np.ndarray) -> None:
     def wind(state: Any) -> Any:
         return state.fleets[0].mean_wind_ned.x

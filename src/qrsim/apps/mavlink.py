@@ -79,8 +79,8 @@ class Mavlink:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors, battery, radio, or
-    all; can be given several times."""
+    """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors, battery,
+    radio, or all; can be given several times."""
     truth: bool = False
     """Let clients request HIL_STATE_QUATERNION, the true state; without it they get only estimates and readings."""
 

@@ -99,7 +99,7 @@ class EventComparison:
 
 @dataclass(frozen=True)
 class InjectionComparison:
-    """Number of injections in both runs, and the entries in only one of them; who asked does not count."""
+    """Number of injections in both runs, and the entries in only one of them; ``asked_by`` is ignored."""
 
     equal: int
     only: tuple[tuple[Content, ...], tuple[Content, ...]]

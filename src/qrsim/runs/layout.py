@@ -22,7 +22,7 @@ FORMAT = 1
 # Ticks are counted in 32 bits.
 LARGEST_EVERY = 2**31 - 1
 RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
-# What was injected in flight, as ``qrsim run --inject`` takes it; there is none where nothing was.
+# Requests made in flight, for ``qrsim run --inject``; absent if there were none.
 INJECTIONS_FILE = "injections.yaml"
 # Kind of the event that says that a person was found; its value is the number of the person.
 PERSON_FOUND = "person_found"

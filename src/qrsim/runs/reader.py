@@ -132,7 +132,7 @@ class Run(Tabled):
 
     @property
     def injections(self) -> list[Content]:
-        """What was injected in flight, the entries of ``injections.yaml``; none where nothing was.
+        """Entries of ``injections.yaml``, the requests made in flight; empty without the file.
 
         Raises:
             RunError: the file is no list of entries.

@@ -21,6 +21,7 @@ from qrsim.runs.failsafe_events import FailsafeWatch
 from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.runs.radio_columns import radio_columns
+from qrsim.runs.weather_events import weather_events
 from qrsim.simulation.history import History
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.standing import on_ground
@@ -219,6 +220,7 @@ class EventFinder:
         found += self._of_failsafes(history)
         found += self._landings(history)
         found += self._crowds(history)
+        found += [(row, 0, event) for row, event in weather_events(self.world, history)]
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
 

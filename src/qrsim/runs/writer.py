@@ -166,7 +166,7 @@ class RunWriter:
         self._info = replace(self._info, score=dict(score))
 
     def note_injection(self, entry: Mapping[str, object]) -> None:
-        """Note what was asked for in flight, an entry of ``injections.yaml``; written with the next flush."""
+        """Note a request made in flight, an entry of ``injections.yaml``; written with the next flush."""
         self._check_open()
         self._injections.append(f"- {dump_line(entry)}\n")
 

@@ -46,13 +46,12 @@ def with_events(world: World, scenario: ScenarioSpec) -> World:
     spec = scenario.world
     events = sorted(enumerate(spec.events), key=lambda item: item[1].at)
     kinds = {*spec.injectable, *(_change(event)[0] for _, event in events)}
-    # Of all kinds there is only as much as the scenario has.
     if not kinds:
         return world
     world = with_changes(world, [kind for kind in (WIND, GUSTS, JAM) if kind in kinds], len(events))
     for number, event in events:
         kind, numbers = _change(event)
-        # What a receiver says at the time of an event is the first that a jammer can change.
+        # The first epoch that a jammer can change is that of the next tick.
         tick = max(0, round(event.at / scenario.time_step) - (kind == JAM))
         try:
             world = changed(world, kind, numbers, tick, now=-1)

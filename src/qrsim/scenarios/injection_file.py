@@ -120,7 +120,7 @@ def _checked(entry: object, where: str) -> Content:
         raise UsageError(f"{where}: tick: {tick!r:.60}; allowed: a whole number from 0")
     if vehicles is not None and not (isinstance(vehicles, list) and all(isinstance(one, str) for one in vehicles)):
         raise UsageError(f"{where}: vehicles: expected a list of names")
-    # What ends faults may be called as the function that does.
+    # The name of the method that ends faults is accepted too.
     kind = OK if entry["kind"] == "clear" else entry["kind"]
     return entry | {"target": plain_target(entry["target"]), "kind": kind}
 
@@ -207,7 +207,7 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
         if entry.get(name) and not is_multiple(entry[name], dt, math.inf):
             raise UsageError(f"{where}: {name}: {entry[name]:g} s is not a multiple of the time step {dt:g} s")
     at, end = round(entry["at"] / dt), entry.get("end")
-    # What a sensor says at the tick after a request is the first that it can change.
+    # The first reading that a request can change is that of the next tick.
     soonest = int(entry["kind"] == JAM if target == WORLD else target not in PLAIN and _rotor(target) is None)
     tick = entry.get("tick", max(0, at - soonest))
     start = max(at, tick if entry["kind"] == OK else tick + soonest)

@@ -192,7 +192,7 @@ class WorldSpec(Strict):
     )
     injectable: Changeable = Field(
         [],
-        description="what may change in flight: wind (over some time), gusts and jam, or all",
+        description="weather that can change in flight: wind (over some time), gusts and jam, or all",
         json_schema_extra=or_all,
     )
     radio: RadioModel | None = Field(None, description="radios for messages between vehicles; default: none")

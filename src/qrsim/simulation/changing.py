@@ -51,7 +51,7 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
         kind: what changes, one of ``TAKES``.
         numbers: its numbers, by name.
         tick: at which the change begins.
-        now: tick that the world has come to; what was before it is forgotten. None: ``tick``.
+        now: present tick of the world; earlier legs are dropped. None: ``tick``.
 
     Raises:
         UsageError: it cannot be changed, or not so.

@@ -13,7 +13,7 @@ from qrsim.simulation.changing import GUSTS, JAM, WIND, changed
 from qrsim.simulation.injections import OK, WORLD, Injection, injected, named_vehicles
 from qrsim.world.state import World
 
-# Kinds of the events that tell of requests. Changes of the weather have an event for each number.
+# Kinds of the events of requests. Changes of the weather have an event for each number.
 INJECTED, CLEARED = "injected", "cleared"
 WEATHER_CHANGED = {WIND: "wind_changed", GUSTS: "gusts_changed", JAM: "jammer_changed"}
 _WORDS = {

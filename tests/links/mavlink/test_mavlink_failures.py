@@ -22,7 +22,7 @@ from qrsim.scenarios.scenario import load_scenario
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 GPS, BARO, BATTERY, MOTOR = 4, 3, 100, 101
-OK, OFF, WRONG, DRIFT = 0, 1, 4, 8
+OK, OFF, STUCK, WRONG, DRIFT = 0, 1, 2, 4, 8
 
 
 class Field:
@@ -92,8 +92,9 @@ def test_every_unit_and_type_is_answered_as_the_table_says(field: Field) -> None
         assert answers[unit] == expected, unit
     for unit in (5, 7, 8):
         assert answers[unit] == [DENIED] * 9 + [UNSUPPORTED], unit
-    for unit in (BATTERY, MOTOR):
-        assert answers[unit] == [ACCEPTED, ACCEPTED, *[UNSUPPORTED] * 2, ACCEPTED, *[UNSUPPORTED] * 5], unit
+    for unit, stuck in ((BATTERY, UNSUPPORTED), (MOTOR, ACCEPTED)):
+        expected = [ACCEPTED, ACCEPTED, stuck, UNSUPPORTED, ACCEPTED, *[UNSUPPORTED] * 5]
+        assert answers[unit] == expected, unit
     for unit in (6, *range(102, 108)):
         assert answers[unit] == [UNSUPPORTED] * 10, unit
     # By NaN or a fraction no instance is meant; there is one barometer, and four motors.
@@ -126,6 +127,9 @@ def test_what_is_injected_acts(field: Field) -> None:
     assert place[0] > 0.0
     assert place[1] > 0.0
     assert fault.asked_by == "mavlink:3"
+    # One that is stuck turns as fast as it does, on the ground not at all.
+    assert field.command(2, 420, MOTOR, STUCK, 2) == ACCEPTED
+    assert [one.numbers for one in simulation.injected if one.kind == "stuck"] == [{"speed": 0.0}]
 
 
 def test_instances_are_numbers_or_a_mask() -> None:

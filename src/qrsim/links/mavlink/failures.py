@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from qrsim.errors import UsageError
 from qrsim.links.mavlink.stack.codes import Result
 from qrsim.models.sensors.faults import FaultSlot
@@ -78,7 +80,7 @@ class Failures:
             asked = ("ok", {}) if word == "ok" else ("drop", {"charge": charge})
             targets, what = ["battery"] * (fleet.battery_slot is not None), "battery"
         elif unit == MOTOR:
-            if word not in ("ok", "off", "wrong"):
+            if word not in ("ok", "off", "stuck", "wrong"):
                 return Result.UNSUPPORTED, ""
             asked = ("weak", {"health": WEAK}) if word == "wrong" else (word, {})
             targets, what = _motors(fleet), "motor"
@@ -96,12 +98,23 @@ class Failures:
             return Result.DENIED, f"Not injected: {what} has {len(targets)} instance{'s' * (len(targets) > 1)}"
         kind, numbers = asked
         for target in [targets[number - 1] for number in instances] or targets:
+            if what == "motor" and kind == "stuck":
+                numbers = {"speed": self._speed(target)}
             try:
                 self._simulation.inject(target, kind, self._name, asked_by=self._by, **numbers)
             except UsageError as error:
                 return Result.DENIED, f"Not injected: {error}"
         which = ", ".join(map(str, instances)) or "all"
         return Result.ACCEPTED, f"Cleared: {what}" if word == "ok" else f"Injected: {what} {word}, instance {which}"
+
+    def _speed(self, target: str) -> float:
+        """Return the part of its largest speed at which a rotor of the vehicle turns now."""
+        fleets = [fleet.name for fleet in self._simulation.world.fleets]
+        speeds: Any = self._simulation.state.fleets[fleets.index(self._fleet.name)].vehicle
+        row, rotor = self._fleet.vehicle_names.index(self._name), int(target.split()[1])
+        largest: Any = self._fleet.vehicle.speed_max  # type: ignore[attr-defined]
+        most = np.broadcast_to(np.asarray(largest), (self._fleet.size,))[row]
+        return float(min(max(speeds.rotor_speed[rotor][row] / most, 0.0), 1.0))
 
 
 def slots_of(fleet: Fleet, field: str) -> Iterator[FaultSlot]:

@@ -14,7 +14,7 @@ BATTERY: dict[str, str | None] = {"drop": "charge", "weak": "health"}
 RADIO: dict[str, str | None] = {"off": None, "weak": "share"}
 LINK: dict[str, str | None] = {"off": None}
 PARTS = {"rotor": ROTOR, "battery": BATTERY, "radio": RADIO, "link": LINK}
-# Less of its voltage and capacity no battery has that is weak.
+# Smallest health of a weak battery.
 WEAKEST_BATTERY = 0.05
 
 

@@ -1,0 +1,52 @@
+"""Events of the changes of the weather that a scenario has at set times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.files import Content
+from qrsim.models.sensors.faults import LAST_TICK
+from qrsim.simulation.changing import GUSTS, JAM, WIND
+from qrsim.simulation.history import History
+from qrsim.simulation.injections import WORLD, Injection
+from qrsim.simulation.requests import events_of
+from qrsim.world.changes import Course
+from qrsim.world.state import World
+
+
+def weather_events(world: World, history: History) -> Iterator[tuple[int, Content]]:
+    """Yield the row in a history and the event of each number of the weather that begins to change then."""
+    for request in scheduled(world):
+        for row in np.flatnonzero(history.ticks == request.tick):
+            for event in events_of([request], world.time_step):
+                yield int(row), event
+
+
+def scheduled(world: World) -> Iterator[Injection]:
+    """Yield the changes that a world has at set times, as requests of its scenario."""
+    changes = world.changes
+    if changes is None:
+        return
+    parts: list[tuple[str, str, Course | None, dict[str, Any]]] = [
+        (WIND, "speed_20ft", changes.speed_20ft, {}),
+        (WIND, "wind_from_deg", changes.wind_from_rad, {}),
+        (GUSTS, "times", changes.gusts, {}),
+    ]
+    parts += [(JAM, "power_w", course, {"jammer": number}) for number, course in enumerate(changes.powers)]
+    for kind, name, course, more in parts:
+        for start, ticks, after in () if course is None else _legs(course):
+            value = math.degrees(after) % 360.0 if name == "wind_from_deg" else after
+            # As they were written, not as they are rounded to single precision.
+            numbers = {**more, name: float(f"{value:.6g}"), "over": ticks * world.time_step}
+            yield Injection(0, WORLD, kind, (), start, LAST_TICK, numbers, "scenario", start)
+
+
+def _legs(course: Course) -> Iterator[tuple[int, int, float]]:
+    columns = (np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.after))
+    for start, ticks, after in zip(*columns, strict=True):
+        if 0 <= start < LAST_TICK:
+            yield start, ticks, after
