@@ -32,7 +32,7 @@ def test_messages_have_their_rates_and_directions():
     replies, _, taken = rest.partition("## Taken")
     assert "| `ATTITUDE` | 30 | 100 | 15 | at most once a tick |" in sent
     assert "| `ODOMETRY` | 331 | 30 | on request |" in sent
-    assert "| `GPS_RAW_INT` | 24 | each fix | 1 |" in sent
+    assert "| `GPS_RAW_INT` | 24 | each fix; 5 without | 1 |" in sent
     assert "| `STATUSTEXT` | 253 |" in replies
     assert "| `SET_ATTITUDE_TARGET` | 82 |" in taken
     assert "`ATTITUDE`" not in taken

@@ -154,7 +154,7 @@ def changed(folder: Path, old: str, new: str) -> str:
         (
             "only(world, self.fleet, qrsim.VelocityHeightSetpoint(north, east, memory, jnp.zeros_like(north)))",
             "only(world, self.fleet, {'north': north})",
-            r"Formation.commands: the action of fleet 'followers' is dict; expected one of .*VelocityHeightSetpoint, ",
+            r"Formation.commands: the action of fleet 'followers' is dict; expected a kind .*VelocityHeightSetpoint, ",
         ),
         (
             "VelocityHeightSetpoint(north,",

@@ -39,7 +39,7 @@ class Looking:
     def offer(self, history: Any) -> None:
         pass
 
-    def changes(self, simulation: Any) -> list[Any]:
+    def change(self, simulation: Any) -> None:
         return []
 
     def wait(self, ticks: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
+from typing import cast
 
 from qrsim.errors import UsageError
 from qrsim.links.autopilot import ardupilot, fleet
@@ -27,7 +28,7 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
     """
     order = fleet.motor_order(flown)
     if order is None:
-        count = len(flown.vehicle.rotors if isinstance(flown.vehicle, Multirotor) else ())
+        count = len(cast(Multirotor, flown.vehicle).rotors)
         raise UsageError(
             f"fleet '{flown.name}': its {count} rotors are no frame X of ArduPilot's, with 4, 6 or 8 arms, the "
             "one right of the nose turning counter-clockwise (of 8: clockwise), and neighbours the other way"

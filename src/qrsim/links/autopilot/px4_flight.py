@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
+from typing import cast
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.autopilot import fleet
@@ -34,7 +35,7 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
     Raises:
         UsageError: more rotors than PX4 has motors.
     """
-    rotors = flown.vehicle.rotors if isinstance(flown.vehicle, Multirotor) else ()
+    rotors = cast(Multirotor, flown.vehicle).rotors
     if len(rotors) > MOST_MOTORS:
         raise UsageError(f"fleet '{flown.name}': {len(rotors)} rotors, and PX4 has at most {MOST_MOTORS} motors")
     order = fleet.motor_order(flown, fleet.CORNER_DEG) if len(rotors) == 4 else None
