@@ -40,7 +40,7 @@ class Looking:
         pass
 
     def change(self, simulation: Any) -> None:
-        return []
+        pass
 
     def wait(self, ticks: int) -> int:
         return ticks
