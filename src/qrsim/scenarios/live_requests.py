@@ -25,7 +25,7 @@ _CLAUSES = {"for": "duration", "at": "at"}
 
 @dataclass(frozen=True)
 class Request:
-    """What somebody asks for.
+    """A request of a client.
 
     Attributes:
         target: sensor, ``rotor N``, ``battery``, or ``world``; None: everything, which can only be cleared.
@@ -45,7 +45,7 @@ class Request:
 
     @property
     def of_world(self) -> bool:
-        """Whether all vehicles are concerned, whoever flies them."""
+        """True for requests that concern all vehicles."""
         return self.target == WORLD
 
 
@@ -60,7 +60,7 @@ def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
 
     Args:
         simulation: reset, and not being advanced by another thread.
-        request: of anybody; it is checked here.
+        request: from any client; it is checked here.
         asked_by: who asks, for records.
 
     Raises:

@@ -132,8 +132,8 @@ class Around:
         air_rates: rotation of the air (n,) [rad/s] in body axes, by gusts and by the wakes of other vehicles.
         failed_rotors: of each rotor that a fault may concern its number, how fast it still turns (n,), 1 where it is
             well, and whether that is known to the autopilot (n,) bool.
-        stuck_rotors: of each rotor that may be stuck its number, and the part of its largest speed (n,) that it is told
-            in place of all else; negative: it is not stuck.
+        stuck_rotors: of each rotor that may be stuck its number, and the part of its largest speed (n,) that
+            is commanded instead; negative: it is not stuck.
         air_density: density of the air (n,) [kg/m^3]; None outside a world.
     """
 
