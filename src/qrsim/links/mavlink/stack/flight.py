@@ -382,7 +382,7 @@ class Flight:
         return self.offboard.fresh(self.craft, limit)
 
     def _fail_over(self, asked: int) -> None:
-        """Do what a failsafe asks for, unless something graver is under way."""
+        """Take the action that a failsafe commands, unless a graver one is under way."""
         craft = self.craft
         if asked == TERMINATE:
             self.terminate()
