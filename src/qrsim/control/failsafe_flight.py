@@ -78,7 +78,7 @@ class FailsafeState:
     link_lost: Array = quantity(doc="bool: the link is lost")
     position_lost: Array = quantity(doc="bool: the position is lost")
     home_ned: Vec3 = quantity(unit="m", doc="the ground below the start")
-    place_ned: Vec3 = quantity(unit="m", doc="point of the path that is due")
+    place_ned: Vec3 = quantity(unit="m", doc="scheduled point of the path")
     speed_ned: Vec3 = quantity(unit="m/s", doc="velocity of that point")
     goal_ned: Vec3 = quantity(unit="m", doc="stopping place at the begin of the action; z: height of the way home")
     yaw: Array = quantity(unit="rad", doc="heading")

@@ -11,7 +11,7 @@ from qrsim.scenarios.fault_schema import ALL
 from qrsim.simulation.changing import JAM, TAKES
 
 MOST_EVENTS = 50
-_OVER: Any = Field(0.0, description="how long it takes [s], evenly; 0: at once", ge=0, le=1e6)
+_OVER: Any = Field(0.0, description="duration of the change, which is linear [s]; 0: at once", ge=0, le=1e6)
 
 
 class WindEvent(Strict):
