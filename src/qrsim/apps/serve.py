@@ -235,7 +235,7 @@ class Serve:
 
             for name in self.injectable:
                 if name not in PARTS:
-                    raise UsageError(f"--injectable {name}: there is no SCENARIO with such a sensor; give one, or all")
+                    raise UsageError(f"--injectable {name}: there is no SCENARIO with that sensor; give one, or all")
             return None
         from qrsim.links.reference.tasks import REFERENCE_TASKS, ours
         from qrsim.scenarios.scenario import load_scenario

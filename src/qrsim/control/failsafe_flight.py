@@ -51,7 +51,7 @@ class Watched(NamedTuple):
 
     Attributes:
         estimate: position, velocity and heading.
-        standing: bool, the vehicle stands on the ground.
+        standing: bool, the vehicle is on the ground.
         tick: () int32 now.
         charge: charge of the battery, 0 to 1.
         fixed: bool, a GNSS receiver has a fix.
@@ -161,7 +161,7 @@ class Failsafes:
     MPC_LAND_SPEED: Array = parameter(
         default=0.7, unit="m/s", doc="speed of a descent, and of a landing near the ground", minimum=0.3, maximum=1.4
     )
-    top: Any = derived(default=None, doc="down coordinate [m] of the ceiling of the area; None: there is none")
+    top: Any = derived(default=None, doc="down coordinate [m] of the ceiling of the area; None: no ceiling")
 
     def step(
         self, state: FailsafeState, seen: Watched, setpoint: PathSetpoint, dt: float
@@ -189,7 +189,7 @@ class Failsafes:
         return result
 
     def _decided(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, Array]:
-        """Return the state with the present action, and a flag (n,) for every vehicle whose action begins."""
+        """Return the state with the present action, and flags (n,) of the vehicles that begin an action."""
         flies = ~seen.standing & ~state.landed
         latched, lost = state.latched, jnp.zeros_like(state.landed)
         if seen.charge is not None:

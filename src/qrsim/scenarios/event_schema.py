@@ -1,4 +1,4 @@
-"""What a scenario says of changes of the weather, at set times and in flight."""
+"""Schema of a scenario's changes of the weather, at set times and in flight."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _OVER: Any = Field(0.0, description="duration of the change, which is linear [s]
 class WindEvent(Strict):
     """Another mean wind."""
 
-    speed_20ft: Finite | None = Field(None, description="speed 20 ft above the ground [m/s]; default: as it is", ge=0)
+    speed_20ft: Finite | None = Field(None, description="speed 20 ft above the ground [m/s]; default: unchanged", ge=0)
     wind_from_deg: Finite | None = Field(
-        None, description="bearing the wind comes from [deg], reached by the shorter turn; default: as it is"
+        None, description="bearing the wind comes from [deg], reached by the shorter turn; default: unchanged"
     )
     over: Finite = _OVER
 
@@ -27,7 +27,7 @@ class WindEvent(Strict):
 class GustsEvent(Strict):
     """Random gusts of another strength."""
 
-    times: Finite = Field(description="what the gusts of the scenario are multiplied by", ge=0, le=10)
+    times: Finite = Field(description="factor of the scenario's gusts", ge=0, le=10)
     over: Finite = _OVER
 
 

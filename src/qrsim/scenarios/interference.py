@@ -129,7 +129,7 @@ def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[s
 
     Args:
         scenario: with ``world`` and ``duration``.
-        ephemeris: orbits, whose satellites an outage may name.
+        ephemeris: orbits of the satellites that an outage may name.
         names: of all vehicles, which a spoofer may name.
         heard: the scenario has a sensor of type gnss.
     """

@@ -45,7 +45,7 @@ class Request:
 
     @property
     def of_world(self) -> bool:
-        """Whether the request is for the world, and so affects all vehicles."""
+        """True if the request is for the world, and so affects all vehicles."""
         return self.target == WORLD
 
 

@@ -114,7 +114,7 @@ class Network(Channel, Radio):
         return newest(both, both.known(tick) & fresh, self.inbox.size)
 
     def last_heard(self, state: NetworkState, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1: there is none."""
+        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1 without one."""
         both = state.coming.joined(state.table)
         counts = both.known(tick) & (both.sender >= senders.start) & (both.sender < senders.stop)
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)

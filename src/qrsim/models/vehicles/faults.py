@@ -17,7 +17,7 @@ FREE = -1.0
 
 @record
 class RotorFault:
-    """One rotor of some vehicles (n,) of a fleet that turns slower than it is told, or stands still, or is stuck."""
+    """One rotor of some vehicles (n,) of a fleet that turns slower than commanded, stops, or is stuck."""
 
     start_tick: Array = quantity(doc="() or (n,) int32 first tick of the fault")
     noticed_ticks: Array = quantity(doc="() int32 ticks after which the autopilot responds to it")
