@@ -47,7 +47,7 @@ def warned(*overrides: str) -> list[str]:
         ([f"{FIELD}, residual: filter, spectrum: von_karman}}"], "residual: 'filter' continues the Dryden form only"),
         ([f"{FIELD}}}", "world.wind=calm"], "turbulence.speed_20ft: missing; it would be taken from world.wind.speed"),
         (["world.turbulence=dryden_fild"], "no such type 'dryden_fild'; did you mean 'dryden_field'?"),
-        ([f"{GUST}}}"], "world.gust.speed: missing (speed at which it is met; only a travelling gust has"),
+        ([f"{GUST}}}"], "world.gust.speed: missing (at which vehicles cross it, m/s; only a travelling gust has"),
         ([f"{GUST}, front: travelling}}", *CALM], "world.gust.speed: missing; it would be that of the wind"),
         ([f"{GUST}, speed: 3}}", *CALM], "world.gust.wind_from_deg: missing; it would be that of the wind"),
     ],

@@ -99,7 +99,7 @@ def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenar
             "entry 2: there is no target 'gnsss'",
         ),
         ("- {target: rotor 3, kind: weak, health: 2, at: 2, tick: 9}", "entry 1: health: 2; allowed: 0 to 1"),
-        ("- gnss", "entry 1: expected a mapping with target, kind and at, not str"),
+        ("- gnss", "entry 1: expected target, kind, at and others, not str"),
         ("target: gnss", "expected a list of injections, not dict"),
         ("- {" * 300, "faults.yaml"),
     ],

@@ -51,7 +51,7 @@ class Watched(NamedTuple):
 
     Attributes:
         estimate: position, velocity and heading.
-        standing: bool, the vehicle rests on the ground.
+        standing: bool, the vehicle is on the ground.
         tick: () int32 now.
         charge: charge of the battery, 0 to 1.
         fixed: bool, a GNSS receiver has a fix.
@@ -78,7 +78,7 @@ class FailsafeState:
     link_lost: Array = quantity(doc="bool: the link is lost")
     position_lost: Array = quantity(doc="bool: the position is lost")
     home_ned: Vec3 = quantity(unit="m", doc="the ground below the start")
-    place_ned: Vec3 = quantity(unit="m", doc="point of the path that is due")
+    place_ned: Vec3 = quantity(unit="m", doc="scheduled point of the path")
     speed_ned: Vec3 = quantity(unit="m/s", doc="velocity of that point")
     goal_ned: Vec3 = quantity(unit="m", doc="stopping place at the begin of the action; z: height of the way home")
     yaw: Array = quantity(unit="rad", doc="heading")
@@ -189,7 +189,7 @@ class Failsafes:
         return result
 
     def _decided(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, Array]:
-        """Return the state with the present action, and a flag (n,) for every vehicle that begins an action."""
+        """Return the state with the present action, and flags (n,) of the vehicles that begin an action."""
         flies = ~seen.standing & ~state.landed
         latched, lost = state.latched, jnp.zeros_like(state.landed)
         if seen.charge is not None:

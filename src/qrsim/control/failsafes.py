@@ -47,7 +47,7 @@ def battery_action(level: Any, low_bat_act: int) -> Any:
 
 
 def link_action(lost: Any, dll_act: int) -> Any:
-    """Return the action of a vehicle with a ``lost`` link, by the number of NAV_DLL_ACT or NAV_RCL_ACT."""
+    """Return the action if the link is ``lost``, by the number of NAV_DLL_ACT or NAV_RCL_ACT."""
     return _one(lost) * _ON_LINK.get(dll_act, NOTHING)
 
 
@@ -57,7 +57,7 @@ def fix_action(lost: Any, gnssloss_act: int) -> Any:
 
 
 def position_action(lost: Any) -> Any:
-    """Return the action of a vehicle with a ``lost`` position: a descent, which needs no position."""
+    """Return the action if the position is ``lost``: a descent, which needs no position."""
     return _one(lost) * DESCEND
 
 

@@ -177,7 +177,7 @@ class FixedWingController(Controller):
         return 4.0 * self.l1_damping * self.l1_damping * speed * speed / self._reach(speed) * sine
 
     def _on_line(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the acceleration (n,) [m/s^2] to the right towards a line; straight to its end where it has none."""
+        """Return the acceleration (n,) [m/s^2] to the right that leads to a line, or to its end if it has no length."""
         v, away = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
         way_north, way_east = (track.position_ned.x - track.begin_ned.x, track.position_ned.y - track.begin_ned.y)

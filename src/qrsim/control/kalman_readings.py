@@ -1,4 +1,4 @@
-"""What single readings say of the errors of the Kalman filter.
+"""Measurement equations of the Kalman filter: innovations of single readings, and their sensitivities.
 
 The scalars of docs/explanation/models/estimators.md, F2 to F5.
 """
@@ -16,15 +16,15 @@ from qrsim.core.vectors import Euler, Vec3
 
 
 class Measured(NamedTuple):
-    """A scalar measurement: what it was expected to be wrong by, and how it depends on the errors."""
+    """A scalar measurement of n vehicles: one row of the measurement equation."""
 
-    innovation: Array
-    variance: Array
-    sensitivity: dict[int, Array]
+    innovation: Array  # (n,) reading minus prediction
+    variance: Array  # (n,) or (), of its noise
+    sensitivity: dict[int, Array]  # its derivatives (n,) by the error states with these numbers
 
 
 def places(state: KalmanState, fix: Vec3, variances: tuple[Array, ...], axes: str, late: float) -> list[Measured]:
-    """Return what a fix says of these axes of the place of ``late`` [s] ago."""
+    """Return the measurements of these axes of the position ``late`` [s] ago, by a fix (F2)."""
     then = _then(state)
     scalars = []
     for i, axis in enumerate(axes):
@@ -37,7 +37,7 @@ def places(state: KalmanState, fix: Vec3, variances: tuple[Array, ...], axes: st
 
 
 def velocities(state: KalmanState, velocity: Vec3, variances: tuple[Array, ...], late: float) -> list[Measured]:
-    """Return what a fix says of the velocity of ``late`` [s] ago."""
+    """Return the measurements of the velocity ``late`` [s] ago, by a fix (F2)."""
     then, turns = _then(state), swung(state.force_ned)
     body = zip(*(axis.axes for axis in body_axes(state.rotation)), strict=True)
     scalars = []
@@ -54,7 +54,7 @@ def _then(state: KalmanState) -> Past:
 
 
 def heights(state: KalmanState, height: Array, variance: Array) -> list[Measured]:
-    """Return what a barometer says, with its own bias where the filter has it."""
+    """Return the measurement of a barometer's height (n,) [m], with its bias if that is a state."""
     miss = -height - state.position_ned.z - state.position_low_ned.z
     one = jnp.ones_like(miss)
     at = state.places.height
@@ -65,13 +65,13 @@ def heights(state: KalmanState, height: Array, variance: Array) -> list[Measured
 
 
 def headings(state: KalmanState, attitude: Euler, variance: Array) -> list[Measured]:
-    """Return what the yaw of an attitude says."""
+    """Return the measurement of the yaw of an attitude (n,) [rad]."""
     miss = wrap_angle(attitude.yaw - state.attitude.euler().yaw)
     return [Measured(miss, variance, of_angles(state.rotation)[2])]
 
 
 def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured]:
-    """Return what a magnetic field in body axes (n,) [uT] says of attitude, the Earth's field and the bias (F3)."""
+    """Return the measurements of attitude, the Earth's field and the bias by a field in body axes (n,) [uT] (F3)."""
     earth, bias, at = state.inner.earth_field_ned, state.inner.field_bias, state.places
     assert earth is not None
     assert bias is not None
@@ -88,7 +88,7 @@ def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured
 
 
 def gravities(state: KalmanState, force: Vec3, gravity: Array, variance: Array) -> list[Measured]:
-    """Return what the specific force (n,) [m/s^2] of a vehicle at rest says of attitude and accelerometer (F7)."""
+    """Return the measurements of tilt and accelerometer bias by the specific force (n,) [m/s^2] at rest (F7)."""
     zero = jnp.zeros_like(force.x)
     up = Vec3(zero, zero, zero - gravity)
     scalars = []
@@ -100,7 +100,7 @@ def gravities(state: KalmanState, force: Vec3, gravity: Array, variance: Array) 
 
 
 def compass(state: KalmanState, measured: Vec3, declination: Array, variance: Array) -> list[Measured]:
-    """Return what the level part of a magnetic field in body axes (n,) [uT] says of the yaw (F4)."""
+    """Return the measurement of the yaw by the level part of a magnetic field in body axes (n,) [uT] (F4)."""
     x, y, z = state.rotation.to_ned(measured).axes
     miss = wrap_angle(declination - arctan2(y, x))
     # Of a wrong tilt the vertical part of the field makes a wrong heading: by the direction that is known, because that
@@ -111,7 +111,7 @@ def compass(state: KalmanState, measured: Vec3, declination: Array, variance: Ar
 
 
 def airspeeds(state: KalmanState, airspeed: Array, variance: Array) -> list[Measured]:
-    """Return what the airspeed along the body's x axis (n,) [m/s] says of velocity, attitude and wind (F5)."""
+    """Return the measurement of velocity, attitude and wind by the airspeed along body x (n,) [m/s] (F5)."""
     at = state.places.wind
     assert at is not None
     assert state.inner.wind_north is not None

@@ -95,7 +95,7 @@ class PathSetpoint:
     yaw: Array = quantity(unit="rad", doc="heading")
     idle: Array | None = quantity(default=None, doc="bool: motors idle; None: they never are")
     level: Array | None = quantity(default=None, doc="bool: it stays level; None: it tilts as its motion requires")
-    blind: Array | None = quantity(default=None, doc="bool: level, for want of a position; None: none is")
+    blind: Array | None = quantity(default=None, doc="bool: level flight after a lost position; None: none is")
 
     @staticmethod
     def of(

@@ -38,7 +38,7 @@ class FieldInfo:
         doc: one sentence.
         minimum, maximum: inclusive bounds, None where open.
         above: exclusive lower bound, None where open.
-        static: part of the program's structure (a new value compiles anew) rather than a number in it.
+        static: part of the program's structure (a new value compiles again) rather than a number in it.
         inherits: path of the parameter that supplies the value where the scenario leaves it out.
         derived: set while a world is built; no scenario can give it.
         length: of a parameter that is an array, which a scenario gives as a list; 0: it is a number.
@@ -75,7 +75,7 @@ def parameter(
 ) -> Any:
     """Declare a number of a component: a leaf, so that changing it does not recompile.
 
-    Each has a unit and a doc; one without is refused where its class becomes a component, which can name it. With a
+    Each has a unit and a doc; one without is refused when its class becomes a component. With a
     ``length`` it is a list of as many; one that is ``nullable`` may be null, where the default is None. One that is
     ``of_sensors`` is null in a scenario until the world is built, and then that of the sensors.
     """

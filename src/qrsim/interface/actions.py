@@ -72,8 +72,8 @@ class ActionChecker:
         """Check a command and split it by fleet; see ``Simulation.step`` for its forms.
 
         Args:
-            command: what is asked.
-            flying: which vehicles fly. The others may be asked for NaN, because that is what their readings are.
+            command: for all vehicles, or by fleet or vehicle.
+            flying: which vehicles fly. Commands of the others may be NaN, as their readings are.
 
         Raises:
             UsageError: wrong kind or shape, a number that is not finite or out of its range (vehicle, field, value

@@ -29,10 +29,8 @@ from qrsim.world.state import Fleet, FleetState, World, position_of
 
 Values = dict[str, NumpyArray]
 STREAMS = ("truth", "measurements", "commands", "wind")
-# Where that of the radio is.
-OF_RADIO = "measurements"
+OF_RADIO = "measurements"  # stream with the columns of the radio
 VOLTAGE = "battery.voltage"
-
 
 # JAX traces the poses again for every number of ticks, which takes as long as computing them. Shorter parts of a flight
 # are padded to this number.

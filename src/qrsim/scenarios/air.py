@@ -39,7 +39,7 @@ def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
             )
     if gust.type == "discrete":
         if gust.speed is None and gust.front == "uniform":
-            yield "world.gust.speed: missing (speed at which it is met; only a travelling gust has the wind's, m/s)"
+            yield "world.gust.speed: missing (at which vehicles cross it, m/s; only a travelling gust has the wind's)"
         elif (gust.speed is None or gust.wind_from_rad is None) and convection_speed(scenario) == 0.0:
             name = "speed" if gust.speed is None else "wind_from_deg"
             yield (
@@ -67,7 +67,7 @@ _mean = on_host(lambda wind, height: wind.mean_velocity_ned(height))
 
 
 def convection_speed(scenario: ScenarioSpec) -> float:
-    """Return the speed [m/s] of what carries turbulence and gusts; infinite where the wind's file cannot be read."""
+    """Return the speed [m/s] of the wind that carries turbulence and gusts; infinite if its file cannot be read."""
     turbulence = vars(scenario.world.turbulence)
     given = turbulence.get("convection_ned")
     if given is not None:

@@ -94,7 +94,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 
 
 def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the changes of the weather of a scenario without other problems."""
+    """Yield the problem of ``world.events``, if any, of a scenario that has no other: building its world raises it."""
     if scenario.world.events:
         try:
             build_world(scenario, "float64")

@@ -35,7 +35,7 @@ def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: Scen
 
 
 def inherited(scenario: ScenarioSpec, path: str) -> object:
-    """Return the value at a dotted path of the scenario, None if it does not exist."""
+    """Return the value at a dotted path of the scenario, or None."""
     value: Any = scenario
     for part in path.split("."):
         value = getattr(value, part, None)

@@ -1,4 +1,4 @@
-"""Changes of the weather in a scenario, at set times and in flight."""
+"""Schema of a scenario's changes of the weather, at set times and in flight."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from qrsim.scenarios.fault_schema import ALL
 from qrsim.simulation.changing import JAM, TAKES
 
 MOST_EVENTS = 50
-_OVER: Any = Field(0.0, description="how long it takes [s], evenly; 0: at once", ge=0, le=1e6)
+_OVER: Any = Field(0.0, description="duration of the change, which is linear [s]; 0: at once", ge=0, le=1e6)
 
 
 class WindEvent(Strict):
@@ -27,7 +27,7 @@ class WindEvent(Strict):
 class GustsEvent(Strict):
     """Random gusts of another strength."""
 
-    times: Finite = Field(description="factor of the gusts of the scenario", ge=0, le=10)
+    times: Finite = Field(description="factor of the scenario's gusts", ge=0, le=10)
     over: Finite = _OVER
 
 

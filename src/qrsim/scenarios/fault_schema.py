@@ -64,7 +64,7 @@ class FaultSpec(Strict):
     limit: Finite | None = Field(None, description="the most that is added (drift); default: any number", ge=0)
     std: Finite | None = Field(None, description="standard deviation of the noise of each reading (noisy)", ge=0)
     times: Finite | None = Field(
-        None, description="in place of std: factor of the white noise of the sensor (noisy)", ge=1, le=1e6
+        None, description="in place of std: factor of the sensor's white noise (noisy)", ge=1, le=1e6
     )
     range: Finite | None = Field(None, description="readings are drawn uniformly from - to + this (garbage)", ge=0)
     every: int | None = Field(
@@ -77,7 +77,7 @@ class FaultSpec(Strict):
 
 
 class RotorFaultSpec(Strict):
-    """A rotor that from some time on turns slower than commanded, stops, or is stuck at a speed."""
+    """A rotor that turns slower than commanded from some time on, stops, or is stuck at a speed."""
 
     type: Literal["rotor"] = Field(description="what fails")
     rotor: int = Field(description="number of the rotor, from 0", ge=0, strict=True)
@@ -123,7 +123,7 @@ class RadioFaultSpec(Strict):
 
 
 class InjectableSpec(Strict):
-    """What of the vehicles of a fleet may be made to fail in flight; it is compiled, and costs a little."""
+    """Parts of a fleet's vehicles that may be made to fail in flight; they are compiled, and cost a little."""
 
     sensors: Annotated[list[str], BeforeValidator(_in_a_list)] = Field(
         [], description="names of sensors, or all", json_schema_extra=or_all
@@ -134,7 +134,7 @@ class InjectableSpec(Strict):
         json_schema_extra=or_all,
     )
     battery: bool = Field(False, description="the battery can be made to lose charge", strict=True)
-    radio: bool = Field(False, description="true: the radio may fail", strict=True)
+    radio: bool = Field(False, description="the radio may fail", strict=True)
     delay_max: Finite = Field(0.0, description="longest delay of kind delayed [s]", ge=0, le=60)
 
 

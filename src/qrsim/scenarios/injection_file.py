@@ -103,9 +103,9 @@ def _entries(path: Path) -> list[object]:
 
 
 def _checked(entry: object, where: str) -> Content:
-    """Return an entry with parts of the right types."""
+    """Return an entry after a check of the types of its parts."""
     if not isinstance(entry, dict):
-        raise UsageError(f"{where}: expected a mapping with target, kind and at, not {type(entry).__name__}")
+        raise UsageError(f"{where}: expected target, kind, at and others, not {type(entry).__name__}")
     for name in ("target", "kind", "at"):
         if name not in entry:
             raise UsageError(f"{where}: {name} is missing")

@@ -125,7 +125,14 @@ def spoofed(scenario: object, names: Sequence[str]) -> tuple[NumpyArray, ...] | 
 
 
 def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[str], heard: bool) -> Iterator[str]:
-    """Yield what is wrong with it; ``names`` are those of all vehicles, ``heard``: a receiver of type gnss is there."""
+    """Yield the problems of ``world.interference``.
+
+    Args:
+        scenario: with ``world`` and ``duration``.
+        ephemeris: orbits of the satellites that an outage may name.
+        names: of all vehicles, which a spoofer may name.
+        heard: the scenario has a sensor of type gnss.
+    """
     if scenario.world.interference and not heard:
         yield "world.interference: there is no sensor of type gnss, which alone feels it"
     errors = scenario.world.sky.errors

@@ -1,4 +1,4 @@
-"""Requests to change a flight that goes on, as links and the page take them: faults, their end, and the wind."""
+"""Requests to change a running flight, as links and the page take them: faults, their end, and the weather."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _CLAUSES = {"for": "duration", "at": "at"}
 
 @dataclass(frozen=True)
 class Request:
-    """A request of a client.
+    """A request of a client or of the page.
 
     Attributes:
-        target: sensor, ``rotor N``, ``battery``, or ``world``; None: everything, which can only be cleared.
+        target: sensor, ``rotor N``, ``battery``, ``radio``, ``link``, ``world``; None: all, which can only be cleared.
         kind: of the fault; ``ok`` clears it; of the world ``wind``, ``gusts`` or ``jam``.
         vehicles: names; None: all that have the target.
         at: simulated time [s]; None: from the next tick on.
-        duration: [s]; None: for good.
+        duration: [s]; None: to the end of the flight.
         numbers: of the kind, and ``field``; of the wind ``speed_20ft`` [m/s] and ``wind_from_deg`` [degrees].
     """
 
@@ -45,7 +45,7 @@ class Request:
 
     @property
     def of_world(self) -> bool:
-        """True for requests that concern all vehicles."""
+        """True if the request is for the world, and so affects all vehicles."""
         return self.target == WORLD
 
 
@@ -56,15 +56,15 @@ def wind(speed: float, from_deg: float, over: float = 0.0) -> Request:
 
 
 def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
-    """Do what is asked from the next tick on, and return a line that says so.
+    """Apply a request from the next tick on, and return a line that describes it.
 
     Args:
         simulation: reset, and not being advanced by another thread.
-        request: from any client; it is checked here.
-        asked_by: who asks, for records.
+        request: not checked yet.
+        asked_by: source of the request, for records.
 
     Raises:
-        UsageError: it cannot be done; nothing has changed.
+        UsageError: the request is refused; nothing has changed.
     """
     vehicles, numbers = request.vehicles, dict(request.numbers)
     if request.of_world:
@@ -77,7 +77,7 @@ def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
         return f"Cleared: {request.target or 'all'}{whom}"
     if request.target is None:
         raise UsageError("target: missing; a sensor, 'rotor N', 'battery' or 'world'")
-    # Names that are no numbers of any kind would otherwise be those of other arguments.
+    # These names would be taken for arguments of ``inject``.
     for name in numbers:
         if not isinstance(name, str) or name in ("target", "kind", "vehicles", "at", "duration", "asked_by"):
             raise UsageError(f"{str(name)[:LONGEST_WORD]}: there is no such number")
@@ -89,7 +89,7 @@ def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
 
 
 def _weather(simulation: Simulation, request: Request, asked_by: str) -> str:
-    """Change what is the same for all, and return a line that says so; raises UsageError."""
+    """Change the weather, and return a line that describes it; raises UsageError."""
     if request.vehicles is not None:
         raise UsageError(f"vehicles: {request.kind[:LONGEST_WORD]} of the world is that of all")
     if request.at is not None or request.duration is not None:
@@ -116,13 +116,13 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def parsed(text: str) -> Request:
-    """Return the request that a line of words is.
+    """Return the request in a line of words.
 
     ``inject TARGET KIND [VEHICLE ...] [NAME=VALUE ...] [at SECONDS] [for SECONDS]``, ``clear [TARGET] [VEHICLE ...]``,
     or ``wind SPEED FROM_DEG [over SECONDS]``.
 
     Raises:
-        UsageError: it is none.
+        UsageError: the line is not a request.
     """
     words = text.split()
     if len(words) > MOST_WORDS:
@@ -157,7 +157,7 @@ def numbers_of(text: str) -> dict[str, Any]:
 
 
 def _target(words: list[str]) -> tuple[str | None, list[str]]:
-    """Return the target that words begin with, which is two of a rotor, and the other words."""
+    """Return the target at the start of the words (two words for a rotor), and the remaining words."""
     if len(words) > 1 and words[0] == "rotor" and words[1].isdecimal():
         return f"rotor {words[1]}", words[2:]
     return (words[0], words[1:]) if words else (None, [])
@@ -192,7 +192,7 @@ def _number(name: str, word: str) -> float:
 
 
 def injected_rows(simulation: Simulation) -> list[dict[str, Any]]:
-    """Return the faults that act or will act as plain values; start and end [s], None: for good."""
+    """Return present and future faults as plain values; start and end [s], None: to the end of the flight."""
     dt = simulation.world.time_step
     return [
         {

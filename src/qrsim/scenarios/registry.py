@@ -102,12 +102,15 @@ def outside_names(kind: str) -> list[str]:
 
 
 def made(kind: str, source: object) -> Any:
-    """Return the estimator or the metrics of a registered name, a package's, ``module:name`` or ``file.py:name``.
+    """Return the estimator or the metrics that a source names.
 
-    A class is called without arguments; an object is what it is. An estimator may be a function too.
+    Args:
+        kind: estimator or metric.
+        source: a registered name, the name of a package's entry point, ``module:name`` or ``file.py:name``; or the
+            object itself. A class is called without arguments. An estimator may also be a function.
 
     Raises:
-        UsageError: nothing is called so, it cannot be loaded, or is none.
+        UsageError: unknown name, one that cannot be loaded, or an object of another kind.
     """
     found = source if not isinstance(source, str) else None
     if found is None and isinstance(source, str) and not code.is_code(source) and provide(kind, source):

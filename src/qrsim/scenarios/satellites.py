@@ -55,7 +55,7 @@ def for_receivers(scenario: ScenarioSpec, ephemeris: object) -> Any:
     if not isinstance(ephemeris, Sp3Ephemeris) or ephemeris.systems is not None:
         return ephemeris
     asked = {letter for sensor in receivers(scenario).values() for letter in sensor.systems}
-    if asked and _others_read(scenario):
+    if asked and _sky_has_other_readers(scenario):
         asked.add("G")
     systems = "".join(letter for letter in LETTERS if letter in asked and not ephemeris.lacking(letter))
     found = replace(ephemeris, systems=systems or None)
@@ -77,8 +77,8 @@ def warn_of_systems(scenario: ScenarioSpec, ephemeris: object) -> None:
             )
 
 
-def _others_read(scenario: ScenarioSpec) -> bool:
-    """Return whether a sensor of another type reads the sky."""
+def _sky_has_other_readers(scenario: ScenarioSpec) -> bool:
+    """Return whether any sensor other than the multi-system receiver reads the sky."""
     return any(
         sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads
         for fleet in scenario.fleets.values()
@@ -102,7 +102,7 @@ def slotted_sky(
         scenario.time_step,
         slots_needed(ephemeris, site, start, scenario.duration, lowest),
         lowest,
-        each_epoch=_others_read(scenario),
+        each_epoch=_sky_has_other_readers(scenario),
         base=base_station(scenario),
         interference=interference(scenario, ephemeris) if receivers(scenario) else None,
     )

@@ -21,7 +21,7 @@ from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.world.changes import Changes, Course
 from qrsim.world.state import World
 
-# Parts of a world that changes concern.
+# Parts of a world that changes of the weather replace.
 Weather = tuple[Any, ...]
 WIND, GUSTS, JAM = "wind", "gusts", "jam"
 # Numbers that each kind takes: those that it needs, and those that it may have.
@@ -48,13 +48,13 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
 
     Args:
         world: its parameters, on the host.
-        kind: what changes, one of ``TAKES``.
-        numbers: its numbers, by name.
+        kind: one of ``TAKES``.
+        numbers: of that kind, by name.
         tick: at which the change begins.
         now: present tick of the world; earlier legs are dropped. None: ``tick``.
 
     Raises:
-        UsageError: it cannot be changed, or not so.
+        UsageError: unknown kind, a number that is missing, unknown or out of range, or a world that cannot change so.
     """
     if kind not in TAKES:
         raise UsageError(
@@ -131,7 +131,7 @@ def _line(kind: str) -> str:
 
 
 def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None:
-    """Refuse what is no number from low to high."""
+    """Refuse a value that is not a number from low to high."""
     if not is_number(value) or not low <= value <= high:
         raise UsageError(f"{name}: {value!r}; allowed: {low:g} to {high:g} {unit}".rstrip())
 
@@ -140,12 +140,12 @@ def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None
 
 
 def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
-    """Return a world in which kinds of weather that it has can change: as often as there are events, and once more.
+    """Return a world whose weather can change, with room for all changes at set times and one more in flight.
 
     Args:
         world: its parameters, on the host, in their precision.
-        kinds: of ``TAKES``.
-        events: changes at set times of one number, at most.
+        kinds: those that can change, of ``TAKES``; kinds that the world lacks are ignored.
+        events: largest number of changes of one number at set times.
     """
     wind: Any = world.wind
     interference = world.sky.interference if isinstance(world.sky, SlottedSky) else None
@@ -163,7 +163,7 @@ def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
 
 
 def _powers_are_drawn(world: World) -> bool:
-    """Return whether every episode draws the power of a jammer, which would win over any change."""
+    """Return whether every episode draws the power of a jammer, which would replace any change."""
     return any(path[1:3] == ("interference", "jammers") for item in world.ranges for path in item.paths)
 
 
@@ -177,7 +177,7 @@ def _may_change(world: World) -> bool:
 
 
 def _steady(value: Any, legs: int) -> Course:
-    """Return the course of a number that does not change, with room for so many legs."""
+    """Return the course of a number that does not change yet, with room for ``legs`` legs."""
     return _course([_Leg(-1, 0, float(value), float(value))], legs)
 
 
@@ -222,12 +222,12 @@ def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
 
 
 def weather_of(world: World) -> Weather:
-    """Return the parts of a world that changes of its weather concern."""
+    """Return the parts of a world that changes of its weather replace."""
     return world.wind, world.changes
 
 
 def with_weather(world: World, weather: Weather) -> World:
-    """Return a world with such parts of another time."""
+    """Return a world with the weather that ``weather_of`` has returned."""
     return replace(world, wind=weather[0], changes=weather[1])
 
 
@@ -237,7 +237,7 @@ def wind_limit(world: World) -> float:
     Raises:
         UsageError: it cannot be changed.
     """
-    # What every episode draws anew would win over any change.
+    # A wind that every episode draws would replace any change.
     if any(path[:1] == ("wind",) for item in world.ranges for path in item.paths):
         raise UsageError("wind: every episode draws it (ranges), so it cannot be changed in flight")
     wind = world.wind
@@ -253,7 +253,7 @@ def wind_limit(world: World) -> float:
 
 
 def with_wind(world: World, speed: float | None, from_deg: float | None) -> World:
-    """Return a world with another mean wind from the start on; None of what stays.
+    """Return a world with another mean wind from the start on; None keeps a value.
 
     Args:
         world: its parameters.

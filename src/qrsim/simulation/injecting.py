@@ -1,4 +1,4 @@
-"""The part of a simulation whose parameters change while it flies: wind, and what fails."""
+"""The part of a simulation that changes its parameters in flight: faults and weather."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults that are injected in flight: what is asked, checked against the slots of a world, and put into them."""
+"""Faults injected in flight: requests, checked against the slots of a world and written into them."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class OneWorld:
         return self._flown_by
 
     def taken(self, command: object) -> bool:
-        """Take a command that is bound to its slot, for ``advance_bound``; return False for another one."""
+        """Write a command of a bound kind to its slot, for ``advance_bound``; return False for other commands."""
         program, slot = self._bound.get(type(command), (None, None))
         if program is None or not (slot is None or slot.take(command)):
             return False
@@ -65,7 +65,7 @@ class OneWorld:
         return True
 
     def bind(self, command: object, actions: tuple[Action, ...], checker: ActionChecker) -> None:
-        """Bind commands like one that was flown just now, in all of the world, to the program that flew it."""
+        """Bind the kind of the command that was flown last, for the whole world, to the program that flew it."""
         program = self.flown_by
         if program.slot is None or type(command) in self._bound:
             return
@@ -90,7 +90,7 @@ class OneWorld:
 
         Args:
             layout: of the state.
-            state: what ``reset``, ``adopt`` or this returned.
+            state: from ``reset``, ``adopt`` or this method.
             tick: the first one.
             count: ticks.
             given: actions and estimates of each fleet.
@@ -100,7 +100,7 @@ class OneWorld:
         return after
 
     def advance_bound(self, state: Buffers, tick: int, count: int) -> Buffers:
-        """Do so by the command that was taken last."""
+        """Run ``count`` ticks by the command that ``taken`` wrote last, and return the state."""
         assert self._flown_by is not None
         after: Buffers = self._flown_by.run(state, tick, count)
         return after

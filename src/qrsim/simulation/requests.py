@@ -1,4 +1,4 @@
-"""Requests that change a flight: what each does to a world, the events of it, and its entry in a file."""
+"""Requests that change a flight: their effect on a world, their events, and their entries in a file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WORDS = {
 
 
 def after_request(world: World, request: Injection) -> tuple[World, Injection]:
-    """Return a world after a request, and the request with the names of all vehicles that it is of.
+    """Return a world after a request, and the request with the names of all vehicles that it affects.
 
     Raises:
         UsageError: it is not possible in this world.
@@ -90,12 +90,13 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
 
 
 def _span(request: Injection, time_step: float) -> str:
-    """Return when a fault acts, as far as that is not at once and for good."""
+    """Return the start and end of a fault in words; "" for a fault that starts at once and stays."""
     later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick else ""
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
 def _of_world(request: Injection, where: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield an event for each number of a change of the weather; ``where``: its time and tick."""
     over, numbers = request.numbers.get("over"), dict(request.numbers)
     slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)
     what = request.kind if jammer is None else f"jammer {jammer}"

@@ -1,4 +1,4 @@
-"""Requests of another flight, made again at their ticks."""
+"""Requests of another flight, repeated at their ticks."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from qrsim.simulation.simulation import Simulation
 
 
 class Schedule:
-    """Requests that are made as a simulation comes to their ticks.
+    """Repeats requests when a simulation reaches their ticks.
 
     Args:
-        simulation: that flies.
-        requests: of it, in any order; those of one tick are made in the order that is given.
+        simulation: to which the requests are made.
+        requests: in any order; those of one tick are made in the given order.
     """
 
     def __init__(self, simulation: Simulation, requests: Iterable[Injection]):

@@ -108,20 +108,28 @@ class Pursuit(Task):
         return {self.fleet: of_cats, self.prey: self._seen(world, state, self.prey, self.fleet, sensing=False)}
 
     def _seen(self, world: World, state: State, own_fleet: str, others_fleet: str, sensing: bool) -> Array:
-        """Return what the vehicles of one side see of themselves, of the other side, and of their mates."""
-        _, cats = fleet_of(world, state, own_fleet)
-        _, mice = fleet_of(world, state, others_fleet)
-        known = estimate_of(cats)
+        """Return the observations (n, size) of one side, in the order of ``observe`` [m, m/s].
+
+        Args:
+            world, state: those of the flight.
+            own_fleet: the fleet that observes, n vehicles.
+            others_fleet: the fleet that it pursues or flees from, m vehicles.
+            sensing: the readings of ``senses`` replace all offsets.
+        """
+        _, side = fleet_of(world, state, own_fleet)
+        _, opponents = fleet_of(world, state, others_fleet)
+        known = estimate_of(side)
         own, velocity = known.position_ned, known.velocity_ned
         parts = [jnp.stack([own.x, own.y, velocity.x, velocity.y], axis=-1)]
         if sensing:
             return jnp.concatenate([*parts, sensed(world, state, self.fleet, self.senses)], axis=-1)
-        prey, count = estimate_of(mice), own.x.shape[0]
-        to_mice, to_cats = -_between(own, prey.position_ned), -_between(own, own)
-        offsets = [(to_mice.x, to_mice.y)]
+        count = own.x.shape[0]
+        to_opponents, to_mates = -_between(own, estimate_of(opponents).position_ned), -_between(own, own)
+        offsets = [(to_opponents.x, to_opponents.y)]
         if count > 1:
+            # Row i: the mates of vehicle i, beginning behind it.
             order = (jnp.arange(count)[:, None] + jnp.arange(1, count)[None]) % count
-            north, east = (jnp.take_along_axis(axis, order, axis=1) for axis in (to_cats.x, to_cats.y))
+            north, east = (jnp.take_along_axis(axis, order, axis=1) for axis in (to_mates.x, to_mates.y))
             offsets.append((north, east))
         for north, east in offsets:
             parts.append(jnp.stack([north, east], axis=-1).reshape(count, -1))

@@ -235,7 +235,7 @@ class _Film:
         progress(len(self._times), len(self._times))
 
     def about(self) -> dict[str, object]:
-        """Return what the page says beside what it draws."""
+        """Return the content of the page's heading, timeline, panel and plots, for JSON."""
         recording, layers = self._recording, self._scene.layers
         times = times_of_readings(recording.run, recording.end)
         return {

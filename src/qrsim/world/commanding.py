@@ -26,14 +26,14 @@ Commands = list[tuple[Array | None, object]]
 
 
 class Commanded(NamedTuple):
-    """What guidance and controller of a fleet (n,) have come to, and what its vehicles are commanded."""
+    """New states of guidance and controller of a fleet (n,), and the commands of its vehicles."""
 
     guidance: object
     setpoint: object
     controller: object
     estimate: Estimate
     commands: Commands
-    # What is shown as the command in place of what is flown; None: that.
+    # Logged command, if it differs from the flown one; None: it does not.
     shown: object | None = None
     failsafe: FailsafeState | None = None
 
@@ -77,7 +77,7 @@ def command_fleet(
     known = replace(estimate, position_low_ned=fed.position_low_ned)
     controller = state.controller
     if standing is not None:
-        # What it cannot move would fill its integrals, so it starts anew until it flies.
+        # On the ground its integrals would wind up, so it restarts at every tick until the vehicle flies.
         controller = select(standing, fleet.controller.init(known), controller)
     controller, wanted = fleet.controller.step(controller, known, setpoint, world.time_step)
     return Commanded(
@@ -89,7 +89,7 @@ def _command_some(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, some: Some, believed: Estimate | None
 ) -> Commanded:
     """Command a fleet of which a user commands some vehicles."""
-    # Vehicles that fly commands of their own keep the estimate of the controllers: it goes on.
+    # The estimate of the controllers continues also for vehicles that fly a user's commands.
     found = command_fleet(world, whole, fleet, state, tick, None, believed)
     for which, action in some.parts:
         theirs = command_fleet(world, whole, fleet, state, tick, action, believed)
@@ -119,7 +119,7 @@ def _alike(one: object, other: object) -> bool:
 
 
 def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Callable[[object, Array], T]) -> T:
-    """Return what a function makes of each vehicle; commands have which (n,) bool it is, and the arguments."""
+    """Apply a function to the commands of each kind, and return each vehicle's result by the masks (n,) bool."""
     merged: T | None = None
     for which, command, clipped in commands:
         result = function(command, clipped)
@@ -129,7 +129,7 @@ def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Ca
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
-    """Return what the vehicles of a fleet (n,) know of each other; of who has stopped nobody knows anything new."""
+    """Return the mates that the vehicles of a fleet (n,) know; stopped vehicles send nothing new."""
     guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None
@@ -144,13 +144,13 @@ def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate
 
 
 def _flying(position_ned: Vec3, state: FleetState) -> Vec3:
-    """Return positions (n,), NaN of who has stopped."""
+    """Return positions (n,), NaN for stopped vehicles."""
     flies = state.violation.code == 0
     return position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
 
 
 def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:
-    """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
+    """Return the estimated positions (m,) of all other fleets, if its guidance uses them; NaN for stopped vehicles."""
     if not fleet.guidance.sees_others:
         return {}
     positions = []

@@ -17,7 +17,7 @@ from qrsim.world.state import Fleet, FleetState, State, World
 
 
 def first_failsafe(world: World, fleet: Fleet, pose: Pose) -> FailsafeState | None:
-    """Return the failsafes of a fleet at a start, home on the ground below it; None where it has none."""
+    """Return the failsafes of a fleet at a start, home on the ground below it; None if the fleet has no failsafes."""
     if fleet.failsafes is None:
         return None
     start = pose.position_ned

@@ -37,37 +37,30 @@ from qrsim.models.vehicles.faults import BatteryFault, RotorFault
 from qrsim.world.changes import Changes
 
 S = TypeVar("S")
-# What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing;
-# or Saying with one of these; or Piloted.
+# A command of a fleet's vehicle, a set-point that its controller takes, Some of these, or None; Saying; or Piloted.
 Action = object
-# Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
-SKY = "/sky"
+# Noise streams of a fleet are FLEET/USER. These are of the world: no fleet has a slash in its name.
+SKY, FIELD, UPDRAFT = "/sky", "/turbulence", "/updrafts"
 PLUME, TERRAIN, PERSONS, PLACEMENT, RANGE = "/plume", "/terrain", "/persons", "/placement", "/range"
-FIELD = "/turbulence"
-UPDRAFT = "/updrafts"
-# What a sensor draws for the delivery of its readings is the stream of its name and this.
-DELIVERY = "/delivery"
-# What the faults of a sensor draw is the stream of its name and this.
-FAULT = "/fault"
-# Users of noise in a fleet beside its sensors, whose names are therefore taken.
-TURBULENCE, PROCESS = "turbulence", "process"
-# What an estimator draws at a start; no sensor's name has a slash.
-ESTIMATOR = "/estimator"
+# Ends of the names of streams for the latencies and for the faults of a sensor.
+DELIVERY, FAULT = "/delivery", "/fault"
+# Users of noise in a fleet apart from its sensors, which cannot have these names.
+TURBULENCE, PROCESS, ESTIMATOR = "turbulence", "process", "/estimator"
 
 
 @record
 class Some:
-    """What is asked of some vehicles of a fleet; the others fly by their own guidance."""
+    """Actions for some vehicles of a fleet; the others fly by their own guidance."""
 
     parts: tuple[tuple[Array, object], ...] = quantity(
-        doc="for each kind of command or set-point: which vehicles (n,) bool it is for, none of them in two kinds, and "
-        "what is asked of them (n,), with anything in the rows of the others"
+        doc="for each kind of command or set-point: a mask (n,) bool of its vehicles, disjoint between kinds, and "
+        "the actions (n,), whose rows outside the mask are ignored"
     )
 
 
 @record
 class Saying:
-    """What is asked of the vehicles (n,) of a fleet, and what they have to say over the radio."""
+    """An action for the vehicles (n,) of a fleet, and the messages that they send over the radio."""
 
     action: object = quantity(doc="a command, a set-point, Some of these, or None")
     outbox: Outbox = quantity(doc="messages to send")
@@ -75,10 +68,10 @@ class Saying:
 
 @record
 class Piloted:
-    """A command from outside, past guidance and controller of a fleet, which go on and say what they would command.
+    """A command that bypasses guidance and controller of a fleet, which continue to run.
 
-    So an autopilot of others flies: what the controller asks of tilt and throttle is shown as the fleet's command, for
-    the sticks of the next tick.
+    Firmware of others flies by it: the tilt and throttle of the controller are logged as the fleet's command, and are
+    the stick input of the next tick.
     """
 
     command: object = quantity(doc="commands of the vehicles (n,), of their command type")
@@ -120,17 +113,18 @@ class Fleet:
 
     rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
     battery_faults: tuple[BatteryFault, ...] = quantity(default=(), doc="faults of the battery")
-    fault_slots: tuple[FaultSlot, ...] = quantity(default=(), doc="room for sensor faults that are injected in flight")
-    rotor_slots: tuple[RotorFault, ...] = quantity(default=(), doc="the same of rotors")
-    battery_slot: BatteryFault | None = quantity(default=None, doc="the same of the battery")
+    fault_slots: tuple[FaultSlot, ...] = quantity(default=(), doc="slots for sensor faults injected in flight")
+    rotor_slots: tuple[RotorFault, ...] = quantity(default=(), doc="the same for rotors")
+    battery_slot: BatteryFault | None = quantity(default=None, doc="the same for the battery")
     radio_faults: tuple[RadioFault, ...] = quantity(default=(), doc="faults of radios")
-    radio_slot: RadioFault | None = quantity(default=None, doc="room for a radio fault that is injected in flight")
+    radio_slot: RadioFault | None = quantity(default=None, doc="slot for a radio fault injected in flight")
     fittings: tuple[Fitting | None, ...] = quantity(
-        default=(), doc="of each sensor, None for one at the centre of mass without delay; empty if all are"
+        default=(),
+        doc="mounting and latency of each sensor, None at the centre of mass without delay; empty if all are None",
     )
     estimator: Estimator | None = quantity(default=None, doc="estimator of the fleet; None: that of its controller")
     failsafes: Failsafes | None = quantity(
-        default=None, doc="what vehicles do on a low battery, a lost link and lost GNSS; None: nothing"
+        default=None, doc="reactions to a low battery, a lost link and lost GNSS; None: none"
     )
 
     @property
@@ -140,7 +134,7 @@ class Fleet:
 
     @property
     def own_estimator(self) -> Estimator | None:
-        """What runs on the readings: the fleet's estimator, else that of its controller; None without one."""
+        """The fleet's estimator, else that of its controller; None without one."""
         return self.controller.estimator() if self.estimator is None else self.estimator
 
     @property
@@ -154,12 +148,12 @@ class Fleet:
 
     @property
     def all_faults(self) -> tuple[Fault | FaultSlot, ...]:
-        """Faults of sensors and the slots of more, in the order in which they are applied."""
+        """Faults of sensors, then the slots for injected ones, in the order in which they are applied."""
         return (*self.faults, *self.fault_slots)
 
     @property
     def all_battery_faults(self) -> tuple[BatteryFault, ...]:
-        """Faults of the battery and the slot of one more."""
+        """Faults of the battery, then the slot for an injected one."""
         return (*self.battery_faults, *(() if self.battery_slot is None else (self.battery_slot,)))
 
     def voltage(self, battery: object, load: Load, tick: Array) -> Array | None:
@@ -176,12 +170,12 @@ class Fleet:
 
     @property
     def _jittered(self) -> tuple[str, ...]:
-        """Names of the sensors whose readings take now longer, now shorter."""
+        """Names of the sensors with a random latency."""
         pairs = zip(self.sensor_names, self.fittings, strict=False)
         return tuple(name for name, fitting in pairs if fitting is not None and fitting.jitter > 0.0)
 
     def fitting(self, number: int) -> Fitting | None:
-        """Return how a sensor is fitted; None: at the centre of mass, and its readings are there at once."""
+        """Return mounting and latency of a sensor; None: at the centre of mass, without latency."""
         return self.fittings[number] if self.fittings else None
 
 
@@ -191,7 +185,7 @@ _SHOWN = ("wind", "turbulence", "gust", "sky", "area", "ground", "radio")
 
 @record
 class Range:
-    """A number that every episode draws anew, uniformly."""
+    """A number that every episode draws, uniformly."""
 
     low: Array = quantity(doc="smallest value")
     high: Array = quantity(doc="largest value")
@@ -217,7 +211,7 @@ class World(Tabled):
     )
     time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
     contents: Contents = quantity(default=Contents(), doc="plume, cover of the ground, persons")
-    ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
+    ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws")
     ground: Ground = quantity(default=FlatGround(), doc="surface of the ground")
     skyline: Skyline | None = quantity(default=None, doc="effect of obstacles on satellite signals; None: none")
     radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: no radios")
@@ -225,8 +219,8 @@ class World(Tabled):
     updrafts: tuple[Updraft, ...] = quantity(
         default=(), doc="rising air, and the effects of terrain and buildings on the wind"
     )
-    changes: Changes | None = quantity(default=None, doc="weather that changes in flight; None: none can")
-    gust_scale: Array | None = quantity(default=None, doc="what random gusts are multiplied by; None: by nothing")
+    changes: Changes | None = quantity(default=None, doc="weather that can change in flight; None: none")
+    gust_scale: Array | None = quantity(default=None, doc="factor of random gusts; None: 1")
 
     __repr__ = Tabled.__repr__
 
@@ -246,7 +240,7 @@ class World(Tabled):
 
     @property
     def radii(self) -> Array | None:
-        """Radius (n,) [m] of all vehicles, None where no fleet has one of its own."""
+        """Radius (n,) [m] of all vehicles; None if every fleet has the default."""
         if all(fleet.radius is None for fleet in self.fleets):
             return None
         return jnp.concatenate([jnp.broadcast_to(self.radius_of(fleet), (fleet.size,)) for fleet in self.fleets])
@@ -268,7 +262,7 @@ class World(Tabled):
         return self.ground.down(position_ned) - position_ned.z
 
     def rows_of(self, name: str) -> slice[int, int, None]:
-        """Return where, in arrays (n,) of all vehicles, those of the named fleet are."""
+        """Return the slice of the named fleet in arrays (n,) of all vehicles."""
         number = [fleet.name for fleet in self.fleets].index(name)
         first = sum(fleet.size for fleet in self.fleets[:number])
         return slice(first, first + self.fleets[number].size)
@@ -302,7 +296,7 @@ class Belief:
 
     @staticmethod
     def of(estimator: Estimator, memory: object, estimate: Estimate) -> Belief:
-        """Return what an estimator has come to."""
+        """Return the belief of an estimator after an update."""
         return Belief(memory, estimate, estimator.std(memory))
 
 
@@ -319,8 +313,8 @@ class FleetState:
     )
     gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None if the turbulence has none")
     estimate: Estimate = quantity(
-        doc="what the controller was last fed with; keeps its last value where a reading is NaN, and is at rest once a "
-        "vehicle is invalid"
+        doc="last input of the controller; keeps its last value if a reading is NaN, and is at rest once a vehicle is "
+        "invalid"
     )
     controller: object = quantity(doc="control loops")
     guidance: RouteState | MissionState = quantity(doc="progress along the route")
@@ -336,7 +330,7 @@ class FleetState:
     true_readings: tuple[Record | None, ...] = quantity(
         doc="for sensors with faults, the reading without them; else None"
     )
-    passed_on: tuple[FaultMemory | None, ...] = quantity(doc="of each fault and slot what it remembers; else None")
+    passed_on: tuple[FaultMemory | None, ...] = quantity(doc="memory of each fault and slot; None without memory")
     position_low_ned: Vec3 | None = quantity(
         default=None,
         unit="m",
@@ -344,19 +338,19 @@ class FleetState:
     )
     belief: Belief | None = quantity(default=None, doc="the controller's own estimator; None without one")
     fitted: tuple[Fitted | None, ...] = quantity(
-        default=(), doc="of each sensor what its fitting remembers; empty where no sensor has one"
+        default=(), doc="memory of each sensor's fitting; empty if no sensor has one"
     )
-    parked: Array | None = quantity(default=None, doc="bool: held on the ground; None where touching it ends a flight")
-    turns: Array | None = quantity(default=None, doc="whole turns of the yaw; None where its limit counts none")
+    parked: Array | None = quantity(default=None, doc="bool: held on the ground; None if touching it ends a flight")
+    turns: Array | None = quantity(default=None, doc="whole turns of the yaw; None if its limit ignores them")
     failsafe: FailsafeState | None = quantity(default=None, doc="failsafes; None for a fleet without them")
 
 
 @record
 class AirField:
-    """What the air of an episode has drawn, of a world with updrafts."""
+    """Numbers that an episode draws for the air of a world with updrafts."""
 
     turbulence: object = quantity(doc="shared part of its gusts; None: none")
-    updrafts: tuple[object, ...] = quantity(doc="of each updraft; None where it draws nothing")
+    updrafts: tuple[object, ...] = quantity(doc="draws of each updraft; None if it draws nothing")
 
 
 @record
@@ -372,7 +366,7 @@ class State:
     drawn: tuple[Array, ...] = quantity(default=(), doc="numbers drawn in this episode for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
     field: object = quantity(default=None, doc="shared gusts of the episode, or an AirField; None: none")
-    radio: object = quantity(default=None, doc="messages on their way and in inboxes; None without a radio")
+    radio: object = quantity(default=None, doc="messages in transit and in inboxes; None without a radio")
 
 
 def position_of(fleet: FleetState) -> Vec3:

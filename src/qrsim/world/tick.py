@@ -58,7 +58,7 @@ def reset(world: World, key: Key | WorldKeys) -> State:
 
     Args:
         world: its parameters.
-        key: of all randomness, or what ``keys_of`` made of it.
+        key: of all randomness, or the keys that ``keys_of`` derived from it.
     """
     keys = keys_of(world, key) if isinstance(key, Key) else key
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
@@ -105,10 +105,10 @@ def step(
     Args:
         world, state: of one world; vmap over worlds from outside.
         tick: () int32, the tick the step starts from; unbatched under vmap, so slow sensors are really skipped.
-        actions: for each fleet a Command (flown as it is, clipped to its range), a set-point (handed to the
-            controller, which must take its kind) or None (the fleet's guidance hands out the set-point); ``Saying`` has
-            one of these and what the vehicles have to say; ``Piloted`` is flown while the controller goes on.
-        estimates: for each fleet what its controller is fed with; None: what ``controller.feed`` says.
+        actions: for each fleet a Command (flown directly, clipped to its range), a set-point (passed to the controller,
+            which must take its kind) or None (the fleet's guidance returns the set-point); ``Saying`` has one of these
+            and messages to send; ``Piloted`` is flown while the controller continues to run.
+        estimates: for each fleet the input of its controller; None: by ``controller.feed``.
         before: () int32 ticks that the world had flown before ``tick`` began to count, a multiple of every period;
             it may differ from world to world of a batch, where ``tick`` may not. None: none.
     """
@@ -163,7 +163,7 @@ def _fly(
     action: Action,
     believed: Estimate | None,
 ) -> FleetState:
-    """Wind, set-point, command and dynamics of one fleet; invalid vehicles are put back by ``check``."""
+    """Compute wind, set-point, command and dynamics of one fleet; ``check`` puts invalid vehicles back."""
     dt, model = world.time_step, fleet.vehicle
     pose = model.pose(state.vehicle)
     direction = rotation(pose.attitude)
@@ -241,7 +241,7 @@ def _fly(
 
 
 def _turned(fleet: Fleet, before: FleetState, after: VehicleState) -> Array | None:
-    """Return the whole turns (n,) of the yaw since the start; None where its limit counts none."""
+    """Return the whole turns (n,) of the yaw since the start; None if its limit ignores them."""
     if before.turns is None:
         return None
     old, new = (fleet.vehicle.pose(each).attitude.yaw for each in (before.vehicle, after))

@@ -176,7 +176,7 @@ class Px4:
         simulation.reset()
         with opened(simulation) as flight:
             for link, found in zip(flight.links, flight.parameters(), strict=True):
-                print(f"# {link.name}: instance {link.instance}, TCP {link.port}; each in an empty folder")
+                print(f"# {link.name}: instance {link.instance}, TCP {link.port}; a separate shell and empty folder")
                 for name, value in environment(found | own).items():
                     print(f"export {name}={value}")
                 print(f"BUILD/bin/px4 -i {link.instance} -d BUILD/etc\n")

@@ -35,10 +35,10 @@ class FlockingGuidance(TeamGuidance):
         default=0.9, unit="1", doc="weight of the neighbours' mean velocity", minimum=0.0, maximum=1.0
     )
     cohesion_gain: Array = parameter(
-        default=0.05, unit="1/s", doc="weight of the distance to the neighbours' centre", minimum=0.0
+        default=0.05, unit="1/s", doc="velocity per metre to the neighbours' centre", minimum=0.0
     )
     migration: Array = parameter(
-        default=0.0, unit="m/s", doc="weight of the distance to the first waypoint", minimum=0.0, maximum=20.0
+        default=0.0, unit="m/s", doc="largest speed towards the first waypoint", minimum=0.0, maximum=20.0
     )
     reach: Array = parameter(
         default=100.0, unit="m", doc="distance within which other vehicles are considered", above=0.0, maximum=1e5

@@ -10,16 +10,16 @@ from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
 
 
 def write_scatter(writer: Loops, node: Node) -> None:
-    """Write a copy of an array, and numbers into it in their order; what is out of range is left out.
+    """Write a scatter: a copy of an array, with updates written into it in order; those out of range are dropped.
 
-    Where array and copy are one (see schedule.in_place), worlds that have left the loop keep what they have.
+    If the copy takes the place of the array (see schedule.in_place), worlds that have left the loop keep their values.
 
     Args:
         writer: of the program.
-        node: its arguments are the array, the numbers, and how far along some axes each of them goes.
+        node: its arguments are the array, the updates, and their indices along some axes.
     """
     place = writer.places[node.number]
-    # The array may be read elsewhere, so what changes is a copy.
+    # The array may be read elsewhere, so a copy is changed.
     if not _lies_there(writer, node):
         writer.copy(node.args[0], node.shape, place)
     shape = node.domain
@@ -29,7 +29,7 @@ def write_scatter(writer: Loops, node: Node) -> None:
     with writer.over(range(len(shape)), shape, None):
         lanes = writer.lanes if writer.side_by_side and place.own else 1
         values = [writer.widened(writer.value(access), access.node.dtype, lanes) for access in node.args[1:]]
-        # One after the other, because two of them may go to the same place, and their order counts.
+        # One after the other: two of them may have the same index, and then the last one counts.
         for lane in range(lanes):
             parts = []
             for value, access in zip(values, node.args[1:], strict=True):

@@ -19,10 +19,10 @@ from qrsim.models.sensors.rangefinder import Rangefinder
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
-# As gazebo-classic's plugin sends them; PX4 looks at neither.
+# As gazebo-classic's plugin sends them; PX4 ignores both.
 SYSTEM, COMPONENT = 1, 200
 FRAME_USEC, START_USEC = 4000, 1_000_000
-# Accuracy of a receiver that gives dilution of precision only: that times 1 m, and no less than this [m].
+# A receiver that reports only dilutions of precision has these times 1 m as accuracies, and at least this [m].
 LEAST_ACCURACY = 0.3
 
 
@@ -32,7 +32,7 @@ def time_usec(number: int) -> int:
 
 
 class Px4Feed:
-    """The frames that the PX4s (n,) of a fleet are sent.
+    """The frames that are sent to the PX4s (n,) of a fleet.
 
     Args:
         simulation: reset.
@@ -66,7 +66,7 @@ class Px4Feed:
             )
         number = [each.name for each in simulation.world.fleets].index(fleet.name)
         self._truth = TrueStates(simulation, number) if truth else None
-        # By column: when each vehicle's reading, sent last, was true [s].
+        # By column: time of each vehicle's reading that was sent last [s].
         self._sent: dict[int, list[float]] = {}
         self._sequence = [0] * fleet.size
 
@@ -107,7 +107,7 @@ class Px4Feed:
         return [True] * len(times) if before is None else [now != old for now, old in zip(times, before, strict=True)]
 
     def _vector(self, i: int, row: list[float], column: int, news: dict[int, list[bool]]) -> list[float] | None:
-        """Return the three numbers of a new reading from a column on; None: there is none."""
+        """Return the three numbers of a new reading, from a column on; None without a new reading."""
         if column not in news or not (news[column][i] or self._sight.stopped[i]):
             return None
         axes = row[column : column + 3]
@@ -171,7 +171,7 @@ class Px4Feed:
 
 # Shortest and longest range [m] of a rangefinder without limits.
 IDEAL_RANGES = (0.0, 600.0)
-# Whose deliveries are followed: a barometer by the pressure that it reads, or else by its height.
+# Columns whose deliveries are tracked: for a barometer its pressure, or else its height.
 _COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.DIFFERENTIAL, s.RANGE, s.FLOW)
 
 

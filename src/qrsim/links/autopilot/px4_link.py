@@ -1,9 +1,9 @@
 """A TCP port to which one vehicle's PX4 connects, and the frames between the two.
 
 PX4 connects, sends a HEARTBEAT and a request once, and takes each HIL_SENSOR of id 0 for the time. It answers none
-until its start script has run as far as its rate controller, so frames go out by the wall clock until then. Afterwards
-it answers each frame with rates, stamped with that frame's time, and is waited for. A build without lock-step has a
-clock of its own and is never waited for.
+until its start script has started the rate controller; until then, frames are sent by the wall clock. Afterwards it
+answers each frame with rates, stamped with that frame's time, and qrsim waits for the answer. A build without
+lock-step has its own clock, and qrsim does not wait for it.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from qrsim.links.mavlink.frames import Frame, Reader
 
 FIRST_PORT = 4560
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
-# On the wall clock: between frames while it boots, for an answer, until silence is its end, and for another one to
-# connect in its place [s].
+# Wall-clock times [s]: between frames while PX4 boots; for an answer; of silence that ends its flight; for another PX4
+# to take its place.
 BOOT_FRAME_S, ANSWER_S, SILENCE_S, RECONNECT_S = 0.004, 0.5, 15.0, 15.0
-# A PX4 that often answers the next frame but not this one drops frames, and is waited for a shorter time [s]. A gap
+# If a PX4 often answers the next frame but not this one, it drops frames, and the time to wait is shorter [s]. A gap
 # counts for about 30 frames.
 IMPATIENT_S, GAP_DECAY, MANY_GAPS = 0.02, 0.97, 5.0
-# A stream of this length without a frame is no MAVLink.
+# A stream of this length without a frame is not MAVLink.
 NO_FRAME_BYTES = 64 * 1024
-# How long nothing has come when frames are looked for in an incomplete one, and others at the port [s].
+# Silence after which an incomplete frame is searched for others, and interval of checks for other connections [s].
 _QUIET_S, _LOOK_S = 0.02, 0.5
 _AT_ONCE = 65536
 
@@ -82,7 +82,7 @@ class Px4Link:
         self._forget()
 
     def _forget(self) -> None:
-        """Take back all that is known of the PX4 that was connected."""
+        """Reset the state of the previous connection."""
         self.wanted = Controls()
         self.booted = self.free = self._greeted = False
         self._reader = Reader()
@@ -93,7 +93,7 @@ class Px4Link:
     # Connections
 
     def comes(self) -> bool:
-        """Accept a PX4 that is there; return whether one is connected, or was started here and has ended."""
+        """Accept a waiting PX4; return whether one is connected, or whether a process started here has ended."""
         return self.connected or self._accept() or bool(self.ended())
 
     def connect(self, until: float) -> None:
@@ -103,7 +103,7 @@ class Px4Link:
             until: time of ``time.perf_counter`` [s].
 
         Raises:
-            RunError: none has come.
+            RunError: none has connected in time.
         """
         while self._peer is None:
             left = until - time.perf_counter()
@@ -163,11 +163,11 @@ class Px4Link:
 
     @property
     def reconnects_until(self) -> float:
-        """Until when a PX4 may come in place of one that is gone, by ``time.perf_counter`` [s]."""
+        """Latest time at which another PX4 may replace a lost one, by ``time.perf_counter`` [s]."""
         return time.perf_counter() + RECONNECT_S
 
     def nobody(self) -> str:
-        """Say that no PX4 has connected, and how to start one."""
+        """Return the message that no PX4 has connected, with a command that starts one."""
         if self._ever:
             return f"no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
         return (

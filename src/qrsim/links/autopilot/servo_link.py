@@ -76,12 +76,12 @@ class ServoLink:
                 self._say(f"{self.name}: its ArduPilot is silent; waiting {self._wait:g} s for it to start again")
 
     def _received(self) -> Servos | None:
-        """Return the step of a packet; None for silence and for what is no new step."""
+        """Return the step of one received packet; None after a time-out, and for foreign and repeated packets."""
         try:
             packet, peer = self._socket.recvfrom(LONGEST)
         except TimeoutError:
             return None
-        except ConnectionError:  # of an answer that nobody took
+        except ConnectionError:  # an earlier answer found its port closed
             return None
         found = servos(packet)
         if found is None or not self._is_own(found, peer):

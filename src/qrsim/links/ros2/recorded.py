@@ -190,7 +190,7 @@ class Recorded:
         return found.reshape(len(ticks), len(self.names), n.WIDTH)
 
     def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], Any]) -> News:
-        """Return of each vehicle whether a column's sensor has delivered since the last tick, and when it was true."""
+        """Return, for each vehicle, whether a column's sensor has a new reading in this tick, and its time [s]."""
         fresh: list[bool] = []
         times: list[float] = []
         first = 0
@@ -205,7 +205,7 @@ class Recorded:
             sensor, fitting = fleet.sensors[own], fleet.fitting(own)
             key = column, number
             if fitting is not None and fitting.is_late:
-                # The run does not say when a late reading was true: it is new where it has changed.
+                # The run has no time of a late reading: one that has changed is new.
                 last = before.get(key, np.full(fleet.size, np.nan))
                 fresh += (rows != last).tolist()
                 times += [tick * self._dt] * fleet.size

@@ -52,7 +52,7 @@ class Spoken:
         return [f"said_{i}" for i in range(self.numbers.shape[1])]
 
     def described(self) -> list[Column]:
-        """Return the columns of a recording."""
+        """Return the columns of a recording that describe the messages sent."""
         return [
             Column(TICK, "", "at which its controller's last message was handed to its radio; -1: none", "int64"),
             Column(TO, "", "number of the vehicle that alone was to hear it; -1: all", "int32"),

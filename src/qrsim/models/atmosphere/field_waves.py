@@ -50,7 +50,7 @@ class FieldWaves:
     turned: tuple[Vec3, Vec3, Vec3] = quantity(unit="1", doc="rows of the rotation or reflection from NED to the waves")
     handedness: Array = quantity(unit="1", doc="() determinant of ``turned``, 1 or -1")
     dilation: Array = quantity(unit="1", doc="() what wavenumbers are multiplied by")
-    ages: Ages | None = quantity(default=None, doc="lifetime of the waves; None: they are permanent")
+    ages: Ages | None = quantity(default=None, doc="progress of the waves' lifetimes; None: waves are permanent")
 
 
 def whole_turns(frequency: Array) -> Array:

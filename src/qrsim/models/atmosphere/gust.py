@@ -44,8 +44,8 @@ class DiscreteGust(Gust):
     speed: Array | None = parameter(
         default=None,
         unit="m/s",
-        doc="speed at which the vehicle crosses it, null: its airspeed; for a 'travelling' gust, its "
-        "speed, null: that of the turbulence",
+        doc="speed at which vehicles cross a 'uniform' gust, such as their airspeed; of a 'travelling' gust its "
+        "own speed, null: that of the wind that carries the turbulence",
         above=0.0,
         nullable=True,
     )

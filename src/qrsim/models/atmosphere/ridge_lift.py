@@ -23,7 +23,7 @@ class RidgeLift(Updraft):
     decay_height: Array = parameter(
         default=150.0,
         unit="m",
-        doc="height above ground over which the lift falls to 1/e; the spacing of valleys divided by 2 pi",
+        doc="height above ground over which the lift falls to 1/e, about the spacing of valleys divided by 2 pi",
         minimum=1.0,
         maximum=5000.0,
     )

@@ -112,7 +112,7 @@ class ReceiverParameters:
 
     @property
     def takes_base(self) -> bool:
-        """True for receivers with corrections of a base station."""
+        """True if the receiver uses corrections of a base station."""
         return self.corrections in ("dgps", "rtk")
 
 

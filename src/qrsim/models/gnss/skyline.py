@@ -49,9 +49,9 @@ class Skyline:
         return line_of_sight(self.solids, position_ned, point_ned)
 
     def look(self, position_ned: Vec3, sight: Sight) -> tuple[Array, Array]:
-        """Return for receivers (n,) and satellites (K,) whether walls are in between, and the reflection's detour.
+        """Return (K, n) whether obstacles hide satellites (K,) from receivers (n,), and the detour of the reflection.
 
-        The detour is the extra path [m] over the cosine of the elevation, (K, n), 0 without a reflection.
+        The detour is the extra path [m] divided by the cosine of the elevation; 0 without a reflection.
         """
         levels, count = jnp.asarray(self.levels), self.levels.shape[0]
         places = [(position_ned.x - self.corner[0]) / self.pitch, (position_ned.y - self.corner[1]) / self.pitch]

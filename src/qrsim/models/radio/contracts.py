@@ -125,7 +125,7 @@ class Radio(Protocol):
         """Return the same as a table of messages, with the ticks at which each was sent and known."""
 
     def last_heard(self, state: Any, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1: no message."""
+        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1 without one."""
         heard = self.heard(state, tick, time_step)
         counts = (heard.sender >= senders.start) & (heard.sender < senders.stop)
         return jnp.max(jnp.where(counts, heard.sent, NOBODY), axis=0)

@@ -84,15 +84,15 @@ def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Sur
 def _over_land(
     network: Channel, near: Neighbours, surfaces: Surfaces, squared: Array, apart: Array, lost: Array
 ) -> Array:
-    """Return the loss (K, n) [dB] of links, of those between the ground and the air by the land between them.
+    """Return the path loss (K, n) [dB]: of links between ground and air by the land use, of all others ``lost``.
 
     Args:
         network: the radio.
-        near: who is near each vehicle.
+        near: the neighbours of each vehicle.
         surfaces: with heights above the ground.
         squared: (K, n) lengths squared [m^2].
         apart: (K, n) heights of one end above the other [m].
-        lost: (K, n) of all other links.
+        lost: (K, n) path loss of links that the land does not change [dB].
     """
     way = network.path_loss
     assert surfaces.height is not None

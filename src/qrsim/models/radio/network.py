@@ -114,7 +114,7 @@ class Network(Channel, Radio):
         return newest(both, both.known(tick) & fresh, self.inbox.size)
 
     def last_heard(self, state: NetworkState, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1: no message."""
+        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1 without one."""
         both = state.coming.joined(state.table)
         counts = both.known(tick) & (both.sender >= senders.start) & (both.sender < senders.stop)
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
@@ -144,7 +144,7 @@ class Network(Channel, Radio):
         return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:
-        """Put what is said behind what waits; where there is no room, the oldest is lost."""
+        """Append new messages to the send queues; a full queue drops its oldest message and counts it."""
         waiting, queue = state.waiting, self.mac.queue
         here = said.send & now.surfaces.works
         length = jnp.sum((waiting.since != NOBODY).astype(jnp.int32), axis=0, dtype=jnp.int32)

@@ -33,7 +33,7 @@ def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Arr
         direction: of any length (...).
     """
     distance = jnp.full(_shape(origin_ned, direction), jnp.inf, direction.x.dtype)
-    for low, high, _ in _met(obstacles, origin_ned, direction):
+    for low, high, _ in _crossings(obstacles, origin_ned, direction):
         met = (low <= high) & (high >= 0.0)
         distance = jnp.minimum(distance, jnp.min(jnp.where(met, jnp.maximum(low, 0.0), jnp.inf), axis=0))
     return distance
@@ -68,8 +68,12 @@ def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
     return jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
 
 
-def _met(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Iterator[tuple[Array, Array, Array | None]]:
-    """Yield of each kind from when to when rays (...) are in its solids (T, ...), and whose pieces (T,) they are."""
+def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Iterator[tuple[Array, Array, Array | None]]:
+    """Yield, for each kind of solid, where rays (...) enter and leave its T solids, and the buildings of these.
+
+    Enter and leave are (T, ...), in lengths of the direction; a ray that misses enters after it leaves. Buildings are
+    (T,) numbers, None for kinds whose solids are whole obstacles.
+    """
     shape = _shape(origin_ned, direction)
     origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)[None]) for end in (origin_ned, direction))
     pieces = None if obstacles.prisms is None else obstacles.prisms.pieces
@@ -93,7 +97,7 @@ def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
     """Return how many obstacles (...) stand between places (...) [m], a building counted once."""
     direction = to_ned - from_ned
     count = jnp.zeros(_shape(from_ned, direction), jnp.int32)
-    for low, high, owner in _met(obstacles, from_ned, direction):
+    for low, high, owner in _crossings(obstacles, from_ned, direction):
         met = (low <= high) & (high >= 0.0) & (low <= 1.0)
         if owner is not None and met.shape[0] > 1:
             met = met & ~_met_before(met, jnp.asarray(owner))

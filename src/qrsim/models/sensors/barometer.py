@@ -59,9 +59,9 @@ class Barometer(Sensor):
     def restart(
         self, state: BarometerState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3
     ) -> tuple[BarometerState, BarometerReading]:
-        """Return the first reading of vehicles placed anew, ``since`` [s] after a reading."""
+        """Return the first reading of vehicles moved by ``set_state``, ``since`` [s] after a reading."""
         fresh, reading = self.init(draw, position_ned, velocity_ned)
-        # The height that it would have read then, because the next rate is that of a whole period.
+        # The height at the time of that reading, because the next rate is that of a whole period.
         return BarometerState(fresh.drift, fresh.height + velocity_ned.z * since), reading
 
     def step(

@@ -90,7 +90,7 @@ class Sensor(Protocol):
         return {}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the std of white noise of each reading, by field or vector, for those with a single number.
+        """Return the std of white noise of each reading, for each field or vector with one std.
 
         The fault ``noisy`` can be a multiple of it.
         """

@@ -350,7 +350,7 @@ class Battery(Protocol):
 
     Attributes:
         drains: whether its state has a ``charge`` (n,), 1 full and 0 empty, which is logged and ends a flight at 0.
-        needs_power: whether it is for vehicles only whose ``load`` has an electrical power.
+        needs_power: whether it needs vehicles with an electrical power in their ``load``.
         capacity: charge of the full pack [Ah]; None where the model has none.
     """
 

@@ -17,7 +17,7 @@ FREE = -1.0
 
 @record
 class RotorFault:
-    """One rotor of some vehicles (n,) of a fleet that turns slower than it is told, or stands still, or is stuck."""
+    """One rotor of some vehicles (n,) of a fleet that turns slower than commanded, stops, or is stuck."""
 
     start_tick: Array = quantity(doc="() or (n,) int32 first tick of the fault")
     noticed_ticks: Array = quantity(doc="() int32 ticks after which the autopilot responds to it")
@@ -26,7 +26,7 @@ class RotorFault:
     health: Array = parameter(unit="1", doc="share of its speed that the rotor still reaches; 0: it stops")
     rotor: int = setting(doc="number of the rotor, from 0")
     speed: Array | None = quantity(
-        default=None, unit="1", doc="the part of its largest speed that it is stuck at; negative, or None: it is not"
+        default=None, unit="1", doc="share of its largest speed at which it is stuck; negative, or None: it is not"
     )
 
     @staticmethod
@@ -49,7 +49,7 @@ class BatteryFault:
     end_tick: Array = quantity(doc="() or (n,) int32 first tick at which capacity and voltage are back")
     affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
     charge: Array = parameter(unit="1", doc="remaining share of a full charge", minimum=0.0, maximum=1.0)
-    health: Array = parameter(unit="1", doc="what is left of capacity and voltage", above=0.0, maximum=1.0)
+    health: Array = parameter(unit="1", doc="remaining share of capacity and voltage", above=0.0, maximum=1.0)
 
     @staticmethod
     def empty(count: int) -> BatteryFault:

@@ -100,7 +100,10 @@ def length(thrust: Array) -> Array:
 
 
 def first_jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
-    """Return the speed of ``jet_speed`` by the first edition's law: a third of the momentum near the rotors."""
+    """Return the speed [m/s] of a wake by the law of the first edition, for ``downwash: at_centre``.
+
+    Arguments as those of ``jet_speed``. Near the rotors its momentum is only a third of the thrust.
+    """
     push, far = jnp.maximum(thrust, 0.0), jnp.maximum(along, 1e-3)
     width = SPREAD * jnp.maximum(along, MERGED * wake.size)
     middle = jnp.minimum(_exhaust(wake, push), DECAY * jnp.sqrt(4.0 * push / (AIR_DENSITY * math.pi)) / far)

@@ -79,7 +79,7 @@ def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, 
     for law in populations:
         ways = [(i, trimmed) for i in range(len(fits)) for trimmed in (True, False)]
         tried = [refined(choice, law, choice.laws[law], fits[i], noise, mass, trimmed) for i, trimmed in ways]
-        means = [float(_compared(choice, law, *each, compare, noise, mass).mean()) for each in tried]
+        means = [float(_window_errors(choice, law, *each, compare, noise, mass).mean()) for each in tried]
         best = int(np.argmin(means))
         i, trimmed = ways[best]
         choice.laws[law], own = refined(choice, law, tried[best][0], everything[i], noise, mass, trimmed)
@@ -103,10 +103,10 @@ def left_by(choice: Choice, flight: Flight, mass: float) -> Floats:
     return np.where(np.isfinite(left), np.minimum(left, moved), moved) + 1e-9
 
 
-def _compared(
+def _window_errors(
     choice: Choice, law: str, proposal: Proposal, own: Mapping[str, float], flight: Flight, noise: Floats, mass: float
 ) -> Floats:
-    """Return the mean squared error of each window (n,) of a law with its own trims."""
+    """Return the mean squared error (n,) of a law in each window of a flight, at most FAILED; ``own``: its trims."""
     partners = {name: choice.laws[name] for name in partners_of(law, choice.laws)}
     errors = errors_of(law, proposal, partners, flight, noise, mass, {**choice.trims, **own})
     with np.errstate(all="ignore"):
@@ -128,7 +128,7 @@ def _choose_law(
     front = population.pareto()
     likely = [each for each in front if each.error <= HOPELESS * front[-1].error]
     tried = [refined(choice, law, proposal, fit, noise, mass) for proposal in likely]
-    errors = [_compared(choice, law, *each, compare, noise, mass) for each in tried]
+    errors = [_window_errors(choice, law, *each, compare, noise, mass) for each in tried]
     best = min(errors, key=lambda each: float(each.mean()))
     for (found, own), error in zip(tried, errors, strict=True):
         more = error - best

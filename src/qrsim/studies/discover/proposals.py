@@ -95,7 +95,7 @@ def varied(first: object, second: object, law: str) -> object:
             grow = functools.partial(library.genFull, min_=0, max_=2)
             (child,) = library.mutUniform(child, expr=grow, pset=known)
         elif kind < 0.9:
-            # A term more: what leads most often from an approximation to the law.
+            # A further term: the change that leads most often from an approximation to the law.
             leaf = known.mapping[random.choice(LEAVES[law])]
             times, constant = known.mapping["mul"], known.mapping[CONSTANT]
             term = [times, constant, leaf] if random.random() < 0.7 else [times, constant, times, leaf, leaf]

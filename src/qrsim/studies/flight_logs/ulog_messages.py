@@ -98,7 +98,7 @@ def _without_offsets(flags: bytes) -> bytes:
 
 
 def _check_fields(messages: list[bytes], form: Any) -> None:
-    """Refuse topics of so many fields that pyulog would take hours to list them.
+    """Refuse topics with so many fields that pyulog would take hours to list them.
 
     Raises:
         ValueError: too many, or formats nested too deeply or in themselves.

@@ -220,7 +220,7 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
 
 
 def _first_noise(piece: Piece, ignored: Sequence[str]) -> dict[str, float]:
-    """Return a scale of each channel to begin with: half of how much it moves within the windows."""
+    """Return the first guess of each channel's noise: half of its standard deviation within the windows."""
     recorded = np.where(piece.used[:, :, None], piece.recorded, np.nan)
     spread = np.sqrt(np.nanmean(np.nanvar(recorded, axis=0), axis=0))
     named = zip(piece.channels, spread.tolist(), strict=True)
@@ -355,6 +355,7 @@ def _partners(total: _Sum, found: Covariance, k: int) -> str:
 
 
 def _answer(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Answer:
+    """Return the constants and their covariance at the solution ``unknowns``, which is scaled by ``total.scale``."""
     found, residuals = _covariance(total, unknowns, noise)
     left = _undetermined(total, found)
     real = dict(zip(total.names, (unknowns * total.scale).tolist(), strict=True))

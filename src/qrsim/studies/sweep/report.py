@@ -279,6 +279,7 @@ def _value(value: object) -> str:
 
 
 def _print_response(item: analysis.Response, what: str) -> None:
+    """Print the mean and its 95 % interval at each level of a parameter; ``what`` names the metric."""
     print(f"{item.parameter.label:<28} {what}, 95 % interval")
     for level, *numbers in zip(item.parameter.levels, item.mean, item.low, item.high, strict=True):
         name = f"{level:.4g}" if item.parameter.numeric else str(level)[:26]

@@ -26,11 +26,9 @@ from qrsim.links.mavlink.stack.sim_parameters import SIM_TABLE
 from qrsim.links.mavlink.stack.sticks import Sticks
 from qrsim.models.site import Site
 
-# A take-off is done within this height [m].
-TAKEN_OFF = 0.3
-# Sticks hold for so long with ArduPilot's flavour [s].
-RC_OVERRIDE_TIME = 3.0
-# GUID_TIMEOUT of ArduPilot, by default: without velocities for so long, GUIDED holds [s] (ArduCopter/Parameters.cpp).
+TAKEN_OFF = 0.3  # distance from its height at which a take-off is done [m]
+RC_OVERRIDE_TIME = 3.0  # age at which stick messages expire in ArduPilot's flavour [s]
+# Default of GUID_TIMEOUT: time without velocities after which GUIDED holds [s] (ArduCopter/Parameters.cpp).
 GUIDED_TIMEOUT = 3.0
 
 
@@ -78,7 +76,7 @@ class Flight:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again as after a boot: disarmed, time at zero; parameters and plans stay."""
+        """Restart as after a boot: disarmed, time at zero; parameters and plans stay."""
         self.craft.reset()
         self.mode, self.armed, self.guided = Mode.HOLD, False, False
         # Mode that was asked for, and whether its HOLD is GUIDED.
@@ -88,9 +86,8 @@ class Flight:
         self.offboard.keeps_places = self.flavour.name == "ardupilot"
         self._return, self._descent = Return(), Descent()
         self._goal: Triple | None = None
-        self._armed_at = 0.0
+        self._armed_at, self._took_off = 0.0, False
         self._landed_at: float | None = None
-        self._took_off = False
         if self.plan.state is not MissionState.NO_MISSION:
             self.plan.restart(self.craft)
 
@@ -146,7 +143,7 @@ class Flight:
         return self.offboard.fly(craft)
 
     def _hold(self) -> tuple[Order | None, bool]:
-        """Return the order to stay at a place, which lands hardly above the ground, and whether it has landed."""
+        """Return the order to hold a place, or to land if that is at the ground, and whether the vehicle has landed."""
         craft = self.craft
         if not craft.flies and craft.seen.on_ground:
             rests = self._descent.touchdown.seconds(craft, craft.seen.position_ned[2])
@@ -158,7 +155,7 @@ class Flight:
 
     @property
     def _has_sticks(self) -> bool:
-        """Whether sticks are told; ArduPilot waits for RC_OVERRIDE_TIME."""
+        """Whether stick messages are recent; in ArduPilot's flavour they expire after RC_OVERRIDE_TIME."""
         limit = RC_OVERRIDE_TIME if self.flavour.name == "ardupilot" else self.parameters["COM_RC_LOSS_T"]
         return self.by_sticks.fresh(self.craft, limit * max(1.0, self.factor))
 
@@ -202,7 +199,7 @@ class Flight:
     # ---- landing ----
 
     def _look_at_ground(self, landed: bool) -> None:
-        """Bring the landed state up to date, and disarm who has landed or never took off."""
+        """Update the landed state, and disarm a vehicle that has landed or never took off."""
         craft, now = self.craft, self.craft.seen.time
         self._took_off = self._took_off or craft.flies
         if not self.armed:
@@ -224,7 +221,7 @@ class Flight:
             craft.tell("landed")
             if state is Landed.TAKEOFF:
                 craft.say(Severity.INFO, "Takeoff detected")
-        # A client has so much of its own time to take off.
+        # A client has this time to take off by the wall clock.
         values, stretch = self.parameters.values, max(1.0, self.factor)
         after = values["COM_DISARM_LAND"] if self._took_off else values["COM_DISARM_PRFLT"] * stretch
         since = self._landed_at if self._took_off else self._armed_at
@@ -245,7 +242,7 @@ class Flight:
     # ---- arming ----
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or say why not; ``force`` leaves the checks out."""
+        """Arm, or report the reasons against it; ``force`` leaves the checks out."""
         craft = self.craft
         if self.armed:
             return Result.ACCEPTED
@@ -286,7 +283,7 @@ class Flight:
         return Result.ACCEPTED
 
     def disarm(self, why: str) -> None:
-        """Stop the motors, wherever it is; the mode is HOLD then."""
+        """Stop the motors, also in the air; the mode is HOLD afterwards."""
         craft = self.craft
         if not self.armed:
             return
@@ -304,18 +301,18 @@ class Flight:
 
     @property
     def on_ground(self) -> bool:
-        """Whether it says that it stands on the ground."""
+        """Whether the reported landed state is on the ground."""
         return self.craft.landed is Landed.ON_GROUND
 
     # ---- modes ----
 
     def request_number(self, custom_mode: int) -> Result:
-        """Change to the mode of a custom_mode, or say why not."""
+        """Change to the mode of a custom_mode, or report the reason against it."""
         mode = self.flavour.mode_of(custom_mode)
         return self.refuse_mode(custom_mode, "not flown here") if mode is None else self.request(mode)
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode as somebody asks, or say why not."""
+        """Change the mode on request, or report the reason against it."""
         craft = self.craft
         # ArduPilot's Copter takes any mode while it is disarmed, and is not armed in one that it cannot fly.
         free = self.flavour.name == "ardupilot" and not self.armed
@@ -332,8 +329,7 @@ class Flight:
         if mode is Mode.OFFBOARD and not self.fresh():
             craft.say(Severity.CRITICAL, "Offboard rejected: no set-points")
             return Result.TEMPORARILY_REJECTED
-        guided = mode is Mode.GUIDED
-        wanted = Mode.HOLD if guided else mode
+        wanted, guided = (Mode.HOLD, True) if mode is Mode.GUIDED else (mode, False)
         if wanted is self.mode and guided == self.guided:
             return Result.ACCEPTED
         self.guided = guided
@@ -342,7 +338,7 @@ class Flight:
         return Result.ACCEPTED
 
     def refuse_mode(self, custom_mode: int, why: str) -> Result:
-        """Say that a mode cannot be had, as PX4's Commander or ArduPilot's Copter say it, and return the answer."""
+        """Report a refused mode as PX4's Commander or ArduPilot's Copter do, and return the result."""
         self.craft.say(Severity.CRITICAL, self.flavour.refusal(custom_mode, why))
         return Result.TEMPORARILY_REJECTED if self.flavour.name == "px4" else Result.FAILED
 
@@ -377,12 +373,11 @@ class Flight:
         craft.tell("mode")
 
     def fresh(self) -> bool:
-        """Return whether set-points come in."""
-        limit = self.parameters["COM_OF_LOSS_T"] * max(1.0, self.factor)
-        return self.offboard.fresh(self.craft, limit)
+        """Return whether set-points are recent."""
+        return self.offboard.fresh(self.craft, self.parameters["COM_OF_LOSS_T"] * max(1.0, self.factor))
 
     def _fail_over(self, asked: int) -> None:
-        """Do what a failsafe asks for, unless something graver is under way."""
+        """Take the action that a failsafe commands, unless a graver one is under way."""
         craft = self.craft
         if asked == TERMINATE:
             self.terminate()

@@ -147,7 +147,7 @@ class Services:
         return made
 
     def _endpoint(self, guid: bytes, topic: str, kind: str, identity: bytes) -> bytes:
-        """Return what others are told of a reliable, volatile reader or writer."""
+        """Return the parameter list that announces a reliable, volatile reader or writer."""
         places = [(w.UNICAST, w.locator(*place)) for place in self._sockets.own]
         return w.listed(
             (w.ENDPOINT_GUID, guid),
@@ -345,7 +345,7 @@ class Services:
     # ---- what goes out ----
 
     def _presence(self) -> bytes:
-        """Return the packet that says that it is there."""
+        """Return the packet that announces this participant."""
         places = [
             (kind, w.locator(*place)) for kind in (w.METATRAFFIC, w.DEFAULT_UNICAST) for place in self._sockets.own
         ]
@@ -362,12 +362,12 @@ class Services:
         return w.packet(self._prefix, w.data(_PARTICIPANT[1], _PARTICIPANT[0], 1, payload))
 
     def _tell(self, prefix: bytes, peer: _Peer, again: bool) -> None:
-        """Tell another participant of all services, the first time in full, and ask what it has."""
+        """Announce all services to another participant, the first time in full, and request its own."""
         for writer, reader in (_PUBLICATIONS, _SUBSCRIPTIONS):
             kept = self._told[writer]
             for part in () if again else kept.all(reader):
                 self._sockets.send(w.packet(self._prefix, part, to=prefix), peer.meta)
-            # What this one has of the other's: nothing at first, so that it is told.
+            # The acknowledgement names the announcements received so far; the other sends the missing ones.
             asked = self._of(prefix, writer).answer(reader, writer, 1, 0)
             self._sockets.send(w.packet(self._prefix, kept.heartbeat(reader), asked, to=prefix), peer.meta)
 

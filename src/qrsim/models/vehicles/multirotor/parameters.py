@@ -102,7 +102,7 @@ class Airframe:
         default=0.0, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
     )
     crash_speed: Array = parameter(
-        default=3.0, unit="m/s", doc="speed of impact above which the flight ends", above=0.0
+        default=3.0, unit="m/s", doc="speed of impact above which the vehicle crashes", above=0.0
     )
     stabiliser: Stabiliser = quantity(default=Stabiliser(), doc="the autopilot's inner loops")
     contact: Contact = quantity(default=Contact(), doc="how the vehicle meets the ground")
