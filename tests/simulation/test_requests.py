@@ -11,6 +11,7 @@ import pytest
 from tests.small_worlds import pair
 
 from qrsim.cli import main
+from qrsim.core.tree import replace
 from qrsim.errors import UsageError
 from qrsim.runs import open_run
 from qrsim.runs.compare import compare_runs
@@ -244,6 +245,8 @@ def test_requests_are_kept_until_a_reset(scenario: Scenario) -> None:
     flying.set_wind(8.0, 90.0)
     flying.step(ticks=3)
     flying.clear(asked_by="you")
+    with pytest.raises(UsageError, match="allowed: wind, gusts, jam"):
+        flying.inject("world", "off")
     # What ends nothing is no request.
     flying.clear("barometer")
     flying.inject("barometer", "ok")
@@ -289,6 +292,12 @@ def test_another_world_keeps_what_was_injected(scenario: Scenario) -> None:
     flying.reset()
     flying.change_world(faulty)
     assert not np.isnan(flying.step(ticks=10).gnss.position_ned).any()
+    # A reset restores the wind of the scenario, 2 m/s from the west, unless the other world has another.
+    flying.set_wind(8.0, 90.0)
+    flying.change_world(replace(flying.world, fleets=before.fleets))
+    flying.reset()
+    flying.step(ticks=2)
+    assert flying.state.fleets[0].mean_wind_ned.y[0] > 1.5
 
 
 def test_a_recording_of_others_is_checked(scenario: Scenario, recorded: Path, tmp_path: Path) -> None:
