@@ -116,7 +116,8 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
 
 def _span(request: Injection, time_step: float) -> str:
     """Return when a fault acts, as far as that is not at once and for good."""
-    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick else ""
+    # The first reading that a request can change is that of the next tick.
+    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick + 1 else ""
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
