@@ -110,7 +110,8 @@ def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenar
             "entry 1: asked_by: 'a\\nb'; allowed: a name of at most",
         ),
         ("- gnss", "entry 1: expected target, kind, at and the like, not str"),
-        ("target: gnss", "expected a list of injections, not dict"),
+        ("target: gnss", "expected a list of injections, found dict"),
+        ("", "expected a list of injections, found nothing"),
         ("- {" * 300, "faults.yaml"),
     ],
 )

@@ -259,6 +259,7 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("gnss", "intermittent", {"share": -0.1}, "share: -0.1; allowed: 0 to 1"),
         ("gnss", "wrong", {"field": 3, "bias": 1.0}, "field: 3; allowed: a text"),
         ("gnss", "wrong", {"field": "position_ned", "bias": 2e15}, "bias: 2e+15; allowed: -1e+15 to 1e+15"),
+        ("radio", "off", {}, "target: there is no radio; give world.radio of the scenario"),
         ("gnss", "ok", {"bias": 2.0}, "bias: kind 'ok' takes no numbers"),
         ("rotor 9", "off", {}, "target: there is no 'rotor 9'; did you mean 'rotor 1'?"),
         ("gnss", "delayed", {"by": 3.0}, "by: 3 s; allowed: at most 0.4 s, injectable.delay_max of the scenario"),
@@ -406,7 +407,7 @@ def test_radios_fail_where_they_are_injectable_and_links_anywhere() -> None:
     ):
         with pytest.raises(UsageError, match=message):
             injected(world, "radio", kind, None, (0, 9), numbers)
-    bare = load_scenario(scenario()).world()
+    bare = load_scenario(scenario(world={"radio": radio})).world()
     with pytest.raises(
         UsageError, match=r"'radio' is not injectable; write 'injectable: \{radio: true\}' under fleets.uav"
     ):

@@ -100,7 +100,8 @@ def _entries(path: Path) -> list[object]:
         raise UsageError(f"{path}: {error.strerror}{did_you_mean_file(path)}") from None
     content = parse_yaml(text, str(path))
     if not isinstance(content, list):
-        raise UsageError(f"{path}: expected a list of injections, not {type(content).__name__}")
+        found = "nothing" if content is None else type(content).__name__
+        raise UsageError(f"{path}: expected a list of injections, found {found}")
     if len(content) > MOST_ENTRIES:
         raise UsageError(f"{path}: {len(content)} entries; allowed: at most {MOST_ENTRIES}")
     return content

@@ -127,6 +127,8 @@ def injected(
         raise UsageError(f"{next(iter(numbers)):.60}: kind 'ok' takes no numbers")
     if target == LINK and not any(LINK in fleet.sensor_names for fleet in world.fleets):
         return world, _linked(world, kind, vehicles, numbers)
+    if target == "radio" and world.radio is None and not any(_slot(fleet, target) for fleet in world.fleets):
+        raise UsageError("target: there is no radio; give world.radio of the scenario")
     fleets, concerned = list(world.fleets), []
     for place, fleet in enumerate(world.fleets):
         chosen = np.array([vehicles is None or name in vehicles for name in fleet.vehicle_names])
