@@ -173,6 +173,7 @@ FILE = """
 - {target: gnss, kind: wrong, field: position_ned.x, bias: 3.0, at: 0.4, vehicles: [vehicles_0]}
 - {target: world, kind: wind, at: 0.5, speed_20ft: 8, over: 0.2}
 - {target: gnss, kind: ok, at: 0.8, vehicles: [vehicles_0]}
+- {target: barometer, kind: off, tick: 60, at: 1.22, vehicles: [vehicles_0]}
 """
 
 
@@ -193,9 +194,12 @@ def test_a_run_has_what_was_asked_for_and_is_flown_again_to_the_bit(recorded: Pa
         ("gnss", "wrong", 19, 0.4, None),
         ("world", "wind", 25, 0.5, None),
         ("gnss", "ok", 39, 0.8, None),
+        # After the last tick: it changes nothing.
+        ("barometer", "off", 60, 1.22, None),
     ]
     assert [one["vehicles"] for one in run.injections if "vehicles" in one] == [
         list(NAMES),
+        ["vehicles_0"],
         ["vehicles_0"],
         ["vehicles_0"],
     ]
@@ -206,6 +210,7 @@ def test_a_run_has_what_was_asked_for_and_is_flown_again_to_the_bit(recorded: Pa
         ("injected", "vehicles_0", "gnss.position_ned.x", 3.0, 19),
         ("wind_changed", None, "world.wind.speed_20ft", 8.0, 25),
         ("cleared", "vehicles_0", "gnss", None, 39),
+        ("injected", "vehicles_0", "barometer", None, 60),
     ]
     fix = run["measurements"]["gnss.position_ned.x"]
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(fix[:, 1])), np.arange(10, 30))
@@ -218,7 +223,7 @@ def test_a_run_has_what_was_asked_for_and_is_flown_again_to_the_bit(recorded: Pa
     again = open_run(tmp_path / "again")
     found = compare_runs(run, again)
     assert found.bit_identical
-    assert (found.injections.equal, found.injections.only) == (4, ((), ()))
+    assert (found.injections.equal, found.injections.only) == (5, ((), ()))
     assert (recorded / "injections.yaml").read_bytes() == (tmp_path / "again" / "injections.yaml").read_bytes()
 
 
@@ -232,7 +237,7 @@ def test_runs_are_compared_by_their_injections(recorded: Path, tmp_path: Path, c
     (tmp_path / "other" / "injections.yaml").write_text(other, "utf-8")
     assert main(["compare", str(recorded), str(tmp_path / "other")]) == 0
     said = capsys.readouterr().out
-    assert "injections: 2 equal, 2 only in A, 1 only in B" in said
+    assert "injections: 2 equal, 3 only in A, 1 only in B" in said
     assert "only in B: {target: world, kind: wind, tick: 25, at: 0.5, speed_20ft: 9, over: 0.2" in said
     (tmp_path / "other" / "injections.yaml").write_text("{", "utf-8")
     assert main(["compare", str(recorded), str(tmp_path / "other")]) == 1
