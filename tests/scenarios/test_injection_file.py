@@ -90,7 +90,7 @@ def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenar
         ("- {target: gnss, kind: off, at: .nan}", "entry 1: at: nan; allowed: a time [s]"),
         ("- {target: gnss, kind: off, at: soon}", "entry 1: at: 'soon'; allowed: a time [s]"),
         ("- {target: gnss, kind: off, at: 2, tick: 1.5}", "entry 1: tick: 1.5; allowed: a whole number from 0"),
-        ("- {target: gnss, kind: off, at: 2, tick: 3000}", "entry 1: at: 60 s is not within the run"),
+        ("- {target: gnss, kind: ok, at: 61}", "entry 1: at: 61 s is not within the run"),
         ("- {target: gnss, kind: off, at: 2, tick: 99, end: 2}", "entry 1: end: 2 s is not after the start, 2 s"),
         ("- {target: gnss, kind: off, at: 2.01, tick: 99}", "entry 1: at: 2.01 s is not a multiple of the time step"),
         ("- {target: gnss, kind: drift, at: 2, tick: 99}", "entry 1: rate: missing"),
@@ -99,8 +99,19 @@ def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenar
             "entry 2: there is no target 'gnsss'",
         ),
         ("- {target: rotor 3, kind: weak, health: 2, at: 2, tick: 9}", "entry 1: health: 2; allowed: 0 to 1"),
+        ("- {target: gnss, kind: off, at: 2, vehicles: []}", "entry 1: vehicles: expected a list of names"),
+        ("- {target: gnss, kind: off, at: 2, duration: 3}", "entry 1: duration: there is no such number"),
+        ("- {target: gnss, kind: ok, at: 2, end: 3}", "entry 1: end: kind 'ok' ends a fault at once"),
+        ("- {target: gnss, kind: ok, at: 2, bias: 3}", "entry 1: bias: kind 'ok' takes no numbers"),
+        ("- {target: world, kind: wind, at: 2, speed_20ft: 5, end: 3}", "entry 1: end: the world changes for all"),
+        ("- {target: world, kind: wind, at: 2, vehicles: [quad_0]}", "entry 1: vehicles: the world changes for all"),
+        (
+            '- {target: gnss, kind: off, at: 2, asked_by: "a\\nb"}',
+            "entry 1: asked_by: 'a\\nb'; allowed: a name of at most",
+        ),
         ("- gnss", "entry 1: expected target, kind, at and others, not str"),
-        ("target: gnss", "expected a list of injections, not dict"),
+        ("target: gnss", "expected a list of injections, found dict"),
+        ("", "expected a list of injections, found nothing"),
         ("- {" * 300, "faults.yaml"),
     ],
 )
@@ -108,6 +119,21 @@ def test_what_is_refused(scenario: Scenario, tmp_path: Path, text: str, message:
     with pytest.raises(UsageError) as caught:
         injected(scenario, text, tmp_path)
     assert message in str(caught.value)
+
+
+def test_recorded_requests_may_be_later_than_the_scenario_ends(scenario: Scenario, tmp_path: Path) -> None:
+    (tmp_path / "faults.yaml").write_text("- {target: gnss, kind: off, tick: 3000, at: 60.02}")
+    assert [one.tick for one in read_injections(scenario, tmp_path / "faults.yaml")[1]] == [3000]
+
+
+def test_a_file_has_numbers_by_field_and_none(scenario: Scenario, tmp_path: Path) -> None:
+    (tmp_path / "faults.yaml").write_text(
+        "- {target: gnss, kind: wrong, at: 2, bias: {position_ned.x: 3}, scale: null}\n"
+        "- {target: rotor 1, kind: 'off', at: 3, end: null}\n"
+    )
+    first, second = read_injections(scenario, tmp_path / "faults.yaml")[1]
+    assert (first.tick, first.start_tick, first.numbers) == (99, 100, {"bias": {"position_ned.x": 3}})
+    assert (second.tick, second.end_tick, second.numbers) == (150, 2**31 - 1, {})
 
 
 def test_a_file_that_is_not_there_names_the_nearest(scenario: Scenario, tmp_path: Path) -> None:

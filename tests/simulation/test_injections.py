@@ -248,7 +248,7 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("rotor 1", "stuck", {"speed": 1.2}, "speed: 1.2; allowed: 0 to 1"),
         ("rotor 1", "stuck", {"health": 0.2}, "health: kind 'stuck' does not take it; it takes speed"),
         ("gnss", "drift", {"field": "position_ned.x"}, "rate: missing; kind 'drift' needs it"),
-        ("gnss", "drift", {"field": "position_ned.x", "rate": float("nan")}, "rate: nan; allowed: a finite number"),
+        ("gnss", "drift", {"field": "position_ned.x", "rate": float("nan")}, "rate: nan; allowed: -1e+15 to 1e+15"),
         ("gnss", "drift", {"field": "height", "rate": 1.0}, "field: the sensor does not report 'height'"),
         ("gnss", "noisy", {"field": "position_ned", "std": "1"}, "std: '1'; allowed: a number"),
         ("gnss", "wrong", {"field": "position_ned", "bias": 10**400}, "bias: 1000"),
@@ -257,6 +257,11 @@ WORLD = load_scenario(scenario({"sensors": ["gnss", "baro"], "rotors": [1], "del
         ("gnss", "slow", {"every": 0}, "every: 0; allowed: 1 to 1e+06"),
         ("gnss", "intermittent", {"share": 0.9, "on": 3.0}, "share: kind 'intermittent' needs it alone, or on and off"),
         ("gnss", "intermittent", {"share": -0.1}, "share: -0.1; allowed: 0 to 1"),
+        ("gnss", "wrong", {"field": 3, "bias": 1.0}, "field: 3; allowed: a text"),
+        ("gnss", "wrong", {"field": "position_ned", "bias": 2e15}, "bias: 2e+15; allowed: -1e+15 to 1e+15"),
+        ("radio", "off", {}, "target: there is no radio; give world.radio of the scenario"),
+        ("gnss", "ok", {"bias": 2.0}, "bias: kind 'ok' takes no numbers"),
+        ("rotor 9", "off", {}, "target: there is no 'rotor 9'; did you mean 'rotor 1'?"),
         ("gnss", "delayed", {"by": 3.0}, "by: 3 s; allowed: at most 0.4 s, injectable.delay_max of the scenario"),
     ],
 )
@@ -268,14 +273,15 @@ def test_what_cannot_be_injected(target: str, kind: str, numbers: dict[str, Any]
 
 
 def test_fields_have_numbers_of_their_own() -> None:
-    numbers = {"bias": {"position_ned.x": 3.0, "velocity_ned": -1.0}, "scale": {"position_ned.y": 0.5}}
+    scales = {"position_ned.y": 0.5, "velocity_ned.z": 2.0}
+    numbers = {"bias": {"position_ned.x": 3.0, "velocity_ned": -1.0}, "scale": scales}
     world, _ = injected(WORLD, "gnss", "wrong", ["uav_1"], (5, 10), numbers)
     slot = world.fleets[0].fault_slots[0]
     added = {name: float(amount[1]) for name, amount in zip(slot.fields, slot.numbers.amounts, strict=True)}
     times = {name: float(scale[1]) for name, scale in zip(slot.fields, slot.numbers.scales, strict=True)}
     velocity = {f"velocity_ned.{axis}": -1.0 for axis in "xyz"}
     assert {name: value for name, value in added.items() if value} == {"position_ned.x": 3.0} | velocity
-    assert {name: value for name, value in times.items() if value != 1.0} == {"position_ned.y": 0.5}
+    assert {name: value for name, value in times.items() if value != 1.0} == scales
     request = Injection(1, "gnss", "wrong", ("uav_1",), 5, 10, numbers, "test", 4)
     (event,) = events_of([request], 0.02)
     assert (event["field"], event["value"], entry_of(request, 0.02)["bias"]) == ("gnss", None, numbers["bias"])
@@ -285,7 +291,9 @@ def test_fields_have_numbers_of_their_own() -> None:
         ({"bias": {"position.x": 1.0}}, "field: the sensor does not report 'position.x'"),
         ({"bias": {3: 1.0}}, "field: the sensor does not report '3'"),
         ({"bias": {"position_ned.x": "1"}}, "bias: '1'; allowed: a number"),
-        ({"bias": {"position_ned.x": float("nan")}}, "bias: nan; allowed: a finite number"),
+        ({"bias": {"position_ned.x": float("nan")}}, "bias: nan; allowed: -1e+15 to 1e+15"),
+        ({"bias": {"position_ned": 1.0, "position_ned.x": 2.0}}, "bias: 'position_ned.x' is given twice"),
+        ({"limit": {"position_ned.x": 1.0}}, "limit: {'position_ned.x': 1.0}; allowed: a number, which all fields"),
         ({"bias": {}}, "bias: {}; allowed: a number"),
         ({"bias": {"position_ned.x": 1.0}, "field": "position_ned"}, "field: bias already names fields"),
     ):
@@ -301,6 +309,8 @@ def test_requests_at_a_bad_time_or_too_many() -> None:
         ({"at": float("nan")}, "at: nan; allowed: a time [s]"),
         ({"duration": 0.0}, "duration: 0.0; allowed: a time above 0 s"),
         ({"vehicles": "uav_7"}, "vehicles: no vehicle is called 'uav_7'"),
+        ({"vehicles": 7}, "vehicles: 7; allowed: names"),
+        ({"asked_by": "one\ntwo"}, "asked_by: .*; allowed: one line of at most 200 characters"),
     ):
         with pytest.raises(UsageError, match=message.replace("[", r"\[")):
             simulation.inject("baro", "off", **words)
@@ -309,6 +319,8 @@ def test_requests_at_a_bad_time_or_too_many() -> None:
         simulation.inject("baro", "off", at=0.9, duration=0.05)
     with pytest.raises(UsageError, match="at most 64 faults in one tick"):
         simulation.inject("baro", "off")
+    simulation.reset()
+    simulation.inject("baro", "off", at=0.9, duration=0.05)
     # The last one stands in place of the others; 0.9 s is tick 45, 0.05 s three ticks.
     assert [(one.start_tick, one.end_tick) for one in simulation.injected] == [(45, 48)]
     with pytest.raises(UsageError, match="vehicles: none is named"):
@@ -395,7 +407,7 @@ def test_radios_fail_where_they_are_injectable_and_links_anywhere() -> None:
     ):
         with pytest.raises(UsageError, match=message):
             injected(world, "radio", kind, None, (0, 9), numbers)
-    bare = load_scenario(scenario()).world()
+    bare = load_scenario(scenario(world={"radio": radio})).world()
     with pytest.raises(
         UsageError, match=r"'radio' is not injectable; write 'injectable: \{radio: true\}' under fleets.uav"
     ):

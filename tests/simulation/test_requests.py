@@ -11,6 +11,7 @@ import pytest
 from tests.small_worlds import pair
 
 from qrsim.cli import main
+from qrsim.core.tree import replace
 from qrsim.errors import UsageError
 from qrsim.runs import open_run
 from qrsim.runs.compare import compare_runs
@@ -172,6 +173,7 @@ FILE = """
 - {target: gnss, kind: wrong, field: position_ned.x, bias: 3.0, at: 0.4, vehicles: [vehicles_0]}
 - {target: world, kind: wind, at: 0.5, speed_20ft: 8, over: 0.2}
 - {target: gnss, kind: ok, at: 0.8, vehicles: [vehicles_0]}
+- {target: barometer, kind: off, tick: 60, at: 1.22, vehicles: [vehicles_0]}
 """
 
 
@@ -192,9 +194,12 @@ def test_a_run_has_what_was_asked_for_and_is_flown_again_to_the_bit(recorded: Pa
         ("gnss", "wrong", 19, 0.4, None),
         ("world", "wind", 25, 0.5, None),
         ("gnss", "ok", 39, 0.8, None),
+        # After the last tick: it changes nothing.
+        ("barometer", "off", 60, 1.22, None),
     ]
     assert [one["vehicles"] for one in run.injections if "vehicles" in one] == [
         list(NAMES),
+        ["vehicles_0"],
         ["vehicles_0"],
         ["vehicles_0"],
     ]
@@ -205,6 +210,7 @@ def test_a_run_has_what_was_asked_for_and_is_flown_again_to_the_bit(recorded: Pa
         ("injected", "vehicles_0", "gnss.position_ned.x", 3.0, 19),
         ("wind_changed", None, "world.wind.speed_20ft", 8.0, 25),
         ("cleared", "vehicles_0", "gnss", None, 39),
+        ("injected", "vehicles_0", "barometer", None, 60),
     ]
     fix = run["measurements"]["gnss.position_ned.x"]
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(fix[:, 1])), np.arange(10, 30))
@@ -217,7 +223,7 @@ def test_a_run_has_what_was_asked_for_and_is_flown_again_to_the_bit(recorded: Pa
     again = open_run(tmp_path / "again")
     found = compare_runs(run, again)
     assert found.bit_identical
-    assert (found.injections.equal, found.injections.only) == (4, ((), ()))
+    assert (found.injections.equal, found.injections.only) == (5, ((), ()))
     assert (recorded / "injections.yaml").read_bytes() == (tmp_path / "again" / "injections.yaml").read_bytes()
 
 
@@ -231,7 +237,7 @@ def test_runs_are_compared_by_their_injections(recorded: Path, tmp_path: Path, c
     (tmp_path / "other" / "injections.yaml").write_text(other, "utf-8")
     assert main(["compare", str(recorded), str(tmp_path / "other")]) == 0
     said = capsys.readouterr().out
-    assert "injections: 2 equal, 2 only in A, 1 only in B" in said
+    assert "injections: 2 equal, 3 only in A, 1 only in B" in said
     assert "only in B: {target: world, kind: wind, tick: 25, at: 0.5, speed_20ft: 9, over: 0.2" in said
     (tmp_path / "other" / "injections.yaml").write_text("{", "utf-8")
     assert main(["compare", str(recorded), str(tmp_path / "other")]) == 1
@@ -244,6 +250,8 @@ def test_requests_are_kept_until_a_reset(scenario: Scenario) -> None:
     flying.set_wind(8.0, 90.0)
     flying.step(ticks=3)
     flying.clear(asked_by="you")
+    with pytest.raises(UsageError, match="allowed: wind, gusts, jam"):
+        flying.inject("world", "off")
     # What ends nothing is no request.
     flying.clear("barometer")
     flying.inject("barometer", "ok")
@@ -289,6 +297,12 @@ def test_another_world_keeps_what_was_injected(scenario: Scenario) -> None:
     flying.reset()
     flying.change_world(faulty)
     assert not np.isnan(flying.step(ticks=10).gnss.position_ned).any()
+    # A reset restores the wind of the scenario, 2 m/s from the west, unless the other world has another.
+    flying.set_wind(8.0, 90.0)
+    flying.change_world(replace(flying.world, fleets=before.fleets))
+    flying.reset()
+    flying.step(ticks=2)
+    assert flying.state.fleets[0].mean_wind_ned.y[0] > 1.5
 
 
 def test_a_recording_of_others_is_checked(scenario: Scenario, recorded: Path, tmp_path: Path) -> None:

@@ -185,7 +185,9 @@ def test_a_jammer_is_turned_on_and_off() -> None:
     again = fixes(live, 49)
     live.set_jammer(0, 10.0)
     again += fixes(live, 100)
-    live.set_jammer(0, 0.0)
+    # Links have no whole numbers.
+    live.change_weather("jam", {"jammer": 0.0, "power_w": 0.0})
+    assert live.requests[-1].numbers == {"jammer": 0, "power_w": 0.0}
     assert again + fixes(live, 151) == found
     with pytest.raises(UsageError, match=r"jammer: 1; allowed: 0 to 0, in the order of world.interference"):
         live.set_jammer(1, 1.0)
@@ -244,7 +246,10 @@ def test_what_cannot_be_asked_for_in_flight() -> None:
         (lambda: simulation.set_jammer(0, 2.0), "write 'injectable: \\[jam\\]' under world"),
         (lambda: simulation.set_wind(51.0, 0.0), "speed_20ft: 51.0; allowed: 0 to 50 m/s"),
         (lambda: simulation.set_wind(float("nan"), 0.0), "speed_20ft: nan; allowed: 0 to 50 m/s"),
-        (lambda: simulation.set_wind(5.0, float("inf")), "wind_from_deg: inf; allowed: a finite number"),
+        (lambda: simulation.set_wind(5.0, float("inf")), r"wind_from_deg: inf; allowed: -1e\+06 to 1e\+06 degrees"),
+        (lambda: simulation.inject("world", "wind", speed_20ft=5.0, at=1.0), "vehicles, at, duration: the world"),
+        (lambda: simulation.inject("world", "ok"), "kind: 'ok' does not suit the world; allowed: wind, gusts, jam$"),
+        (lambda: simulation.change_weather("wind", {5: 1.0}), "5: there is no such number"),  # type: ignore[dict-item]
         (lambda: simulation.set_wind("5", 0.0), "speed_20ft: '5'; allowed"),  # type: ignore[arg-type]
     ):
         with pytest.raises(UsageError, match=message):

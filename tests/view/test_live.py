@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import threading
 import time
@@ -105,17 +106,19 @@ def test_a_fault_that_is_injected_acts_and_is_recorded(view: LiveView, tmp_path:
     run = open_run(tmp_path / "run")
     said = [(event.kind, event.vehicle, event.field) for event in run.events if event.kind in ("injected", "cleared")]
     assert said == [
-        ("injected", "vehicles_1", "gnss"), ("injected", "vehicles_0", "gnss"), ("cleared", "vehicles_0", "gnss")
-    ]  # fmt: skip
+        ("injected", "vehicles_1", "gnss"),
+        ("injected", "vehicles_0", "gnss.position_ned.x"),
+        ("cleared", "vehicles_0", "gnss"),
+    ]
     first = next(event for event in run.events if event.kind == "injected")
-    assert first.message.startswith("injected: gnss off of vehicles_1 for 2 s, at 0.")
+    assert re.fullmatch(r"vehicles_1: gnss off injected at 0\.\d\d s until 2\.\d\d s, asked by page", first.message)
     # Two seconds without a position, in the readings of the vehicle alone.
     north = run["measurements"]["gnss.position_ned.x"]
     lost = np.isnan(north[:, 1])
     assert 90 <= lost.sum() <= 110
     assert not np.isnan(north[:, 0]).any()
     # They are marks of the timeline, and no reason to stop.
-    assert "injected: gnss off" in "".join(words for _, words in marks(run.events))
+    assert "vehicles_1: gnss off injected" in "".join(words for _, words in marks(run.events))
 
 
 def test_the_panel_offers_the_wind_that_blows():

@@ -18,5 +18,5 @@ def is_number(value: Any) -> bool:
     """Return whether something is a number, of NumPy's too, that a float holds."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return False
-    size: Any = abs(value)
+    size: Any = abs(value.item() if isinstance(value, np.generic) else value)
     return not size >= 1e300

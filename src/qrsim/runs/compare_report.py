@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from qrsim.errors import visible
 from qrsim.files import Content
 from qrsim.files.yaml_text import dump_line
 from qrsim.runs import Event, Run
@@ -104,7 +105,7 @@ def _print_injections(found: InjectionComparison) -> None:
         print(f"injections: {', '.join([f'{found.equal} equal', *only])}")
     for letter, own in zip(RUNS, found.only, strict=True):
         for entry in own[:MOST_INJECTIONS]:
-            print(f"  only in {letter}: {dump_line(entry)}")
+            print(f"  only in {letter}: {visible(dump_line(entry))}")
 
 
 def _event(event: Event) -> str:

@@ -203,6 +203,8 @@ def fly(
         with _scored(referee, writer, policy):
             begun_at = (start_up, first_tick)
             pace = _loop(simulation, scenario.ticks, begun_at, paced, pilot, keep, progress, schedule, view, long)
+        # Also those that were made after the last tick of the other flight.
+        schedule.make()
         keep_requests()
         for event in finder.ending(simulation.history):
             writer.append_event(**event)

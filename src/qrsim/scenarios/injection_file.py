@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.core.arrays import is_number
-from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
+from qrsim.errors import LONGEST_NAME, ScenarioError, UsageError, did_you_mean, did_you_mean_file
 from qrsim.files import Content
+from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
+from qrsim.models.sensors.fault_numbers import NAMES
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.models.vehicles.fault_numbers import number_of
 from qrsim.scenarios import catalogue
@@ -50,7 +52,7 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
     """
     entries = [(f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
                for number, entry in enumerate(_entries(path), 1)]  # fmt: skip
-    in_flight = any("tick" in entry or entry["kind"] == OK or entry["target"] == LINK for _, entry in entries)
+    in_flight = any(_in_flight(entry) for _, entry in entries)
     content = scenario.spec.model_dump(mode="json")
     requests, wheres = [], []
     for where, entry in entries:
@@ -67,6 +69,12 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
     except ScenarioError as error:
         raise UsageError(f"{path}: {error}") from None
     return scenario, tuple(_possible(scenario, requests, wheres))
+
+
+def _in_flight(entry: Content) -> bool:
+    """Return whether an entry can only be a request: faults of a scenario have one number for all fields."""
+    by_field = any(isinstance(value, dict) for value in entry.values())
+    return "tick" in entry or entry["kind"] == OK or entry["target"] == LINK or by_field
 
 
 def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequence[str]) -> Iterator[Injection]:
@@ -87,16 +95,13 @@ def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequenc
 
 def _entries(path: Path) -> list[object]:
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise UsageError(f"{path}: larger than {LARGEST_BYTES // 2**20} MB")
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, LARGEST_BYTES)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}{did_you_mean_file(path)}") from None
-    except UnicodeDecodeError:
-        raise UsageError(f"{path}: it is no text in UTF-8") from None
     content = parse_yaml(text, str(path))
     if not isinstance(content, list):
-        raise UsageError(f"{path}: expected a list of injections, not {type(content).__name__}")
+        found = "nothing" if content is None else type(content).__name__
+        raise UsageError(f"{path}: expected a list of injections, found {found}")
     if len(content) > MOST_ENTRIES:
         raise UsageError(f"{path}: {len(content)} entries; allowed: at most {MOST_ENTRIES}")
     return content
@@ -112,14 +117,23 @@ def _checked(entry: object, where: str) -> Content:
     for name in ("target", "kind", "asked_by"):
         if not isinstance(entry.get(name, ""), str):
             raise UsageError(f"{where}: {name}: {entry[name]!r:.60}; allowed: a text")
+    if len(by := entry.get("asked_by", "")) > LONGEST_NAME or not by.isprintable():
+        raise UsageError(f"{where}: asked_by: {by!r:.60}; allowed: a name of at most {LONGEST_NAME} characters")
     for name in ("at", "end"):
         if entry.get(name) is not None and not (is_number(entry[name]) and 0.0 <= entry[name] <= 1e9):
             raise UsageError(f"{where}: {name}: {entry[name]!r:.60}; allowed: a time [s]")
     tick, vehicles = entry.get("tick", 0), entry.get("vehicles")
     if type(tick) is not int or not 0 <= tick < LAST_TICK:
         raise UsageError(f"{where}: tick: {tick!r:.60}; allowed: a whole number from 0")
-    if vehicles is not None and not (isinstance(vehicles, list) and all(isinstance(one, str) for one in vehicles)):
+    if vehicles is not None and not (
+        vehicles and isinstance(vehicles, list) and all(isinstance(one, str) for one in vehicles)
+    ):
         raise UsageError(f"{where}: vehicles: expected a list of names")
+    for name in ("end", "vehicles"):
+        if entry.get(name) is not None and entry["target"] == WORLD:
+            raise UsageError(f"{where}: {name}: the world changes for all, until it is changed again")
+    if entry.get("end") is not None and entry["kind"] in (OK, "clear"):
+        raise UsageError(f"{where}: end: kind 'ok' ends a fault at once")
     # The name of the method that ends faults is accepted too.
     kind = OK if entry["kind"] == "clear" else entry["kind"]
     return entry | {"target": plain_target(entry["target"]), "kind": kind}
@@ -175,7 +189,7 @@ def _targets(scenario: Scenario) -> list[str]:
 
 
 def _numbers(entry: Content) -> Content:
-    return {name: value for name, value in entry.items() if name not in KEYS}
+    return {name: value for name, value in entry.items() if name not in KEYS and value is not None}
 
 
 def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
@@ -185,6 +199,10 @@ def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
     rest |= {} if vehicles is None else {"vehicles": vehicles}
     rotor = _rotor(target)
     if rotor is None and target not in PLAIN:
+        for name in numbers:
+            if name not in (*NAMES, "field"):
+                known = did_you_mean(name, (*NAMES, "field"))
+                raise UsageError(f"{where}: {name:.60}: there is no such number{known}")
         return numbers | rest | {"sensor": target, "kind": kind, "start": entry["at"]}
     what = target if rotor is None else "rotor"
     try:
@@ -214,9 +232,10 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
     last = LAST_TICK if end is None else min(round(end / dt), LAST_TICK)
     if last <= start:
         raise UsageError(f"{where}: end: {end:g} s is not after the start, {start * dt:g} s")
-    if tick >= scenario.ticks:
+    # A recorded flight may have been longer than its scenario, as those of servers are.
+    if "tick" not in entry and tick >= scenario.ticks:
         raise UsageError(
-            f"{where}: at: {tick * dt:g} s is not within the run; allowed: from 0 s to before its end at "
+            f"{where}: at: {entry['at']:g} s is not within the run; allowed: from 0 s to before its end at "
             f"{scenario.duration:g} s (duration)"
         )
     vehicles, by = tuple(entry.get("vehicles") or ()), entry.get("asked_by", "file")

@@ -11,7 +11,7 @@ import numpy as np
 
 from qrsim.core.arrays import is_number
 from qrsim.core.tree import cast, field_info, record_of, replace
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, nearest
 from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.turbulence import Still
 from qrsim.models.atmosphere.wind import LogShear
@@ -30,8 +30,8 @@ TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     GUSTS: (("times",), ("over",)),
     JAM: (("jammer", "power_w"), ("over",)),
 }
-# Largest factor of gusts, and power of a jammer [W]; longest change [s].
-MOST_TIMES, MOST_WATTS, LONGEST_S = 10.0, 1e6, 1e6
+# Largest factor of gusts, power of a jammer [W] and bearing [degrees]; longest change [s], and in steps.
+MOST_TIMES, MOST_WATTS, MOST_DEG, LONGEST_S, MOST_TICKS = 10.0, 1e6, 1e6, 1e6, 2**30
 
 
 class _Leg(NamedTuple):
@@ -57,20 +57,20 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
         UsageError: unknown kind, a number that is missing, unknown or out of range, or a world that cannot change so.
     """
     if kind not in TAKES:
-        raise UsageError(
-            f"kind: '{kind}' does not suit the world; allowed: {', '.join(TAKES)}{did_you_mean(kind, TAKES)}"
-        )
+        near = nearest(str(kind), TAKES)
+        hint = f"; did you mean '{near}'?" if near else ""
+        raise UsageError(f"kind: '{str(kind)[:60]}' does not suit the world; allowed: {', '.join(TAKES)}{hint}")
     needed, optional = TAKES[kind]
     for name in numbers:
         if name not in needed + optional:
-            raise UsageError(f"{name}: there is no such number{did_you_mean(name, needed + optional)}")
+            raise UsageError(f"{str(name)[:60]}: there is no such number{did_you_mean(str(name), needed + optional)}")
     for name in needed:
         if numbers.get(name) is None:
             raise UsageError(f"{name}: missing; kind '{kind}' needs it")
     over = numbers.get("over")
     over = 0.0 if over is None else over
     _in_range(over, "over", 0.0, LONGEST_S, "s")
-    when = (tick, math.ceil(over / world.time_step - 1e-6), tick if now is None else now)
+    when = (tick, min(math.ceil(over / world.time_step - 1e-6), MOST_TICKS), tick if now is None else now)
     change = {WIND: _wind, GUSTS: _gusts, JAM: _jam}[kind]
     return change(world, numbers, when)
 
@@ -82,8 +82,8 @@ def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) 
         raise UsageError("speed_20ft: missing; kind 'wind' needs it, or wind_from_deg")
     if speed is not None:
         _in_range(speed, "speed_20ft", 0.0, most, "m/s")
-    if from_deg is not None and not (is_number(from_deg) and math.isfinite(from_deg)):
-        raise UsageError(f"wind_from_deg: {from_deg!r}; allowed: a finite number")
+    if from_deg is not None:
+        _in_range(from_deg, "wind_from_deg", -MOST_DEG, MOST_DEG, "degrees")
     changes = world.changes
     if changes is None or changes.speed_20ft is None or changes.wind_from_rad is None:
         if when[1]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from qrsim.core.arrays import is_number
 from qrsim.engine.layout import Packer
-from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.errors import LONGEST_NAME, RunError, UsageError, os_error_as
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_line
 from qrsim.models.sensors.faults import LAST_TICK
@@ -24,16 +24,14 @@ from qrsim.simulation.injections import (
     WORLD,
     Injected,
     Injection,
-    first_tick,
     injected,
-    last_tick,
     named_vehicles,
     plain_target,
     targets_of,
     without_faults,
 )
 from qrsim.simulation.one_world import OneWorld
-from qrsim.simulation.requests import after_request, entry_of, of_sensor
+from qrsim.simulation.requests import after_request, entry_of, first_tick, last_tick, of_sensor
 from qrsim.world.state import World
 
 
@@ -65,7 +63,8 @@ class Injecting(Alone):
         Raises:
             UsageError: something else than numbers differs.
         """
-        self._weather = None
+        if any(new is not now for new, now in zip(weather_of(world), weather_of(self.world), strict=True)):
+            self._weather = None
         if any(targets_of(fleet) for fleet in world.fleets):
             # What is in the slots of the world that is given may be older than what was injected since.
             world = without_faults(world)
@@ -106,7 +105,15 @@ class Injecting(Alone):
         Raises:
             UsageError: it cannot be injected; nothing has changed.
         """
-        target = plain_target(target)
+        for name, text in (("target", target), ("kind", kind), ("asked_by", asked_by)):
+            if not (isinstance(text, str) and text.isprintable() and len(text) <= LONGEST_NAME):
+                raise UsageError(f"{name}: {text!r:.60}; allowed: one line of at most {LONGEST_NAME} characters")
+        target, kind, asked_by = plain_target(str(target)), str(kind), str(asked_by)
+        if target == WORLD:
+            if (vehicles, at, duration) != (None, None, None):
+                raise UsageError("vehicles, at, duration: the world changes for all, from the next tick on")
+            self.change_weather(kind, numbers, asked_by)
+            return 0
         if kind == OK and (at is not None or duration is not None):
             raise UsageError("at, duration: kind 'ok' ends a fault at once; use 'duration' of the fault itself")
         if self._asked == (self.tick, MOST_AT_ONCE):
@@ -249,7 +256,13 @@ class Injecting(Alone):
         Raises:
             UsageError: it cannot be changed, or a number is missing or out of range.
         """
-        given = {name: plain(value) for name, value in numbers.items() if not (name == "over" and value == 0.0)}
+        given = {name: plain(value) for name, value in numbers.items() if value is not None}
+        if given.get("over") == 0.0:
+            del given["over"]
+        jammer = given.get("jammer")
+        # Links have no whole numbers.
+        if isinstance(jammer, float) and jammer.is_integer():
+            given["jammer"] = int(jammer)
         self._make([Injection(0, WORLD, kind, (), self.tick, LAST_TICK, given, asked_by, self.tick)])
 
     # ---- for resets and saved states ----
@@ -292,7 +305,7 @@ class Injecting(Alone):
     def _clear_all(self) -> None:
         """Have no injected fault any more, and the weather of the scenario."""
         world = self._first_world
-        self._requests, self._injections, self._weather = [], [], None
+        self._requests, self._injections, self._weather, self._asked = [], [], None, (-1, 0)
         self._take(world)
 
     def _injections_text(self) -> str:
@@ -331,7 +344,11 @@ class Injecting(Alone):
 
 
 def plain(value: Any) -> Any:
-    """Return a number of NumPy as one of Python's own, which saved states and files can have."""
+    """Return a number or text of any type as one of Python's own, which saved states and files can have."""
     if isinstance(value, Mapping):
         return {str(name): plain(number) for name, number in value.items()}
-    return value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, str):
+        return str(value)
+    if not is_number(value):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)

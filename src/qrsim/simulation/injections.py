@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +15,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.radio.faults import RadioFault
 from qrsim.models.sensors.fault_numbers import (
     NAMES,
+    OF_FIELDS,
     chosen_fields,
     empty_slot,
     fault_numbers,
@@ -28,8 +28,7 @@ from qrsim.models.vehicles.faults import FREE, BatteryFault, RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.world.state import Fleet, World
 
-# Longer times are none [s]. What may be injected in one tick.
-LONGEST_S = 1e9
+# What may be injected in one tick.
 MOST_AT_ONCE = 64
 # Target of what is changed for all, and the kind that ends a fault.
 WORLD, OK = "world", "ok"
@@ -124,8 +123,12 @@ def injected(
     Raises:
         UsageError: it cannot be injected; nothing has changed.
     """
+    if kind == OK and numbers:
+        raise UsageError(f"{next(iter(numbers)):.60}: kind 'ok' takes no numbers")
     if target == LINK and not any(LINK in fleet.sensor_names for fleet in world.fleets):
         return world, _linked(world, kind, vehicles, numbers)
+    if target == "radio" and world.radio is None and not any(_slot(fleet, target) for fleet in world.fleets):
+        raise UsageError("target: there is no radio; give world.radio of the scenario")
     fleets, concerned = list(world.fleets), []
     for place, fleet in enumerate(world.fleets):
         chosen = np.array([vehicles is None or name in vehicles for name in fleet.vehicle_names])
@@ -153,13 +156,16 @@ def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[s
     """
     if vehicles is None:
         return None
-    names = [vehicles] if isinstance(vehicles, str) else list(vehicles)
+    names = [vehicles] if isinstance(vehicles, str) or not isinstance(vehicles, Iterable) else list(vehicles)
+    for name in names:
+        if not isinstance(name, str):
+            raise UsageError(f"vehicles: {name!r:.60}; allowed: names")
     everybody = [name for fleet in world.fleets for name in fleet.vehicle_names]
     if not names:
         raise UsageError("vehicles: none is named; None is all")
     for name in names:
         if name not in everybody:
-            raise UsageError(f"vehicles: no vehicle is called '{name}'{did_you_mean(name, everybody)}")
+            raise UsageError(f"vehicles: no vehicle is called '{name:.60}'{did_you_mean(name, everybody)}")
     return names
 
 
@@ -203,20 +209,26 @@ def plain_target(target: str) -> str:
 
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
-    there = sorted({name for fleet in fleets for name in (*fleet.sensor_names, "battery", "radio", LINK)})
     if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
         return UsageError("target: there is no battery that drains, so none can lose charge")
     if target.startswith("rotor ") and not any(isinstance(fleet.vehicle, Multirotor) for fleet in fleets):
-        return UsageError(f"target: there is no '{target}'; only a 'multirotor' has rotors of its own")
-    fleet = fleets[0].name
-    if target in there or target.startswith("rotor"):
+        return UsageError(f"target: there is no '{target:.60}'; only a 'multirotor' has rotors of its own")
+    having = [fleet.name for fleet in fleets if target in _parts(fleet)]
+    if having:
         part = f"{target}: true" if target in ("battery", "radio") else f"sensors: [{target}]"
-        part = "rotors: all" if target.startswith("rotor") else part
+        part = "rotors: all" if target.startswith("rotor ") else part
         return UsageError(
-            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{fleet} of the "
+            f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{having[0]} of the "
             "scenario, or give the command --injectable"
         )
-    return UsageError(f"target: there is no '{target}'{did_you_mean(target, known or there)}")
+    there = sorted({name for fleet in fleets for name in (*_parts(fleet), LINK)})
+    return UsageError(f"target: there is no '{target:.60}'{did_you_mean(target, known or there)}")
+
+
+def _parts(fleet: Fleet) -> list[str]:
+    """Return what of a fleet could be injectable."""
+    rotors = range(len(fleet.vehicle.rotors)) if isinstance(fleet.vehicle, Multirotor) else ()
+    return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *["battery"] * bool(fleet.battery.drains), "radio"]
 
 
 def _with_fault(
@@ -262,7 +274,7 @@ def _sensor_fault(
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
         return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, empty)
     if kind not in KINDS and kind not in OLD_NAMES:
-        raise UsageError(f"kind: '{kind}' is not known{did_you_mean(kind, KINDS)}")
+        raise UsageError(f"kind: '{kind:.60}' is not known{did_you_mean(kind, KINDS)}")
     asked = _of_fields(slot, kind, numbers, dt, white)
     return replace(
         slot,
@@ -279,22 +291,28 @@ def _of_fields(
 ) -> FaultNumbers:
     """Return the numbers of a fault, of which each may be one, or one for each of some fields by name."""
     apart = {name: value for name, value in numbers.items() if isinstance(value, Mapping)}
-    names = list(dict.fromkeys(str(name) for value in apart.values() for name in value))
-    if not names:
+    if not any(apart.values()):
         return _checked(slot, kind, numbers, dt, white)
     if "field" in numbers:
         raise UsageError(f"field: {', '.join(apart)} already names fields")
     common = {name: value for name, value in numbers.items() if name not in apart}
-    found = []
-    for one in names:
-        own = {name: number for name, value in apart.items() for key, number in value.items() if str(key) == one}
-        found.append(_checked(slot, kind, {**common, **own, "field": one}, dt, white))
-    amounts, scales = list(found[0].amounts), list(found[0].scales)
-    for one, part in zip(names[1:], found[1:], strict=True):
-        for chosen in chosen_fields(one, slot.fields):
-            place = slot.fields.index(chosen)
-            amounts[place], scales[place] = part.amounts[place], part.scales[place]
-    return replace(found[0], amounts=tuple(amounts), scales=tuple(scales))
+    fields: dict[str, dict[str, Any]] = {}
+    for name, value in apart.items():
+        if name in NAMES and name not in OF_FIELDS:
+            raise UsageError(f"{name}: {value!r:.60}; allowed: a number, which all fields share")
+        for key, number in value.items():
+            # What is no field is refused with the numbers.
+            for one in chosen_fields(str(key), slot.fields) or (str(key),):
+                own = fields.setdefault(one, {})
+                if name in own:
+                    raise UsageError(f"{name}: '{one}' is given twice")
+                own[name] = number
+    found = {one: _checked(slot, kind, {**common, **own, "field": one}, dt, white) for one, own in fields.items()}
+    first, places = next(iter(found.values())), {one: slot.fields.index(one) for one in found}
+    amounts, scales = list(first.amounts), list(first.scales)
+    for one, part in found.items():
+        amounts[places[one]], scales[places[one]] = part.amounts[places[one]], part.scales[places[one]]
+    return replace(first, amounts=tuple(amounts), scales=tuple(scales))
 
 
 def _checked(
@@ -303,10 +321,10 @@ def _checked(
     """Return the numbers of a fault, each of them one."""
     for name in numbers:
         if name not in (*NAMES, "field"):
-            raise UsageError(f"{name}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")
+            raise UsageError(f"{name:.60}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")
     for name, value in numbers.items():
-        if name != "field" and (not is_number(value)):
-            raise UsageError(f"{name}: {value!r}; allowed: a number")
+        if not isinstance(value, str) if name == "field" else not is_number(value):
+            raise UsageError(f"{name}: {value!r:.60}; allowed: {'a text' if name == 'field' else 'a number'}")
     given = {name: value for name, value in numbers.items() if name != "field"}
     part = numbers.get("field")
     for name, problem in number_problems(kind, part, given, slot.fields, white):
@@ -375,24 +393,3 @@ def _put(array: Any, chosen: Any, value: Any) -> Any:
     changed = np.array(array)
     changed[chosen] = value
     return changed
-
-
-def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
-    """Return the tick at which something asked for at a time [s] happens, rounded up; None: as soon as it can."""
-    if seconds is None:
-        return now + soonest
-    if not is_number(seconds) or not abs(seconds) < LONGEST_S:
-        raise UsageError(f"at: {seconds!r}; allowed: a time [s], or None for now")
-    tick = math.ceil(seconds / dt - 1e-6)
-    if tick < now + soonest:
-        raise UsageError(f"at: {seconds:g} s is past; it is {now * dt:g} s now")
-    return min(tick, LAST_TICK - 1)
-
-
-def last_tick(duration: float | None, start: int, dt: float) -> int:
-    """Return the first tick after something that lasts for so long [s]; None: for good."""
-    if duration is None:
-        return LAST_TICK
-    if not is_number(duration) or not 0.0 < duration < LONGEST_S:
-        raise UsageError(f"duration: {duration!r}; allowed: a time above 0 s, or None for good")
-    return min(start + max(1, math.ceil(duration / dt - 1e-6)), LAST_TICK)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 from qrsim.core.arrays import is_number
+from qrsim.errors import UsageError
 from qrsim.files import Content
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.changing import GUSTS, JAM, WIND, changed
 from qrsim.simulation.injections import OK, WORLD, Injection, injected, named_vehicles
 from qrsim.world.state import World
 
+# Longer times are none [s].
+LONGEST_S = 1e9
 # Kinds of the events of requests. Changes of the weather have an event for each number.
 INJECTED, CLEARED = "injected", "cleared"
 WEATHER_CHANGED = {WIND: "wind_changed", GUSTS: "gusts_changed", JAM: "jammer_changed"}
@@ -36,6 +40,27 @@ def after_request(world: World, request: Injection) -> tuple[World, Injection]:
     ticks = (request.start_tick, request.end_tick)
     world, concerned = injected(world, request.target, request.kind, chosen, ticks, request.numbers)
     return world, replace(request, vehicles=concerned)
+
+
+def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
+    """Return the tick at which something asked for at a time [s] happens, rounded up; None: as soon as it can."""
+    if seconds is None:
+        return now + soonest
+    if not is_number(seconds) or not abs(seconds) < LONGEST_S:
+        raise UsageError(f"at: {seconds!r:.60}; allowed: a time [s], or None for now")
+    tick = math.ceil(seconds / dt - 1e-6)
+    if tick < now + soonest:
+        raise UsageError(f"at: {seconds:g} s is past; it is {now * dt:g} s now")
+    return min(tick, LAST_TICK - 1)
+
+
+def last_tick(duration: float | None, start: int, dt: float) -> int:
+    """Return the first tick after something that lasts for so long [s]; None: for good."""
+    if duration is None:
+        return LAST_TICK
+    if not is_number(duration) or not 0.0 < duration < LONGEST_S:
+        raise UsageError(f"duration: {duration!r:.60}; allowed: a time above 0 s, or None for good")
+    return min(start + max(1, math.ceil(duration / dt - 1e-6)), LAST_TICK)
 
 
 def of_sensor(world: World, target: str) -> bool:
@@ -91,7 +116,8 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
 
 def _span(request: Injection, time_step: float) -> str:
     """Return the start and end of a fault in words; "" for a fault that starts at once and stays."""
-    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick else ""
+    # The first reading that a request can change is that of the next tick.
+    later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick + 1 else ""
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 

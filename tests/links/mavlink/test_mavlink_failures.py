@@ -202,7 +202,7 @@ def test_a_link_that_is_off_neither_hears_nor_is_heard_and_the_vehicle_comes_hom
     assert name_of(system.stack.heartbeat().custom_mode) in ("AUTO.RTL", "AUTO.LAND")
     with pytest.raises(UsageError, match="kind: 'weak' does not suit a link; allowed: off, ok"):
         simulation.inject("link", "weak", "field_4")
-    with pytest.raises(UsageError, match="share: kind 'off' of a link does not take it"):
+    with pytest.raises(UsageError, match="share: kind 'off' does not take it"):
         simulation.inject("link", "off", "field_4", share=0.5)
 
 

@@ -39,10 +39,13 @@ TAKES: dict[Kind, _Takes] = {
     "intermittent": _Takes((), ("share", "on", "off")),
 }
 NAMES = ("bias", "scale", "rate", "limit", "std", "times", "range", "every", "by", "share", "on", "off")
-# Smallest and largest value; without bounds any finite number.
+# Those that each field of a reading can have one of.
+OF_FIELDS = ("bias", "scale", "rate", "std", "times", "range")
+# Smallest and largest value. What has no other is a number that single precision holds.
+_ANY = 1e15
 _BOUNDS = {
-    "limit": (0.0, math.inf), "std": (0.0, math.inf), "times": (1.0, 1e6),
-    "range": (0.0, math.inf), "every": (1, 1_000_000), "by": (0.0, 600.0),
+    "limit": (0.0, _ANY), "std": (0.0, _ANY), "times": (1.0, 1e6),
+    "range": (0.0, _ANY), "every": (1, 1_000_000), "by": (0.0, 600.0),
     "share": (0.0, 1.0), "on": (0.0, 1e6), "off": (0.0, 1e6),
 }  # fmt: skip
 
@@ -71,13 +74,12 @@ def number_problems(
     takes = TAKES[kind_of(word)]
     said = {name: value for name, value in given.items() if value is not None}
     for name, value in said.items():
-        low, high = _BOUNDS.get(name, (-math.inf, math.inf))
+        low, high = _BOUNDS.get(name, (-_ANY, _ANY))
         if name not in takes.needed + takes.optional:
             kinds = [kind for kind, other in TAKES.items() if name in other.needed + other.optional]
             yield name, f"only for kind {' or '.join(repr(kind) for kind in kinds)}, not '{word}'"
         elif not math.isfinite(value) or not low <= value <= high:
-            allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"finite, at least {low:g}"
-            yield name, f"{value:g}; allowed: {allowed if math.isfinite(low) else 'a finite number'}"
+            yield name, f"{value:g}; allowed: {low:g} to {high:g}"
         elif name == "every" and value != round(value):
             yield name, f"{value:g}; allowed: a whole number"
     for name in takes.needed:
@@ -89,7 +91,7 @@ def number_problems(
         yield "std", "kind 'noisy' needs std or times, one of the two"
     if "times" in said and not all(_white(name, white or {}) for name in chosen_fields(field, fields)):
         known = ", ".join(name for name in white or {} if _white(name, white or {}))
-        yield "times", f"the sensor states no white noise of '{field}'{known and ', only of '}{known}; give std"
+        yield "times", f"the sensor states no white noise of '{field:.60}'{known and ', only of '}{known}; give std"
     if word == "intermittent" and set(said) not in ({"share"}, {"on", "off"}):
         yield "share", "kind 'intermittent' needs it alone, or on and off"
     if word == "intermittent" and said.get("on", 1.0) + said.get("off", 1.0) <= 0.0:
@@ -100,7 +102,7 @@ def number_problems(
     elif field is None:
         yield "field", f"missing; kind '{word}' needs one of {', '.join(fields)}"
     elif not chosen_fields(field, fields):
-        yield "field", f"the sensor does not report '{field}'{did_you_mean(field, fields)}"
+        yield "field", f"the sensor does not report '{field:.60}'{did_you_mean(field, fields)}"
 
 
 def fault_numbers(
@@ -141,7 +143,7 @@ def fault_numbers(
     scales = tuple(scale if name in chosen else 1.0 for name in fields)
     # A delay is a whole number of readings, and at least as long as asked for; so are the parts of a turn.
     counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
-    every, late, on, off = (np.array(math.ceil(count - 1e-6), np.int32) for count in counts)
+    every, late, on, off = (np.array(min(math.ceil(count - 1e-6), 2**30 - 1), np.int32) for count in counts)
     parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]
     return record_of(FaultNumbers, *parts)
 

@@ -31,11 +31,11 @@ def number_of(what: str, kind: object, numbers: Mapping[str, Any]) -> float:
     """
     kinds = PARTS[what]
     if not isinstance(kind, str) or kind not in kinds:
-        raise UsageError(f"kind: '{kind}' does not suit a {what}; allowed: {', '.join(kinds)}, ok")
+        raise UsageError(f"kind: '{str(kind)[:60]}' does not suit a {what}; allowed: {', '.join(kinds)}, ok")
     taken = kinds[kind]
     for name in numbers:
         if name != taken:
-            raise UsageError(f"{name}: kind '{kind}' does not take it" + (f"; it takes {taken}" if taken else ""))
+            raise UsageError(f"{name:.60}: kind '{kind}' does not take it" + (f"; it takes {taken}" if taken else ""))
     if taken is None:
         return 0.0
     low = WEAKEST_BATTERY if (what, kind) == ("battery", "weak") else 0.0
@@ -43,5 +43,5 @@ def number_of(what: str, kind: object, numbers: Mapping[str, Any]) -> float:
     if value is None:
         raise UsageError(f"{taken}: missing; kind '{kind}' needs it, {low:g} to 1")
     if not is_number(value) or not low <= value <= 1.0:
-        raise UsageError(f"{taken}: {value!r}; allowed: {low:g} to 1")
+        raise UsageError(f"{taken}: {value!r:.60}; allowed: {low:g} to 1")
     return float(value)
