@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 from importlib.metadata import PackageNotFoundError
 from importlib.util import find_spec
@@ -67,7 +68,10 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
     [
         (["--rate", "400"], "--rate 400: expected 250 Hz or a multiple of it, up to 2000 Hz"),
         (["--port", "80"], "--port 80: expected 1024 to 65535"),
-        (["--first-instance", "255"], "--first-instance 255: expected 0 to 254"),
+        (
+            ["--first-instance", "255"],
+            "--first-instance 255: the last vehicle would have PX4 instance 259, at most 254 is allowed",
+        ),
         (["--wait", "nan"], "--wait nan: expected a positive number of seconds"),
         (["--realtime", "nan"], "--realtime nan: expected 0.001 to 1000, or 0 for as fast as it goes"),
         (["--param", "MPC_XY_VEL_MAX"], "--param MPC_XY_VEL_MAX: expected NAME=VALUE, such as MPC_XY_VEL_MAX=8"),
@@ -78,6 +82,7 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
         ),
         (["--model", "x50"], "did you mean 'x500'?"),
         (["--px4", "/nowhere/at/all"], "--px4 /nowhere/at/all: there is no such folder"),
+        (["--px4", "~nobody-at-all/px4"], "--px4 ~nobody-at-all/px4: there is no such folder"),
         (["--px4", "/", "--port", "4570"], "use --first-instance"),
         (["mixed_team", "--fleet", "rovers"], "a rover is flown by no PX4 here"),
         (["mixed_team", "--fleet", "plane"], "did you mean 'planes'?"),
@@ -157,7 +162,9 @@ def test_a_build_without_its_parts_is_named(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_environment_of_each_px4_is_printed(capsys: pytest.CaptureFixture[str]):
-    assert cli.main(["autopilot", "px4", "--env", "--param", "MPC_THR_HOVER=0.5", "--first-instance", "120"]) == 0
+    # A flight that waits for these PX4s has the ports.
+    with socket.create_server(("127.0.0.1", 4680)):
+        assert cli.main(["autopilot", "px4", "--env", "--param", "MPC_THR_HOVER=0.5", "--first-instance", "120"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("# field_0: instance 120, TCP 4680;")
     assert lines.count("export PX4_SIM_MODEL=none_iris") == 5

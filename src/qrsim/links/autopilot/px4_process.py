@@ -28,7 +28,8 @@ class Build:
     """
 
     def __init__(self, folder: Path):
-        self.folder = folder.expanduser().absolute()
+        # Unlike Path.expanduser, it leaves the home of an unknown user as it is.
+        self.folder = Path(os.path.expanduser(folder)).absolute()
         self.program = self.folder / "bin" / "px4"
         found = self.folder / "build" / "px4_sitl_default"
         hint = f"; did you mean '{folder / 'build' / 'px4_sitl_default'}'?" if found.is_dir() else ""
