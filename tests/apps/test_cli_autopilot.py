@@ -161,7 +161,7 @@ def test_a_build_without_its_parts_is_named(tmp_path: Path, capsys: pytest.Captu
     assert f"did you mean '{build}'?" in capsys.readouterr().err
 
 
-def test_the_environment_of_each_px4_is_printed(capsys: pytest.CaptureFixture[str]):
+def test_the_environment_of_each_px4_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     # A flight that waits for these PX4s has the ports.
     with socket.create_server(("127.0.0.1", 4680)):
         assert cli.main(["autopilot", "px4", "--env", "--param", "MPC_THR_HOVER=0.5", "--first-instance", "120"]) == 0
@@ -171,6 +171,9 @@ def test_the_environment_of_each_px4_is_printed(capsys: pytest.CaptureFixture[st
     assert lines.count("export PX4_PARAM_CA_ROTOR0_KM=0.016") == 5
     assert [line for line in lines if "MPC_THR_HOVER" in line] == ["export PX4_PARAM_MPC_THR_HOVER=0.5"] * 5
     assert "BUILD/bin/px4 -i 124 -d BUILD/etc" in lines
+    build = build_of(tmp_path / "my build", "")
+    assert cli.main(["autopilot", "px4", "--env", "--px4", str(build)]) == 0
+    assert f"'{build}/bin/px4' -i 0 -d '{build}/etc'" in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -111,7 +112,7 @@ class Px4:
         port = FIRST_PORT + self.first_instance if self.port is None else self.port
         host = EVERYWHERE if self.allow_remote else LOOPBACK
         if self.env:
-            self._print_environment(scenario, fleets, port, own)
+            self._print_environment(scenario, fleets, port, own, "BUILD" if build is None else str(build.folder))
             return
         folder = fresh_folder(self.out, "px4", scenario.name, self.seed)
         logs = folder.with_name(f"{folder.name}-px4")
@@ -162,7 +163,7 @@ class Px4:
             )
 
     def _print_environment(
-        self, scenario: Scenario, fleets: tuple[str, ...], port: int, own: dict[str, int | float]
+        self, scenario: Scenario, fleets: tuple[str, ...], port: int, own: dict[str, int | float], build: str
     ) -> None:
         from qrsim.links.autopilot.px4_flight import listed
         from qrsim.links.autopilot.px4_parameters import environment
@@ -175,4 +176,4 @@ class Px4:
             print(f"# {vehicle}: instance {instance}, TCP {port + i}; a shell and an empty folder of its own")
             for name, value in environment(found | own).items():
                 print(f"export {name}={value}")
-            print(f"BUILD/bin/px4 -i {instance} -d BUILD/etc\n")
+            print(f"{shlex.quote(f'{build}/bin/px4')} -i {instance} -d {shlex.quote(f'{build}/etc')}\n")
