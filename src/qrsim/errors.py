@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import sys
 import warnings
@@ -181,7 +182,7 @@ def readable(path: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        hint = did_you_mean_file(Path(path).expanduser())
+        hint = did_you_mean_file(Path(os.path.expanduser(path)))
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}{hint}") from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 from importlib.metadata import PackageNotFoundError
 from importlib.util import find_spec
@@ -67,7 +68,10 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
     [
         (["--rate", "400"], "--rate 400: expected 250 Hz or a multiple of it, up to 2000 Hz"),
         (["--port", "80"], "--port 80: expected 1024 to 65535"),
-        (["--first-instance", "255"], "--first-instance 255: expected 0 to 254"),
+        (
+            ["--first-instance", "255"],
+            "--first-instance 255: the last vehicle would have PX4 instance 259, at most 254 is allowed",
+        ),
         (["--wait", "nan"], "--wait nan: expected a positive number of seconds"),
         (["--realtime", "nan"], "--realtime nan: expected 0.001 to 1000, or 0 for as fast as it goes"),
         (["--param", "MPC_XY_VEL_MAX"], "--param MPC_XY_VEL_MAX: expected NAME=VALUE, such as MPC_XY_VEL_MAX=8"),
@@ -78,6 +82,7 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
         ),
         (["--model", "x50"], "did you mean 'x500'?"),
         (["--px4", "/nowhere/at/all"], "--px4 /nowhere/at/all: there is no such folder"),
+        (["--px4", "~nobody-at-all/px4"], "--px4 ~nobody-at-all/px4: there is no such folder"),
         (["--px4", "/", "--port", "4570"], "use --first-instance"),
         (["mixed_team", "--fleet", "rovers"], "a rover is flown by no PX4 here"),
         (["mixed_team", "--fleet", "plane"], "did you mean 'planes'?"),
@@ -156,14 +161,19 @@ def test_a_build_without_its_parts_is_named(tmp_path: Path, capsys: pytest.Captu
     assert f"did you mean '{build}'?" in capsys.readouterr().err
 
 
-def test_the_environment_of_each_px4_is_printed(capsys: pytest.CaptureFixture[str]):
-    assert cli.main(["autopilot", "px4", "--env", "--param", "MPC_THR_HOVER=0.5", "--first-instance", "120"]) == 0
+def test_the_environment_of_each_px4_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    # A flight that waits for these PX4s has the ports.
+    with socket.create_server(("127.0.0.1", 4680)):
+        assert cli.main(["autopilot", "px4", "--env", "--param", "MPC_THR_HOVER=0.5", "--first-instance", "120"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("# field_0: instance 120, TCP 4680;")
     assert lines.count("export PX4_SIM_MODEL=none_iris") == 5
     assert lines.count("export PX4_PARAM_CA_ROTOR0_KM=0.016") == 5
     assert [line for line in lines if "MPC_THR_HOVER" in line] == ["export PX4_PARAM_MPC_THR_HOVER=0.5"] * 5
     assert "BUILD/bin/px4 -i 124 -d BUILD/etc" in lines
+    build = build_of(tmp_path / "my build", "")
+    assert cli.main(["autopilot", "px4", "--env", "--px4", str(build)]) == 0
+    assert f"'{build}/bin/px4' -i 0 -d '{build}/etc'" in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.long

@@ -41,6 +41,19 @@ REFUSED: list[tuple[Any, Any, dict[str, Any], str]] = [
     ({"BAT_CRIT_THR": 0.2}, None, {}, "failsafes.BAT_CRIT_THR: 0.2 is above BAT_LOW_THR, 0.15; allowed: at most that"),
     ({"BAT_EMERGEN_THR": 0.1}, None, {}, "failsafes.BAT_EMERGEN_THR: 0.1 is above BAT_CRIT_THR, 0.07"),
     (
+        {"BAT_LOW_THR": [0.15, 0.3], "BAT_CRIT_THR": [0.2, 0.1]},
+        None,
+        {},
+        "BAT_CRIT_THR: 0.2 is above BAT_LOW_THR, 0.15",
+    ),
+    (
+        {"BAT_LOW_THR": [0.15, 0.3, 0.2]},
+        None,
+        {},
+        "failsafes.BAT_LOW_THR: 3 numbers in a list; allowed: 2, one for each vehicle, or a number",
+    ),
+    ({"RTL_RETURN_ALT": []}, None, {}, "failsafes.RTL_RETURN_ALT: 0 numbers in a list"),
+    (
         {"COM_LOW_BAT_ACT": "land"},
         None,
         {"battery": {"type": "given"}},
@@ -87,6 +100,15 @@ REFUSED: list[tuple[Any, Any, dict[str, Any], str]] = [
 @pytest.mark.parametrize(("failsafes", "radio", "fleet", "message"), REFUSED)
 def test_what_cannot_be_is_refused(failsafes: Any, radio: Any, fleet: dict[str, Any], message: str) -> None:
     assert message in problems(content(failsafes, radio, **fleet))
+
+
+def test_an_area_that_ends_above_the_ground_is_refused() -> None:
+    box = {"type": "box", "x_min": -100.0, "x_max": 100.0, "y_min": -100.0, "y_max": 100.0, "z_min": -60.0}
+    given = content()
+    given["world"] |= {"area": box | {"z_max": -4.0}, "ground": {"type": "flat", "height": 1.0}}
+    assert "failsafes: they land, but the area ends 3 m above the ground; give world.area z_max: -1" in problems(given)
+    given["world"]["ground"]["height"] = 4.0
+    load_scenario(given)
 
 
 FAULTS: list[tuple[Any, dict[str, Any], str]] = [

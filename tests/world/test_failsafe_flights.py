@@ -179,3 +179,17 @@ def test_a_rollout_counts_them() -> None:
     assert counted["is taken over by a failsafe"].worst.position_ned == pytest.approx((40.0, 40.0, -20.0), abs=0.2)
     assert counted["crashes"].runs == counted["is still on its mission at the end"].runs == 0
     assert (found["reason"] == 0).all()
+
+
+@pytest.mark.long
+def test_nothing_fails_where_a_flight_has_ended() -> None:
+    simulation = qrsim.load(scenario(), seed=3)
+    simulation.reset()
+    simulation.advance(ticks=500)
+    simulation.inject("battery", "drop", "uav_0", charge=0.0)
+    # Sensors of a vehicle that has stopped are silent; after 5 s a flying one would have lost its position.
+    simulation.advance(ticks=300)
+    assert simulation.reasons[0] == "battery_empty: charge = 0"
+    own = simulation.state.fleets[0].failsafe
+    assert np.asarray(own.action).tolist() == [NOTHING] * 5
+    assert not np.asarray(own.landed).any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,7 +37,7 @@ class Fetch:
         """Fetch file by file and say what happened to each."""
         import shlex
 
-        folder = recordings.data_folder() if self.dest is None else self.dest.expanduser().absolute()
+        folder = recordings.data_folder() if self.dest is None else Path(os.path.expanduser(self.dest)).absolute()
         if folder.exists() and not folder.is_dir():
             raise RunError(f"{folder} is not a folder")
         statuses = [recordings.file_status(name, folder) for name in recordings.RECORDINGS]

@@ -22,7 +22,7 @@ def cache_folder() -> Path:
     """Return the folder of all that is compiled: QRSIM_CACHE_DIR, or one in the user's cache."""
     named = os.environ.get("QRSIM_CACHE_DIR")
     if named:
-        return Path(named).expanduser().absolute()
+        return Path(os.path.expanduser(named)).absolute()
     from platformdirs import user_cache_path
 
     return user_cache_path("qrsim")

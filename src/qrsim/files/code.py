@@ -42,7 +42,7 @@ def anchored(source: str, folder: Path) -> str:
     if path is None:
         return source
     # Not resolved: a link is where the user says it is.
-    return f"{os.path.abspath(folder / path.expanduser())}:{source.rpartition(':')[2]}"
+    return f"{os.path.abspath(folder / os.path.expanduser(path))}:{source.rpartition(':')[2]}"
 
 
 def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:

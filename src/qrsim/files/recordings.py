@@ -83,7 +83,7 @@ def data_folder() -> Path:
     """Return the folder of recordings: QRSIM_DATA_DIR if set, else a folder in the user's cache."""
     chosen = os.environ.get(FOLDER_VARIABLE)
     if chosen:
-        return Path(chosen).expanduser().absolute()
+        return Path(os.path.expanduser(chosen)).absolute()
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("qrsim", appauthor=False)) / "recordings"

@@ -89,7 +89,7 @@ def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
 def check_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> Path:
     """Check a regular file that a library will open, and return its path; raises as ``open_file``."""
     open_file(path, most).close()
-    return Path(path).expanduser()
+    return Path(os.path.expanduser(path))
 
 
 def _size(count: int) -> str:

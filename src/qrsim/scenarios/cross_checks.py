@@ -197,7 +197,8 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """A list of numbers has one for each vehicle."""
     size = len(fleet.vehicles)
     parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
-    parts |= {} if fleet.estimator is None else {"estimator": fleet.estimator}
+    optional = {"estimator": fleet.estimator, "failsafes": fleet.failsafes}
+    parts |= {name: part for name, part in optional.items() if part is not None}
     parts |= {f"sensors.{name}": sensor for name, sensor in fleet.sensors.items()}
     for name, part in parts.items():
         for path, value in _numbers(part, f"fleets.{fleet_name}.{name}"):

@@ -34,6 +34,7 @@ def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
             path = f"fleets.{name}.failsafes"
             yield from _flight_problems(path, fleet)
             yield from _level_problems(path, fleet)
+            yield from _floor_problems(path, scenario)
             yield from _link_problems(path, name, fleet, scenario)
 
 
@@ -77,10 +78,25 @@ def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
     if spec.COM_LOW_BAT_ACT != "warn" and not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.COM_LOW_BAT_ACT: a battery of type '{fleet.battery.type}' has no charge that could be low"
     names = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
-    values: list[Any] = [np.max(getattr(spec, name)) for name in names]
-    for above, below, high, low in zip(names, names[1:], values, values[1:], strict=False):
-        if low > high:
-            yield f"{path}.{below}: {low:g} is above {above}, {high:g}; allowed: at most that"
+    values: list[Any] = [np.ravel(getattr(spec, name)) for name in names]
+    if any(value.size not in (1, len(fleet.vehicles)) for value in values):
+        return  # a problem of its own
+    for above, below, highs, lows in zip(names, names[1:], values, values[1:], strict=False):
+        for high, low in np.broadcast(highs, lows):
+            if low > high:
+                yield f"{path}.{below}: {low:g} is above {above}, {high:g}; allowed: at most that"
+                break
+
+
+def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why a vehicle that lands would leave the area."""
+    area: Any = scenario.world.area
+    ground: Any = scenario.world.ground
+    if area.type in ("box", "polygon") and ground.type == "flat" and area.z_max < -ground.height:
+        yield (
+            f"{path}: they land, but the area ends {-ground.height - area.z_max:g} m above the ground; give world.area "
+            f"z_max: {-ground.height + 0.0:g}"
+        )
 
 
 def _link_problems(path: str, name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:

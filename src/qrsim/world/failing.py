@@ -9,7 +9,7 @@ from jax import Array
 
 from qrsim.control import Estimate, PathSetpoint, WaypointSetpoint
 from qrsim.control.failsafe_flight import FailsafeState, Watched
-from qrsim.core.tree import replace
+from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.contracts import Charged, Pose
 from qrsim.world.standing import on_ground
@@ -53,7 +53,9 @@ def by_failsafe(
         _fixed(fleet, state),
         _heard(world, whole, fleet, tick),
     )
-    return fleet.failsafes.step(state.failsafe, seen, _as_path(setpoint), world.time_step)
+    found, asked = fleet.failsafes.step(state.failsafe, seen, _as_path(setpoint), world.time_step)
+    # Nothing fails any more where the flight has ended; sensors there are silent.
+    return select(state.violation.code == 0, found, state.failsafe), asked
 
 
 def _as_path(setpoint: object) -> PathSetpoint:

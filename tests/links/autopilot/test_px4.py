@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.autopilot import px4_link
+from qrsim.links.autopilot.px4_feed import Px4Feed
 from qrsim.links.autopilot.px4_flight import Px4Flight, prepared
 from qrsim.links.autopilot.px4_messages import Fix, hil_gps
 from qrsim.models.site import Site
@@ -200,6 +201,12 @@ def test_ports_beyond_the_last_are_refused() -> None:
     scenario, fleets = prepared(load_scenario(PAIR, quiet=True), (), "x500", RATE)
     with pytest.raises(UsageError, match="--port 65535: the last vehicle would have TCP 65536, at most 65535"):
         Px4Flight(Simulation(scenario.world()), fleets, START_USEC, 65_535)
+
+
+def test_a_start_before_1970_is_refused() -> None:
+    nothing: Any = None
+    with pytest.raises(UsageError, match="start_time: is before 1970-01-01"):
+        Px4Feed(nothing, nothing, nothing, -1)
 
 
 def test_a_fix_comes_back_from_its_message() -> None:

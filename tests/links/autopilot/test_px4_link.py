@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import socket
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +142,30 @@ def test_mavlink_without_heartbeat_and_controls_is_no_px4() -> None:
     with pytest.raises(RunError, match=r"is not a PX4: neither HEARTBEAT nor HIL_ACTUATOR_CONTROLS has come in 0\.1 s"):
         found.settle_all(range(1000, 90_000, 1000))
     found.link.close()
+
+
+def test_a_peer_that_never_pauses_holds_up_no_frame(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(px4_link, "ANSWER_S", 0.05)
+    # More than one read takes, at every frame.
+    beats = wire.mav.heartbeat_encode(2, 12, 0, 0, 0).pack(wire.mav) * 4000
+    stop = threading.Event()
+
+    def flood() -> None:
+        with suppress(OSError):
+            while not stop.is_set():
+                wire.peer.sendall(beats)
+
+    sender = threading.Thread(target=flood, daemon=True)
+    sender.start()
+    begin = time.perf_counter()
+    wire.settle(1000)
+    wire.link.booted = True
+    wire.settle(2000)
+    stop.set()
+    assert time.perf_counter() - begin < 2.0
+    assert wire.link.unanswered == 1
+    wire.link.close()
+    sender.join(5.0)
 
 
 def test_a_port_that_is_taken_is_said(wire: Wire) -> None:

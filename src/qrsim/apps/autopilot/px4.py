@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 # Beginnings of airframe names of PX4; none_iris is the airframe without a simulator.
 ELSEWHERE = ("gz_", "sihsim_", "gazebo", "jmavsim", "none_")
 FRAME_HZ, FASTEST_HZ = 250, 2000
-# A MAV_SYS_ID, which is one more than the instance, is at most 255.
-LAST_PORT, LAST_INSTANCE = 65_535, 254
+LAST_PORT = 65_535
 
 
 @dataclass(frozen=True)
@@ -112,17 +111,17 @@ class Px4:
         start_usec = round(scenario.spec.start_time.timestamp() * 1e6)
         port = FIRST_PORT + self.first_instance if self.port is None else self.port
         host = EVERYWHERE if self.allow_remote else LOOPBACK
+        if self.env:
+            self._print_environment(scenario, fleets, port, own, "BUILD" if build is None else str(build.folder))
+            return
         folder = fresh_folder(self.out, "px4", scenario.name, self.seed)
         logs = folder.with_name(f"{folder.name}-px4")
 
-        def opened(simulation: Simulation) -> Px4Flight:
-            pace = 0.0 if self.env else self.realtime
-            return Px4Flight(
-                simulation, fleets, start_usec, port, self.first_instance, self.wait, pace, self.truth, host, say
-            )
-
         def flown_by(simulation: Simulation) -> Px4Flight:
-            flight = opened(simulation)
+            flight = Px4Flight(
+                simulation, fleets, start_usec, port, self.first_instance, self.wait, self.realtime, self.truth, host,
+                say,
+            )  # fmt: skip
             if build is None:
                 for link in flight.links:
                     say(f"{link.name} waits for PX4 instance {link.instance} on TCP {link.port}")
@@ -133,9 +132,6 @@ class Px4:
                 say(f"PX4's logs: {logs}")
             return flight
 
-        if self.env:
-            self._print_environment(scenario, opened, own)
-            return
         flight, pace = recorded(self, folder, scenario, flown_by)
         for link in flight.links:
             if link.oddities:
@@ -157,8 +153,8 @@ class Px4:
             raise UsageError(f"--port {self.port}: expected 1024 to {LAST_PORT}")
         if self.port is not None and self.px4 is not None:
             raise UsageError("--port: PX4 connects to 4560 + its instance when --px4 starts it; use --first-instance")
-        if not 0 <= self.first_instance <= LAST_INSTANCE:
-            raise UsageError(f"--first-instance {self.first_instance}: expected 0 to {LAST_INSTANCE}")
+        if self.first_instance < 0:
+            raise UsageError(f"--first-instance {self.first_instance}: expected an integer from 0")
         if not (math.isfinite(self.wait) and self.wait > 0):
             raise UsageError(f"--wait {self.wait:g}: expected a positive number of seconds")
         if not (self.realtime == 0.0 or SLOWEST <= self.realtime <= FASTEST):
@@ -167,16 +163,17 @@ class Px4:
             )
 
     def _print_environment(
-        self, scenario: Scenario, opened: Callable[[Simulation], Px4Flight], own: dict[str, int | float]
+        self, scenario: Scenario, fleets: tuple[str, ...], port: int, own: dict[str, int | float], build: str
     ) -> None:
+        from qrsim.links.autopilot.px4_flight import listed
         from qrsim.links.autopilot.px4_parameters import environment
         from qrsim.simulation.simulation import Simulation
 
         simulation = Simulation(scenario.world("float32"), seed=self.seed, name=scenario.name, site=scenario.site)
         simulation.reset()
-        with opened(simulation) as flight:
-            for link, found in zip(flight.links, flight.parameters(), strict=True):
-                print(f"# {link.name}: instance {link.instance}, TCP {link.port}; a separate shell and empty folder")
-                for name, value in environment(found | own).items():
-                    print(f"export {name}={value}")
-                print(f"BUILD/bin/px4 -i {link.instance} -d BUILD/etc\n")
+        for i, (vehicle, found) in enumerate(listed(simulation, fleets, port, self.first_instance)):
+            instance = self.first_instance + i
+            print(f"# {vehicle}: instance {instance}, TCP {port + i}; a separate shell and empty folder")
+            for name, value in environment(found | own).items():
+                print(f"export {name}={value}")
+            print(f"{shlex.quote(f'{build}/bin/px4')} -i {instance} -d {shlex.quote(f'{build}/etc')}\n")

@@ -42,12 +42,14 @@ class Px4Feed:
         truth: whether the true state is sent as well, which PX4 logs.
 
     Raises:
-        UsageError: the fleet has no GNSS receiver.
+        UsageError: the fleet has no GNSS receiver, or the scenario starts before 1970.
     """
 
     def __init__(self, simulation: Simulation, fleet: Fleet, sight: FleetSight, start_usec: int, truth: bool = False):
         self._simulation, self._fleet, self._sight = simulation, fleet, sight
         self._start_usec = start_usec
+        if start_usec < 0:
+            raise UsageError("start_time: is before 1970-01-01, and PX4's receiver counts from then")
         if s.FIX_POSITION not in sight.sensors:
             raise UsageError(
                 f"fleet '{fleet.name}' has no GNSS receiver, and PX4 does not take off without one; "

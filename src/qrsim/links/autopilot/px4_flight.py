@@ -23,6 +23,8 @@ from qrsim.world.state import Fleet, Piloted
 
 # Of HIL_SENSOR, whatever the rate of the world [Hz].
 FRAME_HZ = 250.0
+# A MAV_SYS_ID, which is one more than the instance, is at most 255.
+LAST_INSTANCE = 254
 prepared = partial(fleet.prepared, who="PX4", on_ground=True, inertial_rate=FRAME_HZ)
 
 
@@ -108,6 +110,30 @@ class Px4Fleet(FlownFleet):
         return self._held
 
 
+def listed(
+    simulation: Simulation, fleets: Sequence[str], port: int, first_instance: int
+) -> list[tuple[str, dict[str, Number]]]:
+    """Return the name and PX4's parameters of each vehicle without opening a port; see ``Px4Flight``."""
+    flown = chosen(simulation, fleets)
+    _check_last(port, first_instance, sum(each.size for each in flown))
+    found: list[tuple[str, dict[str, Number]]] = []
+    for each in flown:
+        own = Px4Fleet(simulation, each, (), Losses(None), 0, False)
+        found += zip(each.vehicle_names, own.parameters(), strict=True)
+    return found
+
+
+def _check_last(port: int, first_instance: int, count: int) -> None:
+    """Raise a UsageError if the port or the instance of the last of ``count`` vehicles is beyond the largest."""
+    last = first_instance + count - 1
+    if last > LAST_INSTANCE:
+        raise UsageError(
+            f"--first-instance {first_instance}: the last vehicle would have PX4 instance {last}, at most "
+            f"{LAST_INSTANCE} is allowed"
+        )
+    last_port(f"--port {port}", port, 1, count, "TCP")
+
+
 class Px4Flight(LockstepFlight):
     """Flies a simulation by PX4s that connect to its ports.
 
@@ -147,13 +173,14 @@ class Px4Flight(LockstepFlight):
     ):
         super().__init__(simulation)
         flown = chosen(simulation, fleets)
-        last_port(f"--port {port}", port, 1, sum(each.size for each in flown), "TCP")
+        count = sum(each.size for each in flown)
+        _check_last(port, first_instance, count)
         self.links: list[Px4Link] = []
         self._wait, self._pacer = wait, Pacer(realtime, simulation.time)
         self._begun = False
 
         # The only vehicle of a flight ends it by its own words.
-        lost = say if sum(each.size for each in flown) > 1 else None
+        lost = say if count > 1 else None
 
         def build() -> None:
             for each in flown:

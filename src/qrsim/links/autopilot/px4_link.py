@@ -217,10 +217,12 @@ class Px4Link:
             self._check_boot()
         elif answers:
             patience = ANSWER_S if self._gaps < MANY_GAPS else min(IMPATIENT_S, ANSWER_S)
+            in_time = True
             while self._peer is not None and self._answered < self._sent:
-                if not self._receive(begin + patience):
+                if not in_time:
                     self._miss()
                     return
+                in_time = self._receive(begin + patience)
             self._gaps = GAP_DECAY * self._gaps + self._missed
             self._missed = False
 
@@ -269,7 +271,8 @@ class Px4Link:
         self.harmed = self._reader.damaged
         if self._unframed > NO_FRAME_BYTES:
             self._hang_up(f"not a PX4: {NO_FRAME_BYTES // 1024} kB without a MAVLink frame")
-        return True
+        # A peer that never pauses holds up no frame.
+        return time.perf_counter() < until
 
     def _take(self, found: Frame) -> None:
         number = found.layout.number

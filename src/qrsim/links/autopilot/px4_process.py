@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, shortened
 from qrsim.links.autopilot.px4_flight import Px4Flight
 from qrsim.links.autopilot.px4_parameters import MODEL, Number, environment
 
 AIRFRAMES = "etc/init.d-posix/airframes"
-END_S, LAST_LINES = 2.0, 5
+END_S, LAST_LINES, LONGEST_LINE, LAST_BYTES = 2.0, 5, 200, 16384
 
 
 class Build:
@@ -28,7 +29,8 @@ class Build:
     """
 
     def __init__(self, folder: Path):
-        self.folder = folder.expanduser().absolute()
+        # Unlike Path.expanduser, it leaves the home of an unknown user as it is.
+        self.folder = Path(os.path.expanduser(folder)).absolute()
         self.program = self.folder / "bin" / "px4"
         found = self.folder / "build" / "px4_sitl_default"
         hint = f"; did you mean '{folder / 'build' / 'px4_sitl_default'}'?" if found.is_dir() else ""
@@ -67,6 +69,7 @@ class Process:
         except OSError as error:
             raise RunError(f"{folder}: {error.strerror or error}") from None
         self._log = folder / "px4.log"
+        self._until: float | None = None
         words = [str(build.program), "-i", str(instance), "-d", str(build.folder / "etc")]
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
         try:
@@ -93,14 +96,27 @@ class Process:
             return ""
         names = {each.value: each.name for each in signal.Signals}
         how = f"was killed by {names.get(-code, -code)}" if code < 0 else f"has ended with code {code}"
-        lines = [line for line in self._log.read_text("utf-8", "replace").splitlines() if line.strip()]
+        lines = [shortened(line, LONGEST_LINE) for line in self._last() if line.strip()]
         return f"PX4 {how}" + (f"; its last lines: {' | '.join(lines[-LAST_LINES:])}" if lines else "")
+
+    def _last(self) -> list[str]:
+        """Return the last lines of its output, of which there may be gigabytes."""
+        with open(self._log, "rb") as log:
+            log.seek(max(0, os.fstat(log.fileno()).st_size - LAST_BYTES))
+            return log.read(LAST_BYTES).decode("utf-8", "replace").splitlines()
+
+    def ask(self) -> None:
+        """Ask it to end, without waiting for it."""
+        if self._until is None:
+            self._until = time.monotonic() + END_S
+            self._signal(signal.SIGTERM)
 
     def close(self) -> None:
         """End it."""
-        self._signal(signal.SIGTERM)
+        self.ask()
+        assert self._until is not None
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(END_S)
+            self._process.wait(max(0.0, self._until - time.monotonic()))
         # Its clock has stopped, so a step of its shutdown that waits for time never ends.
         self._signal(signal.SIGKILL)
         self._process.wait()
@@ -129,7 +145,16 @@ def started(build: Build, flight: Px4Flight, own: Mapping[str, Number], logs: Pa
     Raises:
         RunError: one does not start.
     """
+    processes: list[Process] = []
+
+    def ask_all() -> None:
+        for process in processes:
+            process.ask()
+
     for link, found in zip(flight.links, flight.parameters(), strict=True):
         begun = Process(build, link.instance, environment({**found, **own}), logs / link.name)
         process = flight.closing.enter_context(begun)
         link.ended = process.ended
+        processes.append(process)
+        # Closed in the opposite order, so all are asked before the first is waited for.
+        flight.closing.callback(ask_all)

@@ -6,6 +6,7 @@ import copy
 import hashlib
 import inspect
 import json
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib import resources
@@ -212,7 +213,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
         raise ScenarioError(source, [_mine(line) for line in describe(error, StudySpec, content)]) from None
     given = spec.scenario
     if isinstance(given, str) and given.endswith((".yaml", ".yml")):
-        given = str(folder / Path(given).expanduser())
+        given = str(folder / os.path.expanduser(given))
     _, scenario = read_scenario(given)
     scenario = copy.deepcopy(scenario)
     if isinstance(given, dict):
@@ -316,7 +317,7 @@ def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
 def _from_anywhere(name: str, folder: Path) -> str:
     place, _, function = name.rpartition(":")
     if place.endswith(".py"):
-        return f"{(folder / Path(place).expanduser()).absolute()}:{function}"
+        return f"{(folder / os.path.expanduser(place)).absolute()}:{function}"
     return name
 
 
