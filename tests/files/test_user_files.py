@@ -11,7 +11,10 @@ from typing import Any
 import pytest
 
 from qrsim.cli import main
-from qrsim.errors import QrsimError
+from qrsim.engine.folders import cache_folder
+from qrsim.errors import QrsimError, UsageError, readable
+from qrsim.files import recordings
+from qrsim.files.code import anchored
 from qrsim.files.user_files import open_file, read_bytes, read_text
 from qrsim.interface.policies import load_function
 from qrsim.runs import open_run
@@ -153,3 +156,13 @@ def test_a_text_has_sixteen_megabytes_at_most(size_mb: float, read: bool, tmp_pa
     else:
         with pytest.raises(OSError, match=r"it has 16\.1 MB; allowed: up to 16 MB"):
             read_text(path)
+
+
+def test_a_home_that_nobody_has_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    nowhere = "~nobody-at-all/x"
+    for variable in ("QRSIM_DATA_DIR", "QRSIM_CACHE_DIR"):
+        monkeypatch.setenv(variable, nowhere)
+    assert recordings.data_folder() == cache_folder() == Path.cwd() / nowhere
+    assert anchored(f"{nowhere}.py:fly", Path("/a")) == f"/a/{nowhere}.py:fly"
+    with pytest.raises(UsageError, match="cannot be read"), readable(nowhere):
+        open_file(nowhere)
