@@ -161,7 +161,7 @@ def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, l
     target, vehicles = entry["target"], entry.get("vehicles")
     found, placed = [], set[str]()
     for name, fleet in scenario.spec.fleets.items():
-        known = vehicle_names(name, fleet)
+        known = set(vehicle_names(name, fleet))
         mine = None if vehicles is None else [each for each in vehicles if each in known]
         placed = placed.union(mine or ())
         if mine != [] and _has(fleet, target, scenario.spec.world):

@@ -92,15 +92,15 @@ class Injecting(Alone):
             target: name of a sensor, ``rotor N``, ``battery`` or ``radio``, which is ``injectable`` in the scenario; or
                 ``link``, that of a vehicle to MAVLink and ROS 2.
             kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
-                ``intermittent``; of a rotor or radio ``off`` or ``weak``; of a battery ``drop``; of a link ``off``;
-                ``ok`` for none.
+                ``intermittent``; of a rotor ``off``, ``weak`` or ``stuck``; of a radio ``off`` or ``weak``; of a
+                battery ``drop`` or ``weak``; of a link ``off``; ``ok`` for none.
             vehicles: name or names; None: all that can have it.
             at: when [s], rounded up to a tick; None: from the next tick on.
             duration: how long [s]; None: for good.
             asked_by: who asks, for records.
             numbers: how large it is: ``field`` and ``bias``, ``scale``, ``rate``, ``limit``, ``std``, ``range``,
-                ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` of a rotor, ``share`` of a
-                radio, ``charge`` that a battery drops to.
+                ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` or ``speed`` of a rotor,
+                ``share`` of a radio, ``charge`` that a battery drops to, or its ``health``.
 
         Raises:
             UsageError: it cannot be injected; nothing has changed.
@@ -291,11 +291,11 @@ class Injecting(Alone):
 
     def _note(self, injection: Injection) -> bool:
         """Keep an injection in place of those of its target and vehicles; return False for an end of nothing."""
-        kept, ended = [], False
+        kept, ended, concerned = [], False, set(injection.vehicles)
         for one in self._injections:
             left = one.vehicles
             if one.target == injection.target:
-                left = tuple(name for name in one.vehicles if name not in injection.vehicles)
+                left = tuple(name for name in one.vehicles if name not in concerned)
                 ended |= left != one.vehicles and one.end_tick > self.tick
             kept += [dataclasses.replace(one, vehicles=left)] if left else []
         self._injections = kept + ([injection] if injection.kind != OK else [])

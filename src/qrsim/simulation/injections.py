@@ -129,9 +129,9 @@ def injected(
         return world, _linked(world, kind, vehicles, numbers)
     if target == "radio" and world.radio is None and not any(_slot(fleet, target) for fleet in world.fleets):
         raise UsageError("target: there is no radio; give world.radio of the scenario")
-    fleets, concerned = list(world.fleets), []
+    fleets, concerned, named = list(world.fleets), [], set(vehicles or ())
     for place, fleet in enumerate(world.fleets):
-        chosen = np.array([vehicles is None or name in vehicles for name in fleet.vehicle_names])
+        chosen = np.array([vehicles is None or name in named for name in fleet.vehicle_names])
         if not chosen.any() or (vehicles is None and not _slot(fleet, target)):
             continue
         fleets[place] = _with_fault(fleet, target, kind, chosen, ticks, numbers, world.time_step)
@@ -160,7 +160,8 @@ def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[s
     for name in names:
         if not isinstance(name, str):
             raise UsageError(f"vehicles: {name!r:.60}; allowed: names")
-    everybody = [name for fleet in world.fleets for name in fleet.vehicle_names]
+    # A dict, because a thousand names are looked up.
+    everybody = dict.fromkeys(name for fleet in world.fleets for name in fleet.vehicle_names)
     if not names:
         raise UsageError("vehicles: none is named; None is all")
     for name in names:

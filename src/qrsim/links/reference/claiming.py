@@ -161,9 +161,10 @@ class SharedCalls(ABC):
         """Let something fail from the next tick on, and return what the server says of it.
 
         Args:
-            target: name of a sensor, ``rotor N`` or ``battery``, which is injectable; or ``world``, for its wind.
+            target: name of a sensor, ``rotor N``, ``battery`` or ``radio`` that is injectable; ``link``; or ``world``.
             kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
-                ``intermittent``; of a rotor ``off`` or ``weak``; of a battery ``drop``; of the world ``wind``.
+                ``intermittent``; of a rotor ``off``, ``weak`` or ``stuck``; of a battery ``drop`` or ``weak``;
+                of a radio ``off`` or ``weak``; of a link ``off``; of the world ``wind``, ``gusts`` or ``jam``.
             vehicles: name or names; None: all that have the target, in a shared world those that one has claimed.
             at: simulated time [s]; None: from the next tick on.
             duration: how long [s]; None: for good.
