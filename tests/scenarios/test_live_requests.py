@@ -75,6 +75,7 @@ SIMULATION = qrsim.Simulation(load_scenario(scenario({"sensors": ["gnss", "baro"
 
 
 def test_requests_are_done_and_said() -> None:
+    SIMULATION.reset()
     for text, said in (
         ("inject gnss off uav_0 for 5", "Injected: gnss off of uav_0 for 5 s"),
         ("inject baro slow every=7 at 1", "Injected: baro slow at 1 s"),

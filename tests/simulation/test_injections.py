@@ -304,6 +304,9 @@ def test_fields_have_numbers_of_their_own() -> None:
 
 def test_requests_at_a_bad_time_or_too_many() -> None:
     simulation = qrsim.Simulation(WORLD)
+    with pytest.raises(UsageError, match=r"not started; call reset\(\) first"):
+        simulation.inject("baro", "off")
+    simulation.reset()
     for words, message in (
         ({"at": -1.0}, "at: -1 s is past; it is 0 s now"),
         ({"at": float("nan")}, "at: nan; allowed: a time [s]"),

@@ -234,6 +234,7 @@ def test_numbers_beyond_their_limits() -> None:
         load_scenario(content(events=events), quiet=True)
     # There is always room for one more in flight.
     full = Simulation(load_scenario(content(events=events[:50]), quiet=True).world())
+    full.reset()
     full.set_gusts(3.0)
     full.set_gusts(2.0)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.core.arrays import is_number
-from qrsim.engine.layout import Packer
+from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import LONGEST_NAME, RunError, UsageError, os_error_as
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_line
@@ -46,6 +46,7 @@ class Injecting(Alone):
     tick: int
     precision_context: Callable[[], Any]
     _ticks: OneWorld
+    _state: Buffers | None
 
     def __init__(self) -> None:
         super().__init__()
@@ -273,6 +274,8 @@ class Injecting(Alone):
         for request in requests:
             world, request = after_request(world, request)
             made.append(request)
+        if made and self._state is None:
+            raise UsageError("the simulation has not started; call reset() first, which begins without injected faults")
         before = weather_of(self.world)
         self._take(world)
         for request in made:
