@@ -81,7 +81,7 @@ def test_its_errors_are_drawn(flown: Path, capsys):
     assert "biases and fields as estimated" in figure.get_suptitle()
     assert "3 std as stated" in figure.get_suptitle()
     assert main(["plot", str(flown), "--panel", "estimate", "--panel", "truth.position_ned.z"]) == 2
-    assert "a figure of its own" in capsys.readouterr().err
+    assert "is a separate figure" in capsys.readouterr().err
 
 
 @pytest.mark.long

@@ -18,7 +18,7 @@ from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Sensor
-from qrsim.models.sensors.faults import FaultMemory
+from qrsim.models.sensors.faults import FaultMemory, Late
 from qrsim.models.sensors.fitting import Fitted, Fitting, mounted, start_fitted
 from qrsim.models.vehicles.contracts import Pose, VehicleState
 from qrsim.world.standing import on_ground
@@ -59,20 +59,20 @@ def sense(
         ) -> tuple[object, Record]:
             return sensor.step(memory, noise[name], **inputs)
 
-        ticks, taken, comes = period_ticks(sensor.period, world.time_step), after, None
+        ticks, late = period_ticks(sensor.period, world.time_step), None
         if fitting is not None and memory_of_fitting is not None and memory_of_fitting.transit is not None:
             draw = noise.get(f"{name}{DELIVERY}", noise[name])
-            late = partial(_sent, fresh, fitting, memory_of_fitting, draw, sensor.period, world.time_step, after)
-            memory, transit = when_due(ticks, due, late, (state.sensors[i], memory_of_fitting.transit))
+            sent = partial(_sent, fresh, fitting, memory_of_fitting, draw, sensor.period, world.time_step, after)
+            memory, transit = when_due(ticks, due, sent, (state.sensors[i], memory_of_fitting.transit))
             memory_of_fitting = replace(memory_of_fitting, transit=transit)
             reading = transit.delivered(after)
-            taken, comes = transit.time_of_reading(after), transit.fresh(after)
+            late = Late(transit.time_of_reading(after), transit.fresh(after))
         else:
             memory, reading = when_due(ticks, due, fresh, (state.sensors[i], held))
         states.append(memory)
         fitted.append(_moved_on(memory_of_fitting, scene))
         undisturbed.append(reading if faulty else None)
-        reading, passed_on = faulted(fleet, name, reading, passed_on, taken, noise, comes=comes)
+        reading, passed_on = faulted(fleet, name, reading, passed_on, after, noise, late=late)
         delivered.append(map_tree(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
     return replace(
         state,
@@ -232,7 +232,7 @@ def faulted(
     tick: Array,
     noise: dict[str, Noise],
     first: bool = False,
-    comes: Array | None = None,
+    late: Late | None = None,
 ) -> tuple[Record, tuple[FaultMemory | None, ...]]:
     """Apply a sensor's faults in turn; return the delivered reading and what the faults remember.
 
@@ -240,17 +240,17 @@ def faulted(
         fleet, name: whose sensor.
         reading: what it says.
         passed_on: what the faults remember.
-        tick: () or (n,) of the reading: of a late one, when it was taken.
+        tick: () int32.
         noise: of the fleet.
         first: whether it is the reading of a start, when nothing is remembered.
-        comes: (n,) whether a late reading arrives; None: by the sensor's period.
+        late: of a sensor that delivers its readings later; None: it delivers at once.
     """
     memories = list(passed_on)
     for i, fault in enumerate(fleet.all_faults):
         if fault.sensor == name:
             memory = fault.begin(reading) if first else memories[i]
             draw = cast(Draw, noise[f"{name}{FAULT}"]) if fault.random else None
-            reading, memories[i] = fault.apply(reading, memory, tick, draw, comes)
+            reading, memories[i] = fault.apply(reading, memory, tick, draw, late)
     return reading, tuple(memories)
 
 

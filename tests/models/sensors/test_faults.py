@@ -249,8 +249,8 @@ def test_of_several_faults_each_acts_on_what_the_one_before_it_passes_on() -> No
     assert reasons[0.6] == ["", ""]
 
 
-def test_faults_of_late_sensors_are_those_of_the_time_of_the_reading() -> None:
-    """A barometer of 0.1 s, delivered 0.06 s late: what was taken from 0.2 s on is lost, until 0.4 s."""
+def test_faults_of_late_sensors_act_on_what_is_delivered() -> None:
+    """A barometer of 0.1 s, delivered 0.06 s late: what is delivered from 0.2 s on is lost, until 0.4 s."""
     content = scenario(
         {"sensor": "baro", "kind": "off", "start": 0.2, "end": 0.4},
         {"sensor": "other", "kind": "noisy", "field": "height", "std": 5.0, "start": 0.2, "end": 0.4},
@@ -266,13 +266,16 @@ def test_faults_of_late_sensors_are_those_of_the_time_of_the_reading() -> None:
         lost.append(bool(np.isnan(reading.baro.height[0])))
         noisy.append(float(reading.other.height[0]))
         height.append(-float(simulation.truth.position_ned[0, 2]))
-    # Row k is tick k + 1: tick 13 has the reading of tick 10, and tick 23 that of tick 20.
-    assert np.flatnonzero(lost).tolist() == list(range(12, 22))
+    # Row k is tick k + 1: ticks 10 to 19; tick 13 has the reading of tick 10, and tick 18 that of tick 15.
+    assert np.flatnonzero(lost).tolist() == list(range(9, 19))
     # One draw for each reading, held until the next one comes.
-    assert len(set(noisy[12:17])) == len(set(noisy[17:22])) == 1
-    assert abs(noisy[12] - height[9]) > 0.1
-    np.testing.assert_allclose(noisy[22:27], height[19], atol=1e-4)
-    # From the reading of tick 25 on one more reading late.
+    assert len({*noisy[9:12]}) == len({*noisy[12:17]}) == len({*noisy[17:19]}) == 1
+    assert len({noisy[9] - height[4], noisy[12] - height[9], noisy[17] - height[14]}) == 3
+    assert min(abs(noisy[9] - height[4]), abs(noisy[12] - height[9]), abs(noisy[17] - height[14])) > 0.1
+    np.testing.assert_allclose(noisy[19:22], height[14], atol=1e-4)
+    np.testing.assert_allclose(noisy[22:24], height[19], atol=1e-4)
+    # From tick 25 on one more reading late.
+    np.testing.assert_allclose(noisy[24:27], height[14], atol=1e-4)
     np.testing.assert_allclose([noisy[27], noisy[32], noisy[37]], [height[19], height[24], height[29]], atol=1e-4)
 
 
@@ -284,6 +287,7 @@ def test_noise_can_be_a_multiple_of_the_sensor_s_own() -> None:
     np.testing.assert_allclose(built.numbers.amounts, [0.3 * math.sqrt(8.0), 0.0], rtol=1e-6)
     content["fleets"]["a"] |= {"injectable": "all", "faults": []}
     simulation = qrsim.load(content)
+    simulation.reset()
     simulation.inject("baro", "noisy", field="height", times=3.0)
     (slot,) = [slot for slot in simulation.world.fleets[0].fault_slots if slot.sensor == "baro"]
     np.testing.assert_array_equal(slot.numbers.amounts[0], np.float32(built.numbers.amounts[0]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
@@ -57,6 +57,18 @@ class FaultMemory:
     past: tuple[Any, ...] = quantity(default=(), doc="the readings that came in before it, the last one first")
 
 
+class Late(NamedTuple):
+    """The readings of vehicles (n,) at a tick, of a sensor that delivers them later.
+
+    Attributes:
+        taken: int32 tick at which each was taken.
+        comes: bool, it arrives at this tick.
+    """
+
+    taken: Array
+    comes: Array
+
+
 @record
 class _Fault:
     """What scenario faults and slots have in common; those they concern are n vehicles of a fleet.
@@ -97,15 +109,16 @@ class _Fault:
         reading: T,
         memory: FaultMemory | None,
         tick: Array,
-        comes: Array | None,
+        late: Late | None,
         choose: Callable[[FaultMemory | None], T],
     ) -> tuple[T, FaultMemory | None]:
         """Return what ``choose`` makes of a reading and the memory, and the memory after it."""
         if memory is None:
             return choose(None), None
         if memory.past:
-            comes, late = tick % self.ticks == 0 if comes is None else comes, (memory.came_in, *memory.past[:-1])
-            memory = replace(memory, past=tuple(select(comes, *pair) for pair in zip(late, memory.past, strict=True)))
+            comes = tick % self.ticks == 0 if late is None else late.comes
+            older = (memory.came_in, *memory.past[:-1])
+            memory = replace(memory, past=tuple(select(comes, *pair) for pair in zip(older, memory.past, strict=True)))
         delivered, came_in = choose(memory), None
         if memory.past:
             # What is late now was delivered in time, as the fault before this one, if there was one, had it.
@@ -123,7 +136,7 @@ class _Fault:
         raise NotImplementedError
 
     def _told(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
-        """Return what it delivers at a tick: changed, late, held or lost, as its kind has it."""
+        """Return what it delivers of a reading that was taken at a tick: changed, late, held or lost, by its kind."""
         numbers, told = self.numbers, reading
         if memory is not None and self._is("delayed") is not False:
             for number, old in enumerate(memory.past, 1):
@@ -151,7 +164,8 @@ class _Fault:
             normals = self._of_reading(draw, tick).normals(len(self.fields))
         if garbage is not False:
             chances = uniforms(self._of_reading(draw, tick), len(self.fields), 1)
-        seconds = rounded((tick - self.start_tick).astype(_dtype(reading)) * self.time_step)
+        # A late reading may have been taken before the fault began.
+        seconds = rounded(jnp.maximum(tick - self.start_tick, 0).astype(_dtype(reading)) * self.time_step)
 
         def change(x: Array, i: int) -> Array:
             times: Any = _pick(drift, seconds, 1.0)
@@ -214,20 +228,21 @@ class Fault(_Fault):
         memory: FaultMemory | None,
         tick: Array,
         draw: Draw | None = None,
-        comes: Array | None = None,
+        late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
         """Return its output, for the next fault of the sensor or for the user, and its memory.
 
         Args:
             reading: what the sensor says at ``tick``, or what the fault before this one passes on.
             memory: what it remembers, of ``begin`` or the tick before.
-            tick: () or (n,) int32 at which the reading was taken, or which it is held at.
+            tick: () int32.
             draw: of the sensor's faults, where it is ``random``.
-            comes: (n,) whether the reading is another than at the tick before; None: by the sensor's period.
+            late: of a sensor that delivers its readings later; None: it delivers at once.
         """
         active = self.active(tick)
+        of = tick if late is None else late.taken
         return self._delivered(
-            reading, memory, tick, comes, lambda known: select(active, self._told(reading, known, tick, draw), reading)
+            reading, memory, tick, late, lambda known: select(active, self._told(reading, known, of, draw), reading)
         )
 
 
@@ -255,17 +270,17 @@ class FaultSlot(_Fault):
         memory: FaultMemory | None,
         tick: Array,
         draw: Draw | None = None,
-        comes: Array | None = None,
+        late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
         """Return its output and its memory, see ``Fault.apply``; nearly for nothing where no vehicle has a fault."""
-        active = self.active(tick)
+        active, of = self.active(tick), tick if late is None else late.taken
 
         def choose(known: FaultMemory | None) -> T:
-            told = lambda: select(active, self._told(reading, known, tick, draw), reading)  # noqa: E731
+            told = lambda: select(active, self._told(reading, known, of, draw), reading)  # noqa: E731
             chosen: T = lax.cond(jnp.any(active), told, lambda: reading)
             return chosen
 
-        return self._delivered(reading, memory, tick, comes, choose)
+        return self._delivered(reading, memory, tick, late, choose)
 
 
 def _dtype(reading: Any) -> Any:
