@@ -65,8 +65,8 @@ class List:
 class Show:
     """Print a scenario with every default filled in, as YAML that can be saved and changed.
 
-    Comments at the end give derived values: the site's height above the ellipsoid and above mean sea level, hover
-    throttle, thrust over weight and the steady airspeed that each fleet holds.
+    Comments at the end give derived values: hover throttle, thrust over weight and the steady airspeed that each fleet
+    holds. The first one gives the site's heights above the ellipsoid and above mean sea level.
 
     Example:
       qrsim show outdoor_patrol > mine.yaml
