@@ -28,7 +28,7 @@ class Export:
     and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json. rosbag2: the topics of 'qrsim
     ros2', as ROS 2 records them.
 
-    Heights are above the WGS-84 ellipsoid. Those of gpx are above mean sea level (EGM96), and those of kml are above the
+    Heights are above the WGS-84 ellipsoid. Those of gpx are above mean sea level (EGM96), and those of kml above the
     ground unless --heights is given. A run that is in progress, was interrupted or was killed is exported up to its
     last flush; damaged parts are left out with a warning.
 
