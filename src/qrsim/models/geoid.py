@@ -71,8 +71,8 @@ def undulation(latitude_deg: npt.ArrayLike, longitude_deg: npt.ArrayLike) -> flo
             f"latitude_deg and longitude_deg: shapes {latitude.shape} and {longitude.shape} do not broadcast"
         ) from None
     row, column = (90.0 - latitude) * PER_DEGREE, np.mod(longitude, 360.0) * PER_DEGREE
-    # The south pole is the end of the last cell; of a tiny negative longitude the remainder is 360 itself.
-    i, j = np.minimum(row.astype(np.intp), ROWS - 2), np.minimum(column.astype(np.intp), COLUMNS - 1)
+    # Of a tiny negative longitude the remainder is 360 itself.
+    i, j = row.astype(np.intp), np.minimum(column.astype(np.intp), COLUMNS - 1)
     grid, rows, columns = _grid(), _weights(row - i), _weights(column - j)
     found = np.zeros(latitude.shape)
     for a in range(POINTS):
