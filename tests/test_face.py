@@ -26,7 +26,7 @@ STILL: dict[str, Any] = {
 
 def test_completion_shows_what_is_for_users_and_no_more() -> None:
     names = {name for name in dir(qrsim) if not name.startswith("__")}
-    rooms = {"contracts", "discover", "envs", "identify", "slam", "sweep", "validate"}
+    rooms = {"contracts", "discover", "envs", "geoid", "identify", "slam", "sweep", "validate"}
     assert names == set(qrsim.__all__) - {"__version__"} | rooms
     assert {"Simulation", "rollout", "make_world", "load", "slam"} <= names
     assert not names & {"Any", "Iterable", "Path", "TYPE_CHECKING", "metadata", "annotations"}

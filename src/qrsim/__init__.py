@@ -95,6 +95,7 @@ _ROOMS = {
     "contracts": "qrsim.contracts",
     "discover": "qrsim.studies.discover",
     "envs": "qrsim.envs",
+    "geoid": "qrsim.models.geoid",
     "identify": "qrsim.studies.identify",
     "slam": "qrsim.studies.slam",
     "sweep": "qrsim.studies.sweep",

@@ -18,10 +18,12 @@ MOST_ALIKE = 3
 _NUMBER = re.compile(r"[-+]?[0-9]+(?:[.][0-9]+)?(?:e[-+]?[0-9]+)?")
 # What others call it, by words that look unlike it.
 SYNONYMS: dict[str, str] = {
-    "alt": "height", "altitude": "height", "bearing": "wind_from_deg", "compass": "magnetometer",
+    "alt": "height", "altitude": "height", "altitudeamsl": "height_amsl", "amsl": "height_amsl",
+    "bearing": "wind_from_deg", "compass": "magnetometer",
     "direction": "wind_from_deg", "from": "wind_from_deg", "gps": "gnss", "lat": "latitude_deg",
     "latitude": "latitude_deg", "lidar": "scan", "liion": "lithium_cells", "lipo": "lithium_cells",
-    "lng": "longitude_deg", "lon": "longitude_deg", "long": "longitude_deg", "longitude": "longitude_deg",
+    "heightmsl": "height_amsl", "lng": "longitude_deg", "lon": "longitude_deg", "long": "longitude_deg",
+    "longitude": "longitude_deg", "msl": "height_amsl",
     "winddirection": "wind_from_deg",
 }  # fmt: skip
 

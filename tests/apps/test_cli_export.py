@@ -26,6 +26,7 @@ from qrsim.runs.surroundings import Surroundings
 
 NAMES = ('a/b <"é">&', "plain")
 LATITUDE, LONGITUDE, HEIGHT = 51.5, -0.25, 120.0
+UNDULATION = 46.10  # [m] of the geoid EGM96 there
 STEP, TICKS, PART, FIX_TICKS = 0.02, 60, 20, 10
 # In UTC: 10 o'clock.
 START, START_UTC = "2026-06-21T12:00:00.5+02:00", datetime(2026, 6, 21, 10, 0, 0, 500_000, UTC)
@@ -130,6 +131,14 @@ def reported(tick: int, vehicle: int) -> np.ndarray:
 def near(found: tuple[float, ...], position_ned: np.ndarray) -> bool:
     """Latitude, longitude and height are where a NED position is, to a millimetre."""
     return bool(np.allclose(found, geodetic(position_ned), rtol=0.0, atol=[1e-8, 1e-8, 1e-3]))
+
+
+def near_above_sea(point: ElementTree.Element, position_ned: np.ndarray) -> bool:
+    """A point of GPX is where a NED position is, its height above the sea to a centimetre."""
+    latitude, longitude, height = geodetic(position_ned)
+    place = float(point.get("lat")) - latitude, float(point.get("lon")) - longitude
+    ele = float(point.findtext("ele", None, GPX))
+    return bool(np.allclose(place, 0.0, rtol=0.0, atol=1e-8) and abs(ele - (height - UNDULATION)) < 0.01)
 
 
 def utc(tick: int) -> datetime:
@@ -271,11 +280,10 @@ def test_gpx(recorded, tmp_path, capsys):
     counts = [[len(part) for part in track.findall("trkseg", GPX)] for track in tracks]
     assert counts == [[12], [6], [12], [2, 2]]
     for tick, point in zip((40, 50), tracks[3].findall("trkseg", GPX)[1], strict=True):
-        place = (float(point.get("lat")), float(point.get("lon")), float(point.findtext("ele", None, GPX)))
-        assert near(place, reported(tick, 1))
+        assert near_above_sea(point, reported(tick, 1))
         assert datetime.fromisoformat(point.findtext("time", None, GPX)) == utc(tick)
     reached, left = root.findall("wpt", GPX)
-    assert near((float(left.get("lat")), float(left.get("lon")), float(left[0].text)), true_position(41, 1))
+    assert near_above_sea(left, true_position(41, 1))
     assert [child.tag.partition("}")[2] for child in left] == ["ele", "time", "name", "desc", "type"]
     assert reached.findtext("desc", None, GPX) == 'reached <"1"> & on'
     printed = capsys.readouterr()
@@ -329,13 +337,17 @@ def test_kml_heights_above_the_ellipsoid_or_a_higher_ground(recorded, tmp_path, 
 
     mode, height = heights(recorded, "--heights", "ellipsoid")
     assert (mode, height) == ("absolute", pytest.approx(140.0, abs=1e-3))
+    assert "<!-- Heights are above the WGS-84 ellipsoid. -->" in (tmp_path / "h.kml").read_text()
+    mode, height = heights(recorded, "--heights", "sea")
+    assert (mode, height) == ("absolute", pytest.approx(140.0 - UNDULATION, abs=0.01))
+    assert "<!-- Heights are above mean sea level, by the geoid EGM96. -->" in (tmp_path / "h.kml").read_text()
     site = f"site: {{latitude_deg: {LATITUDE}, longitude_deg: {LONGITUDE}, height: {HEIGHT}}}"
     content = f"start_time: '{START}'\n{site}\nworld: {{ground: {{type: flat, height: 5.0}}}}\n"
     mode, height = heights(write_run(tmp_path / "hill", scenario=content))
     assert (mode, height) == ("relativeToGround", pytest.approx(15.0))
     capsys.readouterr()
     words = ["export", str(recorded), "--format", "gpx", "--heights", "ellipsoid"]
-    refused(words, "--heights ellipsoid: only kml has this choice")
+    refused(words, "--heights ellipsoid: only kml has this choice; gpx has those above mean sea level")
 
 
 def test_a_name_with_control_characters_is_refused(recorded, tmp_path, capsys):

@@ -94,6 +94,17 @@ def test_show_with_changes(capsys):
     assert changed == plain
 
 
+def test_show_has_both_heights_of_the_site(capsys):
+    """The geoid is 47.22 m above the ellipsoid at the site of mavlink_field, 46.29 m at the default one."""
+    text = printed(["show", "mavlink_field", "--set", "site.height_amsl=488"], capsys)
+    (line,) = (line for line in text.splitlines() if line.startswith("# site: "))
+    assert line.startswith("# site: 535.22 m above the WGS-84 ellipsoid, 488.00 m above mean sea level; ")
+    assert line.endswith("; undulation of the geoid (EGM96): 47.22 m")
+    assert yaml.safe_load(text)["site"]["height"] == pytest.approx(535.22, abs=0.01)
+    derived = printed(["show", "hover_ideal", "--derived"], capsys)
+    assert derived.startswith("site: 0.00 m above the WGS-84 ellipsoid, -46.29 m above mean sea level; ")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

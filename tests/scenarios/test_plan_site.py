@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from tests.scenarios.test_places import SITE, item, polygon, problems_of, scenario
 
 from qrsim.errors import ScenarioError
@@ -102,6 +104,50 @@ def test_a_site_that_no_plan_can_give_is_named(write: Write) -> None:
     content["site"] = {"plan": {"file": file.replace("survey", "survy")}}
     (found,) = problems_of(content)
     assert found.endswith("survy.plan: cannot be read: No such file or directory; did you mean 'survey.plan'?")
+
+
+def test_the_height_of_the_site_may_be_above_the_sea() -> None:
+    """The geoid is 47.22 m above the ellipsoid in Zurich, and 31.63 m below it at a place of NGA's (OUTINTPT.DAT)."""
+    content = scenario({"position_ned": [0, 0, -5]})
+    for latitude, longitude, geoid in ((47.397742, 8.545594, 47.22), (38.628155, -90.220845, -31.63)):
+        content["site"] = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": 488.0}
+        loaded = load_scenario(content)
+        assert loaded.spec.site.height == loaded.site.height == pytest.approx(488.0 + geoid, abs=0.02)
+        assert "height_amsl" not in loaded.to_yaml()
+        assert load_scenario(yaml.safe_load(loaded.to_yaml())).spec == loaded.spec
+    # Each height takes the place of the other, of what is extended and by --set.
+    alone = {"extends": "mavlink_field", "name": "x", "site": {"height_amsl": 100.0}}
+    assert load_scenario(alone).site.height == pytest.approx(147.22, abs=0.02)
+    assert load_scenario("mavlink_field", ["site.height_amsl=100"]).site.height == pytest.approx(147.22, abs=0.02)
+    assert load_scenario(alone, ["site.height=100"]).site.height == 100.0
+
+
+def test_a_height_above_the_sea_that_no_site_has_is_named(write: Write) -> None:
+    content = scenario({"position_ned": [0, 0, -5]})
+
+    def told(**site: Any) -> str:
+        (found,) = problems_of({**content, "site": site})
+        return found
+
+    assert told(height=3.0, height_amsl=4.0) == "site: height and height_amsl are both given; allowed: one"
+    for height in (9500.0, -451.0):
+        assert f"site.height_amsl: {height} is out of range; allowed: -450 to 9000 (" in told(height_amsl=height)
+    assert told(height_amsl=math.nan).startswith("site.height_amsl: nan is not a finite number")
+    assert told(amsl=4.0) == "site.amsl: no such parameter of 'site'; did you mean 'height_amsl'?"
+    assert told(height_amsl=8990.0) == (
+        "site.height_amsl: 8990 m above the sea is 9036.3 m above the WGS-84 ellipsoid there; allowed: -500 to 9000"
+    )
+    file = write((47.0, 8.0, 450.0))
+    assert "leave out height_amsl of site, or the plan" in told(height_amsl=4.0, plan={"file": file})
+
+
+def test_homes_of_plans_are_compared_with_the_height_above_the_sea(write: Write) -> None:
+    """The geoid is 48 m above the ellipsoid there, more than the 20 m that are warned of."""
+    place = {"latitude_deg": 47.0, "longitude_deg": 8.0}
+    content = scenario({"plan": {"file": write((47.0, 8.0, 450.0))}})
+    assert warnings_of({**content, "site": {**place, "height_amsl": 431.0}}) == []
+    (words,) = warnings_of({**content, "site": {**place, "height_amsl": 400.0}})
+    assert "its home is 50 m above site.height_amsl, 400 m; site: {plan: FILE}" in words
 
 
 @pytest.mark.parametrize(

@@ -28,9 +28,9 @@ class Export:
     and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json. rosbag2: the topics of 'qrsim
     ros2', as ROS 2 records them.
 
-    Heights are above the WGS-84 ellipsoid; those of kml are above the ground unless --heights is given. A run that is
-    in progress, was interrupted or was killed is exported up to its last flush; damaged parts are left out with a
-    warning.
+    Heights are above the WGS-84 ellipsoid. Those of gpx are above mean sea level (EGM96), and those of kml above the
+    ground unless --heights is given. A run that is in progress, was interrupted or was killed is exported up to its
+    last flush; damaged parts are left out with a warning.
 
     Example:
       qrsim export runs/first --format csv
@@ -54,8 +54,8 @@ class Export:
         tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv, mcap and rosbag2, 5 Hz for the others)"),
     ] = None
     """Keep every Nth tick; all events are kept."""
-    heights: Literal["ground", "ellipsoid"] = "ground"
-    """Heights of kml: above the ground, or above the WGS-84 ellipsoid."""
+    heights: Literal["ground", "sea", "ellipsoid"] = "ground"
+    """Heights of kml: above the ground, above mean sea level (EGM96), or above the WGS-84 ellipsoid."""
     distro: Annotated[str, tyro.conf.arg(metavar="NAME")] = "jazzy"
     """ROS 2 distribution that will read the bag: humble, iron, jazzy, kilted or lyrical."""
     code: bool = False
@@ -73,7 +73,8 @@ class Export:
         if self.every is not None and not 1 <= self.every <= LARGEST_EVERY:
             raise UsageError(f"--every {self.every}: expected an integer from 1 to 2**31 - 1")
         if self.heights != "ground" and self.format != "kml":
-            raise UsageError(f"--heights {self.heights}: only kml has this choice; {self.format} has the ellipsoid's")
+            own = "mean sea level" if self.format == "gpx" else "the WGS-84 ellipsoid"
+            raise UsageError(f"--heights {self.heights}: only kml has this choice; {self.format} has those above {own}")
         if self.stream is not None and self.format != "csv":
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         if self.distro != "jazzy" and self.format != "rosbag2":

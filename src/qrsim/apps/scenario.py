@@ -66,7 +66,7 @@ class Show:
     """Print a scenario with every default filled in, as YAML that can be saved and changed.
 
     Comments at the end give derived values: hover throttle, thrust over weight and the steady airspeed that each fleet
-    holds.
+    holds. The first one gives the site's heights above the ellipsoid and above mean sea level.
 
     Example:
       qrsim show outdoor_patrol > mine.yaml
@@ -92,7 +92,7 @@ class Show:
         """Print the resolved scenario, and what follows from the parameters of its vehicles."""
         import json
 
-        from qrsim.scenarios.derived import derived_of
+        from qrsim.scenarios.derived import derived_of, heights_line
         from qrsim.scenarios.scenario import load_scenario
         from qrsim.scenarios.wind_limits import envelope_lines
 
@@ -110,6 +110,7 @@ class Show:
             print(scenario.to_yaml().rstrip())
         # Comments of YAML, so that what is printed can be saved and flown.
         mark = "" if self.derived else "# "
+        print(f"{mark}{heights_line(scenario)}")
         for fleet, numbers in derived.items():
             print(f"{mark}Derived values of fleet '{fleet}':")
             for name, value in numbers.items():

@@ -19,7 +19,7 @@ from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
 from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
-from qrsim.scenarios.plan_site import far_from_home, home_of, in_feet, items_far_from_home
+from qrsim.scenarios.plan_site import ellipsoidal_height, far_from_home, home_of, in_feet, items_far_from_home
 from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.site_schema import SiteSpec
 
@@ -36,7 +36,8 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
         in messages.
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
-    if scenario.world.area.type != "fence" and not scenario.site.plan and not any(map(_is_elsewhere, vehicles)):
+    site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None
+    if scenario.world.area.type != "fence" and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
         return scenario, [], {}
     places = _Places(scenario)
     # Without its site all other places would be wrong.
@@ -65,6 +66,7 @@ class _Places:
     def __init__(self, scenario: ScenarioSpec):
         self.area_type: str = scenario.world.area.type
         self.problems: list[str] = []
+        self.height_amsl = scenario.site.height_amsl
         self.place = self._place(scenario.site)
         self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
         self.written: dict[str, str] = {}
@@ -93,6 +95,11 @@ class _Places:
             return site.model_copy(
                 update={"latitude_deg": home[0], "longitude_deg": home[1], "height": home[2], "plan": None}
             )
+        if site.height_amsl is not None:
+            try:
+                return site.model_copy(update={"height": ellipsoidal_height(site), "height_amsl": None})
+            except UsageError as error:
+                self.problems.append(f"site.height_amsl: {error}")
         return site
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:
@@ -236,7 +243,7 @@ class _Places:
                     f"{file}: {self.shared[file]} vehicles fly it, on one path and to one place, where they may "
                     "collide; give each its own plan"
                 )
-        if words := far_from_home({**self.fences, **self.flown}, self.site):
+        if words := far_from_home({**self.fences, **self.flown}, self.site, self.height_amsl):
             warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:

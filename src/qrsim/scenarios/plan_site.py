@@ -1,4 +1,4 @@
-"""The site of a scenario and the homes of its plans: one from the other, their distance, and heights of plans."""
+"""The site of a scenario: its height, and the homes of its plans; their distance, and heights of plans."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from qrsim.errors import UsageError
+from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
 from qrsim.scenarios.plan import Plan
 from qrsim.scenarios.plan_file import read_plan
@@ -28,7 +29,7 @@ def home_of(site: SiteSpec) -> list[float]:
     """
     assert site.plan is not None
     file = site.plan.file
-    if given := [name for name in NUMBERS if name in site.model_fields_set]:
+    if given := [name for name in (*NUMBERS, "height_amsl") if name in site.model_fields_set]:
         raise UsageError(f"{file}: gives {', '.join(NUMBERS)}; leave out {', '.join(given)} of site, or the plan")
     home = read_plan(file).home
     if home.latitude_deg == home.longitude_deg == 0.0:
@@ -40,13 +41,36 @@ def home_of(site: SiteSpec) -> list[float]:
     return [home.latitude_deg, home.longitude_deg, home.altitude_amsl]
 
 
-def far_from_home(plans: Mapping[str, Plan], site: Site) -> str | None:
-    """Return a sentence on the plan whose home is farthest from the site, None where all are near."""
+def ellipsoidal_height(site: SiteSpec) -> float:
+    """Return the height above the WGS-84 ellipsoid [m] of a site that has one above mean sea level.
+
+    Raises:
+        UsageError: no site can be that high.
+    """
+    assert site.height_amsl is not None
+    height = site.height_amsl + undulation(site.latitude_deg, site.longitude_deg)
+    if not LOWEST_SITE <= height <= HIGHEST_SITE:
+        raise UsageError(
+            f"{site.height_amsl:g} m above the sea is {height:.1f} m above the WGS-84 ellipsoid there; allowed: "
+            f"{LOWEST_SITE:g} to {HIGHEST_SITE:g}"
+        )
+    return height
+
+
+def far_from_home(plans: Mapping[str, Plan], site: Site, height_amsl: float | None) -> str | None:
+    """Return a sentence on the plan whose home is farthest from the site, None where all are near.
+
+    Args:
+        plans: by their files.
+        site: of the scenario.
+        height_amsl: its height above mean sea level [m], None if the scenario gives only that above the ellipsoid.
+    """
     far = {}
+    name, level = ("height", site.height) if height_amsl is None else ("height_amsl", height_amsl)
     for file, plan in plans.items():
         place = math.radians(plan.home.latitude_deg), math.radians(plan.home.longitude_deg)
         north, east, _ = site.geodetic_to_ned(*place, site.height)
-        distance, rise = math.hypot(north, east), plan.home.altitude_amsl - site.height
+        distance, rise = math.hypot(north, east), plan.home.altitude_amsl - level
         if distance > FAR or abs(rise) > HIGH:
             far[file] = distance, rise
     if not far:
@@ -55,7 +79,7 @@ def far_from_home(plans: Mapping[str, Plan], site: Site) -> str | None:
     distance, rise = far[file]
     apart_by = [f"{_length(distance)} from the site"] if distance > FAR else []
     if abs(rise) > HIGH:
-        apart_by.append(f"{_length(abs(rise))} {'above' if rise > 0.0 else 'below'} site.height, {site.height:g} m")
+        apart_by.append(f"{_length(abs(rise))} {'above' if rise > 0.0 else 'below'} site.{name}, {level:g} m")
     others = f" (and {len(far) - 1} more of its kind)" if len(far) > 1 else ""
     return f"{file}: its home is {' and '.join(apart_by)}{others}; site: {{plan: FILE}} takes the site from it"
 

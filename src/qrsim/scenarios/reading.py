@@ -158,7 +158,8 @@ def merged(parent: Content, child: Content) -> Content:
     """Merge two mappings recursively; the child's values take precedence.
 
     A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
-    in one unit that in the other, a wind's ``speed`` its ``speed_20ft``, and null takes out what the parent has.
+    in one unit that in the other, a wind's ``speed`` its ``speed_20ft``, a site's ``height_amsl`` its ``height``, and
+    null takes out what the parent has.
     """
     if ("type" in child and child["type"] != parent.get("type")) or "plan" in child:
         return copy.deepcopy(child)
@@ -274,16 +275,18 @@ _OF_ONE_WIND = {
     "gust": ("gust_factor",),
     "gust_factor": ("gust",),
 }
+_OF_ONE_SITE = {"height": ("height_amsl",), "height_amsl": ("height",)}
 
 
 def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
-    """An angle that is overridden in one unit must not stay in the other, nor a wind at one height at the other.
+    """An angle that is overridden in one unit must not stay in the other, nor a height of a wind or site by the other.
 
     Those in ``kept`` are given with it, and stay for the check of the whole to refuse.
     """
     twins = [name.removesuffix(unit) + other for unit, other in _UNITS if name.endswith(unit)]
     if name == "speed" or "speed" in target:
         twins += _OF_ONE_WIND.get(name, ())
+    twins += _OF_ONE_SITE.get(name, ())
     for twin in twins:
         if twin not in kept:
             target.pop(twin, None)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from qrsim.files import Content
 from qrsim.scenarios.component_schema import Finite, Strict
 
 # Of the origin over the ellipsoid [m].
 LOWEST_SITE, HIGHEST_SITE = -500.0, 9000.0
+# Above mean sea level [m]: the shores of the Dead Sea, and Mount Everest.
+LOWEST_AMSL, HIGHEST_AMSL = -450.0, 9000.0
 # Of the day over the standard atmosphere [K]: from the coldest days of Antarctica to the hottest of deserts.
 COLDEST_DAY, HOTTEST_DAY = -80.0, 50.0
 
@@ -30,6 +32,13 @@ class SiteSpec(Strict):
     latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
     longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
+    height_amsl: Finite | None = Field(
+        None,
+        description="height above mean sea level (EGM96) [m], instead of height",
+        ge=LOWEST_AMSL,
+        le=HIGHEST_AMSL,
+        exclude=True,
+    )
     temperature_offset: Finite = Field(
         0.0,
         description="temperature of the day over that of the standard atmosphere [K]",
@@ -42,3 +51,9 @@ class SiteSpec(Strict):
         exclude=True,
         json_schema_extra=or_its_file,
     )
+
+    @model_validator(mode="after")
+    def _one_height(self) -> SiteSpec:
+        if self.height_amsl is not None and "height" in self.model_fields_set:
+            raise ValueError("height and height_amsl are both given; allowed: one")
+        return self

@@ -6,15 +6,22 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from qrsim.runs.colours import VEHICLES
 from qrsim.runs.export.output import Written, replacing
-from qrsim.runs.export.place import Floats
+from qrsim.runs.export.place import Floats, above_sea
 from qrsim.runs.export.tracks import Mark, Track, Tracks, said_in_xml
 
 # As in the figure of a run: a colour per vehicle, the true track thick and the reported one thin.
 WIDTHS = {"true": 3, "gnss": 1}
-Heights = Literal["ground", "ellipsoid"]
-MODES: dict[Heights, str] = {"ground": "relativeToGround", "ellipsoid": "absolute"}
+Heights = Literal["ground", "sea", "ellipsoid"]
+MODES: dict[Heights, str] = {"ground": "relativeToGround", "sea": "absolute", "ellipsoid": "absolute"}
+DATUMS: dict[Heights, str] = {
+    "ground": "the ground",
+    "sea": "mean sea level, by the geoid EGM96",
+    "ellipsoid": "the WGS-84 ellipsoid",
+}
 
 
 def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
@@ -23,9 +30,9 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     Args:
         content: what to write.
         path: the file.
-        heights: "ground": above the run's ground, drawn by the globe above its own; "ellipsoid": above the WGS-84
-            ellipsoid, as KML's absolute altitudes, which are meant to be above the geoid: qrsim has none, so give the
-            scenario's site its height above the sea.
+        heights: "ground": above the run's ground, drawn by the globe above its own; "sea": absolute, above mean sea
+            level, as KML defines it; "ellipsoid": absolute, above the WGS-84 ellipsoid, for programs that expect this.
+            A comment of the file names it.
 
     Raises:
         RunError: the file cannot be written.
@@ -45,6 +52,7 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
         _event(events, mark, heights)
     with replacing(path) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n')
+        file.write(f"<!-- Heights are above {DATUMS[heights]}. -->\n".encode())
         file.write(document.kml(format=False).encode())
     return Written(path, content.counts)
 
@@ -64,8 +72,7 @@ def _track(folder: Any, track: Track, style: object, heights: Heights) -> None:
     for segment in track.segments:
         piece = found.newgxtrack(altitudemode=MODES[heights])
         piece.newwhen(segment.utc)
-        places = zip(segment.geodetic, segment.above_ground, strict=True)
-        piece.newgxcoord([_coordinates(geodetic, height, heights) for geodetic, height in places])
+        piece.newgxcoord(_coordinates(segment.geodetic, segment.above_ground, heights))
 
 
 def _event(folder: Any, mark: Mark, heights: Heights) -> None:
@@ -75,9 +82,12 @@ def _event(folder: Any, mark: Mark, heights: Heights) -> None:
     found.timestamp.when = mark.utc
     if mark.geodetic is not None:
         found.altitudemode = MODES[heights]
-        found.coords = [_coordinates(mark.geodetic, mark.above_ground, heights)]
+        found.coords = _coordinates(mark.geodetic[None], np.array([mark.above_ground]), heights)
 
 
-def _coordinates(geodetic: Floats, above_ground: float, heights: Heights) -> tuple[float, float, float]:
-    latitude, longitude, height = (float(value) for value in geodetic)
-    return round(longitude, 9), round(latitude, 9), round(float(above_ground) if heights == "ground" else height, 4)
+def _coordinates(geodetic: Floats, above_ground: Floats, heights: Heights) -> list[tuple[float, float, float]]:
+    """Return longitude and latitude [deg] to 0.1 mm, and height [m], of each place (T, 3)."""
+    places = above_sea(geodetic) if heights == "sea" else geodetic
+    chosen = above_ground if heights == "ground" else places[:, 2]
+    rows = zip(places[:, 1].tolist(), places[:, 0].tolist(), chosen.tolist(), strict=True)
+    return [(round(longitude, 9), round(latitude, 9), round(height, 4)) for longitude, latitude, height in rows]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from qrsim.errors import RunError
+from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
 from qrsim.runs import Run
 from qrsim.scenarios.site_schema import SiteSpec
@@ -51,6 +52,12 @@ class Place:
         since_1970 = self.start_us + np.round(np.asarray(times, np.float64) * 1e6).astype(np.int64)
         text: list[str] = np.datetime_as_string(since_1970.astype("datetime64[us]"), timezone="UTC").tolist()
         return text
+
+
+def above_sea(geodetic: Floats) -> Floats:
+    """Return places (..., 3) [deg, deg, m] whose heights are above mean sea level (EGM96) instead of the ellipsoid."""
+    amsl = geodetic[..., 2] - undulation(geodetic[..., 0], geodetic[..., 1])
+    return np.stack((geodetic[..., 0], geodetic[..., 1], amsl), axis=-1)
 
 
 def place_of(run: Run) -> Place:
