@@ -18,10 +18,8 @@ HEADINGS = {
     "vehicles": "vehicles",
     "rate_hz": "ticks/s",
     "real_time_factor": "times real time",
-    "target": "target",
 }
 RATE_HZ, PORT, SCENARIO = 250.0, 24_560, "mavlink_field"
-TARGETS = {1: 10.0, 5: 5.0}
 # HIL_SENSOR: number, and where it begins in a frame of version 2.
 SENSOR, HEAD = 107, 10
 
@@ -94,7 +92,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "vehicles": vehicles,
             "rate_hz": RATE_HZ,
             "real_time_factor": flown(vehicles, 0.5 if chosen.quick else 20.0),
-            "target": f"at least {TARGETS[vehicles]:g}",
         }
         for vehicles in ((1,) if chosen.quick else (1, 5))
     ]
