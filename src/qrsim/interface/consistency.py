@@ -48,17 +48,17 @@ class Looks:
 
 
 def truth_of(fleet: Fleet, state: FleetState) -> Truth:
-    """Return what is true of a fleet's vehicles (n,), or (T, n) in a history."""
+    """Return the true values of the quantities that estimators estimate, (n,), or (T, n) in a history."""
     pose = fleet.vehicle.pose(state.vehicle)
-    found = dict(_biases(fleet, state))
+    biases = dict(_biases(fleet, state))
     velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
     return Truth(
         pose.position_ned,
         velocity,
         pose.attitude,
         state.position_low_ned,
-        found.get("rates_body"),
-        found.get("specific_force"),
+        biases.get("rates_body"),
+        biases.get("specific_force"),
     )
 
 

@@ -108,7 +108,10 @@ class TeamGuidance(Guidance, Protocol):
     sees_motion: ClassVar[bool] = True
 
     def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
+        """Return the state at the start of each route; a team guidance never leaves its first waypoint.
+
+        ``overfull`` counts incomplete neighbour searches, so it is present only if a search can overflow.
+        """
         start, fleet = RouteState.start(route), route.count.shape[0]
         if self.knows == "heard" or always_room(fleet, mates_wanted(self.mates, fleet)):
             return start

@@ -180,7 +180,7 @@ class NeighbourSensor(Looking):
             noise = along_rows(self.velocity_noise)
             parts = Vec3(*(noise * normals[i * k : (i + 1) * k] for i in (3, 4, 5)))
             own = _own_velocity(position_ned, traffic)
-            # What is not there stands still.
+            # A false alarm is at rest.
             still = _in_axes(direction, own.map(lambda axis: -axis[None, :]))
             fast = _joined(_against(who, direction, own, traffic) + parts, still)
         both = _joined(place, false.map(lambda axis: axis[None, :]))
@@ -309,24 +309,33 @@ def _anywhere(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
     return Vec3(ahead, side * sine, side * cosine) * (reach * chances[2])
 
 
-def _in_order(slots: int, away: Array, place: Vec3, number: Array, fast: Vec3 | None) -> NeighboursReading:
-    """Return others (M, n) in the order of measured distance, infinite if not in view."""
-    row = jnp.arange(away.shape[0], dtype=jnp.int32)[:, None]
-    places, distances, numbers, velocities = [], [], [], []
-    taken = jnp.zeros_like(away[0])
-    for _ in range(slots):
-        nearest = jnp.min(away, axis=0)
-        first = jnp.min(jnp.where(away == nearest[None, :], row, away.shape[0]), axis=0)
-        mine, found = row == first[None, :], nearest < jnp.inf
+def _in_order(slots: int, distance: Array, place: Vec3, number: Array, velocity: Vec3 | None) -> NeighboursReading:
+    """Return the reading of vehicles (n,): the nearest of M candidates, sorted by measured distance.
 
-        def chosen(rows: Array, mine: Array = mine, found: Array = found) -> Array:
-            return jnp.where(found, jnp.sum(jnp.where(mine, rows, 0.0), axis=0), jnp.nan)
+    The loop takes the minimum once a slot; of equal distances the lower row comes first.
+
+    Args:
+        slots: number of neighbours in the reading; unused ones are NaN.
+        distance: measured distance (M, n) [m], infinite for candidates that are not in view.
+        place, velocity: measured position and velocity (M, n) in the sensor's axes [m], [m/s].
+        number: identity of each candidate (M, n).
+    """
+    row = jnp.arange(distance.shape[0], dtype=jnp.int32)[:, None]
+    places, distances, numbers, velocities = [], [], [], []
+    count = jnp.zeros_like(distance[0])
+    for _ in range(slots):
+        nearest = jnp.min(distance, axis=0)
+        first = jnp.min(jnp.where(distance == nearest[None, :], row, distance.shape[0]), axis=0)
+        selected, valid = row == first[None, :], nearest < jnp.inf
+
+        def chosen(rows: Array, selected: Array = selected, valid: Array = valid) -> Array:
+            return jnp.where(valid, jnp.sum(jnp.where(selected, rows, 0.0), axis=0), jnp.nan)
 
         places.append(place.map(chosen))
-        distances.append(jnp.where(found, nearest, jnp.nan))
+        distances.append(jnp.where(valid, nearest, jnp.nan))
         numbers.append(chosen(number))
-        if fast is not None:
-            velocities.append(fast.map(chosen))
-        taken = taken + found.astype(taken.dtype)
-        away = jnp.where(mine, jnp.inf, away)
-    return NeighboursReading(tuple(places), tuple(distances), tuple(numbers), taken, tuple(velocities))
+        if velocity is not None:
+            velocities.append(velocity.map(chosen))
+        count = count + valid.astype(count.dtype)
+        distance = jnp.where(selected, jnp.inf, distance)
+    return NeighboursReading(tuple(places), tuple(distances), tuple(numbers), count, tuple(velocities))

@@ -166,7 +166,9 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def load(self, state: MultirotorState) -> Load:
-        """Return thrust, weight and electrical power (V25)."""
+        """Return thrust [N], weight [N], electrical power [W] (V25) and air density over that at sea level, each (n,)
+        or one number for all; the last is None if ``thin_air`` is ignored.
+        """
         square = sum(rate * rate for rate in state.rotor_speed)
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
         coefficient = self.thrust_coefficient * self.share(state.position_ned)
