@@ -236,7 +236,7 @@ def _minus(position: Vec3, low: Vec3 | None, place: Vec3) -> Vec3:
 
 
 def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) -> tuple[Array, Array | None]:
-    """Return the distance flown (n,) with the way of a tick, and what single precision leaves out of it."""
+    """Return the distance flown (n,) [m] after a tick, and its rounding error, None in double precision."""
     if low is None:
         way = (position - flight.position_ned).norm()
         return flight.distance + jnp.where(flying, way, 0.0), None
@@ -251,7 +251,7 @@ def _one(counts: Array) -> Array:
 
 
 def _moves(world: World) -> Array:
-    """Return which vehicles (n,) fly by commands; what stands or drives may well be at the edge of the area."""
+    """Return which vehicles (n,) fly by commands; only their clearance from the edges of the area is of interest."""
     each = [
         np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type)) and not fleet.vehicle.rides)
         for fleet in world.fleets
@@ -290,13 +290,13 @@ def _smaller(known: Array, new: Array, counts: Array) -> Array:
 
 
 def _goal(world: World, state: State) -> Vec3:
-    """Return the waypoint of each vehicle (n,), NaN where it is asked for something else."""
+    """Return the waypoint of each vehicle (n,), NaN if its set-point is of another kind or below the ground."""
     goals = []
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
         setpoint = fleet.setpoint
         if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint | PathSetpoint | TrackSetpoint):
-            # The point that a landing follows goes on below the ground.
+            # A landing follows a point that continues below the ground.
             below = setpoint.position_ned.z > world.ground_down(setpoint.position_ned) + BELOW_M
             goals.append(select(below, nowhere, setpoint.position_ned))
         else:

@@ -22,7 +22,7 @@ from qrsim.world import tick as ticks_of
 from qrsim.world.radio import parted
 from qrsim.world.state import Some, State, World, WorldKeys
 
-# What JAX raises where a program that is being compiled would have to know a number.
+# Errors of JAX for a function that needs the value of an array while it is traced.
 NEEDS_VALUES = (
     jax.errors.ConcretizationTypeError,
     jax.errors.TracerArrayConversionError,
@@ -37,15 +37,15 @@ class Setup:
 
     Attributes:
         policy, estimator: the user's, None without.
-        metrics: what sums up a flight.
-        measured: which object that is, and its attributes, which are constants of a program.
-        policy_ticks: the policy is asked at every so-many-th tick.
+        metrics: object that sums up a flight.
+        measured: identity of ``metrics`` and of its attributes, which are constants of a program.
+        policy_ticks: number of ticks from one call of the policy to the next.
         site: origin of the local frame.
-        structure: of a World as a PyTree.
-        types: the same as text: to JAX two structures are equal whose records differ in nothing but their type.
+        structure: PyTree structure of a World.
+        types: ``structure`` as text: JAX treats structures as equal if only the types of their records differ.
         varied: for each leaf of a World, whether every world has its own.
         mesh: the devices, None for a single one.
-        kinds: the types of all records, because a class that is defined anew has the same name.
+        kinds: the types of all records, because a class that is defined again has the same name.
     """
 
     policy: UserFunction | None
@@ -73,7 +73,7 @@ class Setup:
 
     @property
     def key(self) -> Hashable:
-        """What programs depend on, by which none of the user's objects are kept alive."""
+        """Key of compiled programs. It has identities of the user's objects, so that it does not keep them alive."""
         asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
         return (
             *asked,
@@ -88,7 +88,7 @@ class Setup:
 
     @property
     def plain(self) -> bool:
-        """Whether it is made of this package's code alone, so that its structure identifies it in any process."""
+        """True if all code is this package's, so that the structure identifies the setup in any process."""
         own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}
         asks_nobody = self.policy is None and self.estimator is None
         return asks_nobody and self.metrics is FLIGHT_METRICS and own

@@ -153,7 +153,7 @@ class LateRadio:
         self.over = False
 
     def of(self, world: int) -> Any:
-        """Return that of one world; raises UsageError where it is too late."""
+        """Return the radio state of one world; raise UsageError if it was not read before the next tick."""
         if self._host is None:
             if self.over:
                 raise UsageError(
@@ -164,8 +164,8 @@ class LateRadio:
         return jax.tree.map(lambda leaf: leaf[world], self._host)
 
 
-class _Each(Sequence[object]):
-    """A tuple of one world, of leaves (W, ...) for all; only what somebody looks at is sliced."""
+class _LazyTuple(Sequence[object]):
+    """A tuple of one world, from leaves (W, ...) of all worlds; an entry is sliced when it is read."""
 
     def __init__(self, parts: Sequence[object], world: int):
         self._parts, self._world = parts, world
@@ -177,8 +177,8 @@ class _Each(Sequence[object]):
         return jax.tree.map(lambda leaf: leaf[self._world], self._parts[number])
 
 
-class _Told:
-    """Parts of one world, by name, of leaves (W, ...) for all; only what somebody looks at is sliced."""
+class _LazyParts:
+    """Parts of one world by name, from leaves (W, ...) of all worlds; a part is sliced when it is read."""
 
     def __init__(self, parts: Mapping[str, object], world: int):
         self._parts, self._world = parts, world
@@ -189,21 +189,21 @@ class _Told:
         part = self._parts[name]
         found: object
         if isinstance(part, tuple) and type(part) is tuple:
-            found = _Each(part, self._world)
+            found = _LazyTuple(part, self._world)
         else:
             found = jax.tree.map(lambda leaf: leaf[self._world], part)
         setattr(self, name, found)
         return found
 
 
-class _ToldState(_Told):
-    """What a reading takes of the state of one world."""
+class _LazyState(_LazyParts):
+    """The parts of one world's state that a ``Reading`` uses."""
 
     def __init__(
         self, parts: Mapping[str, object], fleets: Sequence[Mapping[str, object]], radios: LateRadio, world: int
     ):
         super().__init__(parts, world)
-        self.fleets = [_Told(fleet, world) for fleet in fleets]
+        self.fleets = [_LazyParts(fleet, world) for fleet in fleets]
         self._radios = radios
 
     @property
@@ -226,7 +226,7 @@ class LockStep:
         self._memories: dict[tuple[str, int], Any] = {}
 
     def _call(self, function: UserFunction, reading: Reading, world: int) -> Any:
-        """Return what a function answers in a world, and keep its memory."""
+        """Call a user's function for one world, keep its new memory, and return its answer."""
         which = (function.what, world)
         if which not in self._memories:
             self._memories[which] = function.init(reading)
@@ -244,7 +244,7 @@ class LockStep:
         parts, fleets = jax.tree.map(np.asarray, flight.get(heard))
         flying = np.concatenate([fleet["violation"].code for fleet in fleets], axis=1) == 0
         for world in range(len(self.rows)):
-            state: Any = _ToldState(parts, fleets, radios, world)
+            state: Any = _LazyState(parts, fleets, radios, world)
             found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying[world]))
         return found
 

@@ -189,7 +189,7 @@ def without_faults(world: World) -> World:
 
 
 def targets_of(fleet: Fleet) -> list[str]:
-    """Return what of a fleet may be made to fail in flight."""
+    """Return the names of a fleet's parts that can be made to fail in flight: those with a slot in the program."""
     rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
     others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot}
     return (
@@ -227,7 +227,7 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
 
 
 def _parts(fleet: Fleet) -> list[str]:
-    """Return what of a fleet could be injectable."""
+    """Return the names of a fleet's parts that a scenario can declare injectable."""
     rotors = range(len(fleet.vehicle.rotors)) if isinstance(fleet.vehicle, Multirotor) else ()
     return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *["battery"] * bool(fleet.battery.drains), "radio"]
 

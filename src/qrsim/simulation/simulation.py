@@ -328,7 +328,7 @@ class Simulation(Radios, Injecting, Tabled):
             return self._seen().whole()
 
     def _seen(self) -> Seen:
-        """Return the present state, to be looked at."""
+        """Return the present state, read by offsets; the same object as long as a caller holds it."""
         seen = self._now()
         if seen is None:
             layout, state = self._running()
@@ -339,7 +339,7 @@ class Simulation(Radios, Injecting, Tabled):
         return seen
 
     def _detach_seen(self) -> None:
-        """Leave the present state to whom it is seen by, because the next tick overwrites its buffers."""
+        """Copy the present state for callers that still hold it, because the next tick overwrites its buffers."""
         seen = self._now()
         if seen is not None:
             seen.keep()

@@ -51,7 +51,7 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
 
 
 def _shared_and_own(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
-    """Return what the turbulence of all vehicles shares, and what each updraft has drawn."""
+    """Return the part of the turbulent field that all vehicles share, and the random draws of each updraft."""
     return (field.turbulence, field.updrafts) if world.updrafts else (field, ())
 
 

@@ -1,4 +1,4 @@
-"""What ends the flights of vehicles: new positions looked at together, and each vehicle alone."""
+"""Checks that end flights: collisions among all vehicles, and the limits of each vehicle alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,12 @@ from qrsim.world.state import Fleet, FleetState, World
 
 
 def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
-    """Look at all new positions together; a vehicle that breaks a limit stays where it was, at rest."""
+    """Check all vehicles after a step; one that breaks a limit is put back where it was, at rest.
+
+    Args:
+        world: parameters.
+        before, flown: states of each fleet before and after the step.
+    """
     positions = []
     for old, new in zip(before, flown, strict=True):
         moving = old.violation.code == 0
@@ -35,7 +40,7 @@ def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState,
         violation = old.violation.or_else(own.or_else(in_collision))
         stopped = fleet.vehicle.stopped(old.vehicle)
         valid = violation.code == 0
-        # The vehicle itself is put back, and its estimate stays: what else a stopped vehicle computes goes nowhere.
+        # Only the vehicle and its estimate are put back: nothing else of a stopped vehicle has an effect.
         vehicle = select(valid, new.vehicle, stopped)
         low = select(valid, new.position_low_ned, old.position_low_ned)
         checked.append(

@@ -129,7 +129,7 @@ def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Ca
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
-    """Return the mates that the vehicles of a fleet (n,) know; stopped vehicles send nothing new."""
+    """Return the neighbour lists of a fleet's vehicles (n,); stopped vehicles send nothing new."""
     guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None

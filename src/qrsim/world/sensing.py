@@ -115,7 +115,7 @@ def with_traffic(
 def inputs_of(
     sensor: Sensor, fitting: Fitting | None, scene: dict[str, object], memory: Fitted | None, time_step: float
 ) -> dict[str, object]:
-    """Return what a sensor reads, where it is mounted."""
+    """Return the inputs of a sensor by name (``reads``), at its mounting position and in its axes."""
     if fitting is None or (fitting.position_body is None and fitting.attitude is None):
         return {item: scene[item] for item in sensor.reads}
     before = None if memory is None else memory.rates_body
@@ -123,7 +123,7 @@ def inputs_of(
 
 
 def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> object:
-    """Return what the fittings of a fleet remember at a start, with the first readings of its sensors."""
+    """Return the states of a fleet's fittings at the start, from the first readings of its sensors; () without any."""
     if not fleet.fittings:
         return ()
     rates = cast(Vec3, scene["rates_body"])
@@ -138,7 +138,7 @@ def _fitted(state: FleetState, number: int) -> Fitted | None:
 
 
 def _moved_on(memory: Fitted | None, scene: dict[str, object]) -> Fitted | None:
-    """Return the memory of a fitting with the rates of now, where it needs them at the next tick."""
+    """Return the state of a fitting with the present rates, if it needs them at the next tick."""
     if memory is None or memory.rates_body is None:
         return memory
     return replace(memory, rates_body=cast(Vec3, scene["rates_body"]))
@@ -153,7 +153,7 @@ def _sent(
     dt: float,
     tick: Array,
 ) -> tuple[object, Any]:
-    """Step a sensor and send its reading; return its state, and what is on its way."""
+    """Step a sensor and send its reading; return its state, and the readings in transit."""
     after, reading = step()
     assert memory.transit is not None
     late = fitting.ticks(period, dt, draw, memory.transit.due[0].shape)
@@ -170,10 +170,10 @@ def _believed(
     due: Array,
     after: Array,
 ) -> Belief | None:
-    """Return what the controller's own estimator makes of the readings of now; None without one.
+    """Step the controller's own estimator with the present readings; return its belief, None without an estimator.
 
-    Of vehicles that are not ``valid`` (n,) it keeps what it made of their last readings, at rest: without any, an
-    estimator would have them fly on.
+    Vehicles that are not ``valid`` (n,) keep their last estimate, with zero velocity: without new readings, a filter
+    would go on predicting their flight.
     """
     estimator = fleet.own_estimator
     if estimator is None or belief is None:
@@ -184,9 +184,9 @@ def _believed(
         name: sensor.fresh(due, dt) if memory is None or memory.transit is None else memory.transit.fresh(after)
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
     }
-    found = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
+    new = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
     resting = at_rest(belief.estimate)
-    return replace(found, estimate=select(valid, found.estimate, resting), std=select(valid, found.std, belief.std))
+    return replace(new, estimate=select(valid, new.estimate, resting), std=select(valid, new.std, belief.std))
 
 
 def first_belief(
@@ -197,7 +197,15 @@ def first_belief(
     readings: dict[str, Record],
     start: Estimate,
 ) -> Belief | None:
-    """Return what a fleet's estimator makes of the first readings, of which ``firsts`` has the sensors' states."""
+    """Return the belief of a fleet's own estimator at the start; None without an estimator.
+
+    Args:
+        fleet, state: parameters and state of the fleet.
+        firsts: state and first reading of each sensor.
+        draws: random streams of the start, by name.
+        readings: the first readings, by the name of the sensor.
+        start: estimate of the fleet at the start, which filters begin with.
+    """
     estimator = fleet.own_estimator
     if estimator is None:
         return None
