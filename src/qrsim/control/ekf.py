@@ -71,7 +71,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     """
 
     def _delay_ticks(self, readings: Mapping[str, object]) -> int:
-        """Return how late a fix is [ticks]."""
+        """Return the delay of a fix [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
     @computed

@@ -72,5 +72,5 @@ def graver(one: Any, other: Any) -> Any:
 
 
 def _one(flag: Any) -> Any:
-    """Return 1 for true and 0 for false: an int, or an array of int32."""
+    """Return 1 for true and 0 for false, as an int or an array of int32."""
     return int(flag) if isinstance(flag, bool) else flag.astype(np.int32)

@@ -18,7 +18,7 @@ Filter = TypeVar("Filter", bound="KalmanParameters")
 
 
 def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Array:
-    """Declare a number that is that of the sensors where a scenario leaves it out."""
+    """Declare a parameter that is derived from the sensors if a scenario leaves it out."""
     least, above = (None, 0.0) if positive else (0.0, None)
     return parameter(default=default, unit=unit, doc=doc, of_sensors=True, minimum=least, above=above)
 

@@ -221,7 +221,7 @@ def _shifted(function: Rule) -> Rule:
     return rule
 
 
-def _of(function: Rule) -> Rule:
+def _ignoring_parameters(function: Rule) -> Rule:
     return lambda parameters, *inputs: function(*inputs)
 
 
@@ -257,7 +257,7 @@ _REDUCTIONS: dict[str, Rule] = {
     "prod": np.multiply,
 }
 _RULES: dict[str, Rule] = {
-    **{name: _of(function) for name, function in _ELEMENTWISE.items()},
+    **{name: _ignoring_parameters(function) for name, function in _ELEMENTWISE.items()},
     **{f"reduce_{name}": _along(function) for name, function in _REDUCTIONS.items()},
     "reduce_sum": _sum,
     "broadcast_in_dim": _broadcast,

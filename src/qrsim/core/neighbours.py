@@ -91,18 +91,21 @@ def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overful
         chosen = jnp.min(jnp.where(squared == nearest[None], number, most), axis=0)
         found.append(jnp.where(nearest < jnp.inf, chosen, _NOBODY))
         distances.append(nearest)
-        # Nobody is there twice.
+        # No point is chosen twice.
         squared = jnp.where(number == chosen[None], jnp.inf, squared)
     return Neighbours(jnp.stack(found), jnp.stack(distances), overfull)
 
 
 def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Array, Array]:
-    """Return who is in the nine columns around each point, (3 room, n) with -1 for nobody, and who is overfull."""
+    """Return the points in the nine columns around each point, (3 room, n) int32, and overfull (n,) bool.
+
+    Empty places have -1. A point is overfull if some of the points around it found no room.
+    """
     n = x.shape[0]
     side = max(4, int((_COLUMNS_FOR_A_POINT * n) ** 0.5) + 1)
     known = jnp.isfinite(x + y + z)
     scale = 1.0 / jnp.maximum(_WIDTH_IN_REACHES * reach, 1e-3)
-    # The table repeats in space: who shares a column from afar is told by the distance.
+    # The table repeats in space; the caller excludes far points in the same column by their distance.
     cell = [
         jnp.mod(jnp.floor(jnp.where(known, axis, 0.0) * scale), side).astype(jnp.int32).clip(0, side - 1)
         for axis in (x, y)
@@ -111,7 +114,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
     column = jnp.where(known, cell[0] * side + cell[1], columns)
     rank = _ranks(column, columns)
     inside = known & (rank >= 0)
-    # With those that are out of sight.
+    # All points of each column, also those beyond the deepest place.
     members = jnp.zeros(columns, jnp.int32).at[jnp.where(known, column, columns)].add(1, mode="drop")
     # From 0 on: where the points of each column begin.
     begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(jnp.minimum(members, _DEEPEST), dtype=jnp.int32)])
@@ -142,7 +145,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
 
 
 def _ranks(column: Array, columns: int) -> Array:
-    """Return how many points (n,) of a lower number are in the same column; -1 for nowhere, or too many."""
+    """Return the rank (n,) of each point in its column, by number; -1 if it is in none, or beyond the deepest place."""
     n = column.shape[0]
     number = jnp.arange(n, dtype=jnp.int32)
     somewhere = column < columns

@@ -52,7 +52,7 @@ def with_presets(cls: Any) -> Any:
 
 
 def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given by name, filled with what is usual; nested mappings too."""
+    """Return the entries of ``given``, and those of ``usual`` that it lacks; nested mappings are merged too."""
     both = {**usual, **given}
     for name, part in usual.items():
         if isinstance(part, Mapping) and isinstance(given.get(name), Mapping):

@@ -44,7 +44,7 @@ class Itself:
 
     @property
     def gone(self) -> bool:
-        """Whether the object no longer exists."""
+        """True if the object no longer exists."""
         return self._given() is None
 
     def __eq__(self, other: object) -> bool:

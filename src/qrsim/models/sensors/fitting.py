@@ -1,7 +1,7 @@
-"""How a sensor is fitted to its vehicle: where it sits, how it is turned, and how late its readings come.
+"""Fitting of a sensor to its vehicle: mounting position, orientation, and delay of its readings.
 
-This is the same for every sensor, so no model has it: the world hands a sensor what is true where it sits, and holds
-its readings back until they are delivered (world/sensing.py).
+It is the same for all sensors, so no sensor model contains it. The world passes a sensor the true state at its
+mounting, and holds its readings back until they are delivered (world/sensing.py).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LONGEST_DELAY, LATEST = 50, 6.0
 
 @record
 class Fitting:
-    """Where a sensor is mounted, and how its readings are delivered.
+    """Mounting of a sensor, and the delay of its readings.
 
     Delays have a gamma distribution of the mean and the spread that are given (Wilson and Hilferty's approximation, at
     most six spreads above the mean), because none can be negative. Readings arrive in the order in which they were
@@ -37,15 +37,15 @@ class Fitting:
 
     @property
     def is_late(self) -> bool:
-        """Whether readings are held back at all."""
+        """True if readings are delayed."""
         return self.delay > 0.0
 
     def slots(self, period: float) -> int:
-        """Return how many readings are kept: those on their way, and the one delivered last."""
+        """Return the number of readings kept: those in transit, and the one delivered last."""
         return math.ceil(round(self.delay + LATEST * self.jitter / period, 9)) + 1
 
     def ticks(self, period: float, time_step: float, draw: Any, shape: tuple[int, ...]) -> Array:
-        """Return for how many ticks (n,) int32 readings taken now are on their way."""
+        """Return the delay (n,) int32 [ticks] of readings that are taken now."""
         mean = self.delay * period
         if self.jitter == 0.0:
             return jnp.full(shape, round(mean / time_step), jnp.int32)
@@ -57,7 +57,7 @@ class Fitting:
 
 @record
 class Transit:
-    """Readings of n vehicles on their way, oldest first."""
+    """Readings of n vehicles in transit from sensor to user, oldest first."""
 
     readings: tuple[Record, ...] = quantity(doc="the first has always been delivered")
     taken: tuple[Array, ...] = quantity(doc="(n,) int32 tick at which each was true")
@@ -65,7 +65,7 @@ class Transit:
 
     @staticmethod
     def starting(reading: Record, slots: int, tick: Array, like: Array) -> Transit:
-        """Return what is on its way at a start: the first reading, which is there at once."""
+        """Return the readings in transit at the start: the first reading, delivered at once."""
         now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), like.shape)
         return Transit((reading,) * slots, (now,) * slots, (now,) * slots)
 
@@ -99,7 +99,7 @@ class Transit:
 
 @record
 class Fitted:
-    """What a world remembers of a sensor's fitting."""
+    """State of a sensor's fitting."""
 
     transit: Transit | None = quantity(default=None, doc="readings on their way; None where they are there at once")
     rates_body: Vec3 | None = quantity(
