@@ -86,7 +86,7 @@ class BuildingWakes(Updraft):
         wind: Wind,
         **reads: object,
     ) -> Vec3:
-        """Return what the wakes take from the wind (n,) [m/s]; of several the one that takes most.
+        """Return the change of the wind NED (n,) [m/s] by the wakes; of several wakes the largest change counts.
 
         Args:
             position_ned, height_agl: (n,) [m].

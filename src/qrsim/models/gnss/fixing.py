@@ -2,7 +2,7 @@
 
 See docs/howto/corrections.md.
 
-All errors here are relative to the base station; ``_said`` adds the error of the base itself last.
+All errors here are relative to the base station; ``_reported_error`` adds the error of the base itself last.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Link:
     carrier: Vec3 = quantity(unit="1", doc="error of carrier phase, of unit variance")
     wrong: Vec3 = quantity(unit="m", doc="error of a wrong fix, else zero")
     drift: Vec3 = quantity(unit="m", doc="change of the common errors since the last corrections")
-    said: Vec3 = quantity(unit="m", doc="error of the last fix")
+    said: Vec3 = quantity(unit="m", doc="error of the last reported position")
 
 
 @record
@@ -151,7 +151,7 @@ def started(
     fixed = got.on & (receiver.corrections == "rtk" and receiver.first_fix == "fixed")
     link = Link(got.age, got.on, fixed, nothing, carrier, zero, zero, got.error)
     settled = nothing + receiver.smoothing_time / receiver.period
-    said = _said(receiver, link, slots, got, got.error, zero)
+    said = _reported_error(receiver, link, slots, got, got.error, zero)
     return replace(link, said=said), _quality(receiver, link, now, got, settled)
 
 
@@ -194,12 +194,14 @@ def stepped(
         stage = jnp.where(new, 0.0, stage)
         wrong = wrong.map(lambda axis: jnp.where(fixed, axis, 0.0))
     after = Link(got.age, got.on, fixed, stage, carrier, wrong, got.drift, outer)
-    said = _said(receiver, after, slots, got, outer, white)
+    said = _reported_error(receiver, after, slots, got, outer, white)
     return replace(after, said=said), _quality(receiver, after, now, got, fixes)
 
 
-def _said(receiver: ReceiverParameters, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3) -> Vec3:
-    """Return the errors (n,) of positions: that of the base, and those against it."""
+def _reported_error(
+    receiver: ReceiverParameters, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3
+) -> Vec3:
+    """Return the errors (n,) [m] of reported positions: those relative to the base, and that of the base itself."""
     if receiver.moving_base:
         base = receiver.base_vehicle
         origin, other = (part.map(lambda axis: _picked(axis, base)) for part in (outer, link.carrier))
@@ -223,7 +225,7 @@ def _said(receiver: ReceiverParameters, link: Link, slots: Slots, got: Received,
 
 
 def _quality(receiver: ReceiverParameters, link: Link, now: Geometry, got: Received, fixes: Array) -> Quality:
-    """Return what receivers say about their fixes. Of wrong fixes and of the base's own error they know nothing."""
+    """Return the quality that receivers report. It does not include wrong fixes and the error of the base."""
     part = now.differential
     horizontal, vertical = part.horizontal, part.vertical
     fix_type: Array | float = CORRECTED

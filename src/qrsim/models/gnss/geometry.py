@@ -1,9 +1,9 @@
-"""What the satellites in view are to receivers: weights, solution, and what it makes of each error.
+"""Geometry of the satellites in view: weights, solution, and its error by each cause.
 
 See docs/explanation/models/gnss.md.
 
-Between two knots of the sky all of it stays as it is. Where receivers see the same satellites it is computed once for
-all of them; a last axis m is 1 there, and n where each sees its own.
+It is constant between two knots of the sky. If all receivers see the same satellites it is computed once for all of
+them, and the last axis m is 1; it is n if each receiver sees its own.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _BASE_RATE = 0.01
 
 @record
 class Differential:
-    """What a solution makes of the corrections of a base station; m is 1 or n."""
+    """Errors and accuracies of a solution with the corrections of a base station; m is 1 or n."""
 
     before: Any = quantity(unit="m", doc="(m,) error by the base's code at the last knot; None for a base that moves")
     after: Any = quantity(unit="m", doc="(m,) at the next")
@@ -60,7 +60,7 @@ class Differential:
 
 @record
 class Own:
-    """What receivers among obstacles make of errors of ranges, each by itself."""
+    """Solutions of receivers among obstacles, for each receiver by itself."""
 
     gains: Gains = quantity(doc="their solutions")
     clear: Array = quantity(doc="(n,) bool: it is that of the open sky")
@@ -74,7 +74,7 @@ class Own:
 
 @record
 class Geometry:
-    """A solution of receivers, and what it makes of errors."""
+    """A solution of receivers: its errors by each cause, its accuracy and its satellites."""
 
     knot: Array = quantity(doc="() int32 number of the knot since which it holds")
     age: Any = quantity(unit="s", doc="(K, m) time for which a satellite has been seen, 0 where it is not")
@@ -300,12 +300,12 @@ def geometry_of(
 
 
 def left_signal(receiver: ReceiverParameters) -> float:
-    """Return what corrections of satellites leave of errors that know no ionosphere."""
+    """Return the share of satellite errors, without the ionosphere, that remains after corrections by SBAS."""
     return _left(receiver)[0]
 
 
 def _left(receiver: ReceiverParameters) -> tuple[float, float]:
-    """Return what corrections of satellites leave of clocks and ephemerides, and of the ionosphere."""
+    """Return the shares of clock and ephemeris errors, and of the ionosphere, that remain after SBAS corrections."""
     return (SBAS_SIGNAL, SBAS_DELAY) if receiver.corrections == "sbas" else (1.0, 1.0)
 
 
@@ -329,7 +329,7 @@ def _differential(
     weaker: Array,
     systems: list[Vec3],
 ) -> Differential | None:
-    """Return what the solution makes of corrections of a base station, if the receiver takes any."""
+    """Return errors and accuracies with the corrections of a base station; None if the receiver takes none."""
     if not receiver.takes_base:
         return None
     before = after = None

@@ -38,7 +38,7 @@ from qrsim.models.gnss.slots import Slots
 _ENVELOPE, _LONGEST, _TURNS = 0.3, 0.05 * CHIP_M, 5.0
 # A reflection alone is so much weaker, with this spread [dB], and tracked above this C/N0 [dB-Hz].
 _WEAKER, _SPREAD, _WEAKEST = 8.0, 2.0, 28.0
-# After so long [s] a satellite has to be found anew.
+# After this time [s] without its signal a satellite must be acquired again.
 _LOST = 60.0
 # Times [s] that are for ever.
 _LONG = 1e6
@@ -46,7 +46,7 @@ _LONG = 1e6
 
 @record
 class Tracking:
-    """What n receivers remember of the signals in each slot, and of when they last looked at them."""
+    """State of n receivers among obstacles: the signals in each slot, and the time at which they were last updated."""
 
     since: Array = quantity(
         unit="s", doc="(K, n) time that counts for the weight since it came back, long: never away; below AWAY: blocked"

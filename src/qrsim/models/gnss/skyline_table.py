@@ -51,7 +51,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a table has its entries: first cell [m], cells, levels [m] and directions."""
+    """Grid of a table: first corner [m], pitch of cells [m], rows, columns, levels of height [m] and azimuths."""
 
     corner: tuple[float, float]
     pitch: float

@@ -38,7 +38,7 @@ class FlatGround(Ground):
 
     @computed
     def at_zero(self) -> bool:
-        """Whether the ground is the plane z = 0."""
+        """True if the ground is the plane z = 0."""
         return self.height == 0.0
 
     def down(self, position_ned: Vec3) -> Array:
@@ -46,7 +46,7 @@ class FlatGround(Ground):
         return jnp.full_like(position_ned.z, 0.0 - self.height)
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return how far [m] rays (...) go until they meet the plane, infinite where they do not within their reach."""
+        """Return the distance [m] along rays (...) to the plane, infinite beyond their reach."""
         above = -self.height - origin_ned.z
         falls = direction.z > 0.0
         met = above / jnp.where(falls, direction.z, 1.0)

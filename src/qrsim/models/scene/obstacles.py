@@ -98,7 +98,7 @@ def _as_columns(item: T) -> T:
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
-    """Return how far a coordinate is outside an interval."""
+    """Return the distance of a coordinate from an interval, 0 inside."""
     lib = library_of(value)
     return lib.maximum(lib.maximum(low - value, value - high), 0.0)
 

@@ -14,12 +14,12 @@ from qrsim.models.sensors.faults import LAST_TICK, OLD_NAMES, FaultNumbers, Faul
 
 
 class _Takes(NamedTuple):
-    """What a kind takes.
+    """The numbers of a kind of fault.
 
     Attributes:
         needed: numbers that must be given.
-        optional: numbers that may be.
-        field: whether it is of a field.
+        optional: numbers that may be given.
+        field: whether the fault is of one field of the reading.
     """
 
     needed: tuple[str, ...] = ()

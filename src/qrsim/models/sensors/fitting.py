@@ -70,38 +70,38 @@ class Transit:
         return Transit((reading,) * slots, (now,) * slots, (now,) * slots)
 
     def sent(self, reading: Record, tick: Array, ticks: Array) -> Transit:
-        """Return it with a reading that is sent at a tick and takes so many ticks (n,), but overtakes none."""
+        """Return the transit with a reading sent at ``tick``, due ``ticks`` (n,) later and not before earlier ones."""
         now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), ticks.shape)
         due = jnp.maximum(now + ticks, self.due[-1])
         return Transit((*self.readings[1:], reading), (*self.taken[1:], now), (*self.due[1:], due))
 
     def delivered(self, tick: Array) -> Record:
-        """Return the newest reading (n,) that is there at a tick."""
-        found = self.readings[0]
+        """Return the newest reading (n,) that has been delivered by a tick."""
+        newest = self.readings[0]
         for reading, due in zip(self.readings[1:], self.due[1:], strict=True):
-            found = select(due <= tick, reading, found)
-        return found
+            newest = select(due <= tick, reading, newest)
+        return newest
 
     def time_of_reading(self, tick: Array) -> Array:
-        """Return the tick (n,) at which the reading that is there at a tick was true."""
-        found = self.taken[0]
+        """Return the tick (n,) at which the reading that ``delivered`` returns was true."""
+        newest = self.taken[0]
         for taken, due in zip(self.taken[1:], self.due[1:], strict=True):
-            found = jnp.where(due <= tick, taken, found)
-        return found
+            newest = jnp.where(due <= tick, taken, newest)
+        return newest
 
     def fresh(self, tick: Array) -> Array:
-        """Return (n,) bool whether a reading arrives at a tick."""
-        found = self.due[0] == tick
+        """Return (n,) bool: a reading is delivered at this tick."""
+        arrives = self.due[0] == tick
         for due in self.due[1:]:
-            found = found | (due == tick)
-        return found
+            arrives = arrives | (due == tick)
+        return arrives
 
 
 @record
 class Fitted:
     """State of a sensor's fitting."""
 
-    transit: Transit | None = quantity(default=None, doc="readings on their way; None where they are there at once")
+    transit: Transit | None = quantity(default=None, doc="readings in transit; None without a delay")
     rates_body: Vec3 | None = quantity(
         default=None, unit="rad/s", doc="true rates at the last tick; None where the mounting does not need them"
     )
@@ -110,7 +110,7 @@ class Fitted:
 def start_fitted(
     fitting: Fitting, reads: tuple[str, ...], reading: Record, period: float, tick: Array, rates_body: Vec3
 ) -> Fitted:
-    """Return the memory of a fitting at a start, from the first reading and the true rates (n,) [rad/s]."""
+    """Return the state of a fitting at the start, from the first reading and the true rates (n,) [rad/s]."""
     transit = None
     if fitting.is_late:
         transit = Transit.starting(reading, fitting.slots(period), tick, rates_body.x)
@@ -121,7 +121,7 @@ def start_fitted(
 def mounted(
     fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float
 ) -> object:
-    """Return what is true at a sensor, by its name in ``reads``, in the sensor's axes where those of the body stand.
+    """Return the true inputs of a sensor at its mounting, by name (``reads``), with its axes in place of the body's.
 
     With r from the centre of mass: position + D^T r, velocity + omega x r, and for the mean specific force of a step
     + omega' x r + omega x (omega x r), with the mean rates of the step and omega' their change over it.

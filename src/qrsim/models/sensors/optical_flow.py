@@ -59,7 +59,7 @@ class OpticalFlowReading(Explained):
 
 @record
 class OpticalFlowState:
-    """What was true at the last reading."""
+    """True flow and rates at the last reading."""
 
     flow: tuple[Array, Array] = quantity(unit="rad/s", doc="rate of the flow about x and y, NaN where nothing was seen")
     rates: Vec3 = quantity(unit="rad/s", doc="rates of the sensor")

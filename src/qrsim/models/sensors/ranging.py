@@ -50,7 +50,7 @@ class RangingReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return how many ranges a vehicle lacks."""
+        """Return the number of ranges that a vehicle lacks, as text."""
         ranges = [*(self.beacon_range or ()), *(self.vehicle_range or ())]
         lacking = sum(not math.isfinite(float(found[vehicle])) for found in ranges)
         # To itself it needs none.
@@ -108,7 +108,7 @@ class Ranging(Sensor):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether it looks at other vehicles."""
+        """True if the sensor measures other vehicles."""
         return self.vehicles != "none"
 
     def init(
@@ -198,7 +198,7 @@ class IdealRanging(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether it looks at other vehicles."""
+        """True if the sensor measures other vehicles."""
         return self.vehicles != "none"
 
     def init(

@@ -1,4 +1,4 @@
-"""What an aeroplane's surfaces do: follow commands with a lag, or hold roll and pitch (W8)."""
+"""Control surfaces of an aeroplane: they follow commands with a lag, or hold roll and pitch (W8)."""
 
 from __future__ import annotations
 

@@ -31,14 +31,14 @@ CLEAR_M = 0.1
 
 @record
 class Loops:
-    """What the stabiliser carries from substep to substep; each (n,)."""
+    """State of the stabiliser from substep to substep; each (n,)."""
 
     cosine: Array = quantity(unit="1", doc="of half the heading that is held")
     sine: Array = quantity(unit="1", doc="of half the heading that is held")
     integral: Vec3 = quantity(unit="rad/s^2", doc="of the rate loop")
 
 
-# From motion and loops to the speeds that motors are told, and the loops after it.
+# Returns the commanded motor speeds [rad/s] and the next loops, from motion and loops.
 Motors = Callable[[Motion, Loops], tuple[tuple[Array, ...], Loops]]
 
 
@@ -135,7 +135,7 @@ def at_an_instant(
 
 
 def motion_of(state: MultirotorState) -> Motion:
-    """Return what is integrated of a state, from where it is."""
+    """Return the integrated part of a state; the displacement begins at zero."""
     zero = jnp.zeros_like(state.standing)
     return Motion(
         Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body, state.rotor_speed, state.brush
@@ -149,7 +149,7 @@ def surroundings(
     noise: ProcessNoise,
     around: Around | None,
 ) -> Surroundings:
-    """Return what acts on vehicles (n,) during a step: the air, and the plane below, are those where it begins."""
+    """Return air, ground and noise of vehicles (n,) for a step, taken at its beginning."""
     position = state.position_ned
     zero = jnp.zeros_like(state.standing)
     still, one = Vec3(zero, zero, zero), jnp.ones_like(zero)
