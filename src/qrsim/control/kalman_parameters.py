@@ -25,7 +25,7 @@ def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> A
 
 @record
 class KalmanParameters(Estimator):
-    """What the filter takes the errors of the sensors, of the start and of its own model to be."""
+    """Noise parameters of the filter: errors of the sensors, of the start and of its own model."""
 
     gyroscope_noise: Array = _sensed(1e-3, "rad/s/sqrt(Hz)", "density of white noise")
     accelerometer_noise: Array = _sensed(0.02, "m/s^2/sqrt(Hz)", "density of white noise, vibration included")

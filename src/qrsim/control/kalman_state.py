@@ -114,7 +114,7 @@ class Places(NamedTuple):
 
     @staticmethod
     def of(inner: Inner) -> Places:
-        """Return where the errors of what is estimated stand."""
+        """Return the numbers of the errors of the states in ``inner``."""
         none = inner.earth_field_ned is None
         last = SIZE if none else SIZE + 6
         wind, height = inner.wind_north is not None, inner.height_bias is not None

@@ -66,13 +66,13 @@ class Tracking:
         return jnp.where(self.since < AWAY, AWAY - self.since, 0.0)
 
     def placed(self, chosen: Array, fresh: Tracking) -> Tracking:
-        """Return it with that of chosen receivers (n,) made anew; what all of them share stays."""
+        """Return the state with that of the ``chosen`` receivers (n,) from ``fresh``; shared parts are unchanged."""
         own, new = (
             replace(each, knot=None, part=None, solution=replace(each.solution, knot=None)) for each in (self, fresh)
         )
-        found = select(chosen, new, own)
-        solution = replace(found.solution, knot=self.solution.knot)
-        return replace(found, knot=self.knot, part=self.part, solution=solution)
+        mixed = select(chosen, new, own)
+        solution = replace(mixed.solution, knot=self.solution.knot)
+        return replace(mixed, knot=self.knot, part=self.part, solution=solution)
 
 
 def solved(

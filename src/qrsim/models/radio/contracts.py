@@ -132,7 +132,7 @@ class Radio(Protocol):
 
     @abstractmethod
     def counted(self, state: Any) -> dict[str, Array]:
-        """Return the counts of packets since the start by name, (n,) each: sent, received, lost; for metrics and logs."""
+        """Return the counts of packets since the start by name, (n,) each: sent, received and lost."""
 
     @abstractmethod
     def links(self, state: Any) -> object:

@@ -120,7 +120,7 @@ class Network(Channel, Radio):
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
 
     def counted(self, state: NetworkState) -> dict[str, Array]:
-        """Return what has become of packets since the start, by name, (n,) each."""
+        """Return the counts of packets since the start by name, (n,) each: sent, received and lost."""
         return dict(vars(state.counts))
 
     def links(self, state: NetworkState) -> Links:

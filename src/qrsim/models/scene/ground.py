@@ -111,12 +111,12 @@ class GridGround(Ground):
         return upward(north, east)
 
     def _cell(self, position_ned: Vec3) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], tuple[Array, Array]]]:
-        """Return where positions are in their cells, 0 to 1, and the corners of these: south, north of west, east."""
+        """Return the position in each cell, 0 to 1 north and east, and the cell's corners: ((sw, se), (nw, ne))."""
         grid, parts, numbers = jnp.asarray(self.grid), [], []
         for axis, value in enumerate((position_ned.x, position_ned.y)):
             last = grid.shape[axis] - 1
             place = jnp.clip((value - self.corner[axis]) / self.spacing[axis], 0.0, float(last))
-            # What is not finite is nowhere, and stays so.
+            # NaN has no cell, and stays NaN in the position.
             number = jnp.clip(jnp.floor(jnp.where(jnp.isfinite(place), place, 0.0)), 0.0, float(last - 1))
             parts.append(place - number)
             numbers.append(number.astype(jnp.int32))

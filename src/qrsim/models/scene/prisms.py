@@ -76,7 +76,7 @@ class PrismObstacle:
 
 
 def edges_of(rings: Sequence[npt.ArrayLike]) -> tuple[Float64, Float64]:
-    """Return where the edges of rings of corners (V, 2) begin and end, (E, 2) each."""
+    """Return the first and last points (E, 2) of the edges of rings of corners (V, 2)."""
     corners = [np.asarray(ring, np.float64).reshape(-1, 2) for ring in rings]
     return np.concatenate(corners), np.concatenate([np.roll(ring, -1, axis=0) for ring in corners])
 
