@@ -261,12 +261,12 @@ class FaultSlot(_Fault):
         draw: Draw | None = None,
         comes: Array | None = None,
     ) -> tuple[T, FaultMemory | None]:
-        """Return its output and its memory, see ``Fault.apply``; nearly for nothing where no vehicle has a fault."""
+        """Return its output and its memory, see ``Fault.apply``. Without any fault it costs almost nothing."""
         active = self.active(tick)
 
         def choose(known: FaultMemory | None) -> T:
-            told = lambda: select(active, self._output(reading, known, tick, draw), reading)  # noqa: E731
-            chosen: T = lax.cond(jnp.any(active), told, lambda: reading)
+            output = lambda: select(active, self._output(reading, known, tick, draw), reading)  # noqa: E731
+            chosen: T = lax.cond(jnp.any(active), output, lambda: reading)
             return chosen
 
         return self._delivered(reading, memory, tick, comes, choose)
