@@ -15,7 +15,7 @@ from qrsim.core.tree import quantity, record
 
 # Columns for each point: fewer collisions of far columns in the table for more memory.
 _COLUMNS_FOR_A_POINT = 2
-# Points of one column that are told apart at most; the rest are out of sight, and counted.
+# Largest number of points that a column holds; further ones are not found, only counted.
 _DEEPEST = 64
 # Wider than the reach by more than rounding, 50 km from the origin too.
 _WIDTH_IN_REACHES = 1.01

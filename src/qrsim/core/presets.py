@@ -34,7 +34,7 @@ def with_presets(cls: Any) -> Any:
 
     @functools.wraps(plain)
     def completed(self: object, *args: Any, **given: Any) -> None:
-        # All are given where JAX or dataclasses make one anew.
+        # JAX and dataclasses pass all fields when they rebuild a record; nothing is missing then.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
             chosen = dict(zip(fields, args, strict=False)).get("preset", given.get("preset", usual))

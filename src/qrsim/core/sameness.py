@@ -14,7 +14,7 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 
-# So many attributes of attributes are looked at; what lies deeper is told by its identity.
+# Maximum depth of the comparison; deeper objects compare by identity.
 DEPTH = 4
 _PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _CODE = (

@@ -208,7 +208,7 @@ class ActionChecker:
         if isinstance(command, Some | Piloted):
             # Checked by the links that make them: links/shared/latches.py and links/autopilot/flight.py.
             return command
-        # A command of another vehicle is no array either; who takes what is said below.
+        # A dataclass is never taken for an array; ``_kind`` refuses commands of another kind of vehicle.
         given = type(command) if dataclasses.is_dataclass(command) else None
         kind = self._kind(given, fleets)
         if given is not None:

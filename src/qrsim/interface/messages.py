@@ -191,7 +191,7 @@ def user_key(state: State, tick: object) -> Array:
     keys = state.sky_keys
     traced = isinstance(tick, Array) or isinstance(keys.high, jax.core.Tracer)
     library = library_for(traced)
-    # Arrays of one, whose sums wrap around without a warning.
+    # Arrays of one element: NumPy warns of overflow in scalars, not in arrays.
     high, low = (
         library.reshape(library.asarray(keys.high), (-1,))[:1],
         library.reshape(library.asarray(keys.low), (-1,))[:1],

@@ -22,7 +22,7 @@ from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.sensors.contracts import Explained
 from qrsim.models.site import Site
 
-# Fields that a sensor has if it is asked for them, with the parameter that asks.
+# Optional fields of readings, with the parameter that enables each.
 _UNASKED = {**dict.fromkeys(OF_SATELLITES, "per_satellite"), "velocity": "velocity"}
 
 
@@ -212,9 +212,9 @@ class SensorReading(Tabled):
         return Table(f"reading of {self._name}", ("field", "unit", *columns), rows)
 
 
-# What a camera's picture has beside where and when it was taken.
+# Fields of a camera's picture, without the place and time at which it was taken.
 PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
-# What readings add to fixes, by the ellipsoid, outside of compiled functions.
+# Fields on the ellipsoid that readings add to fixes, outside of compiled functions.
 _GEODETIC = ("latitude_deg", "longitude_deg", "height")
 # Of fields that no model declares.
 _UNITS = {

@@ -118,7 +118,7 @@ def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Seq
     reading = Reading(world, state, 0, setup.site)
     memories = [_first_memory(function, reading) for function in (setup.policy, setup.estimator)]
     held = ()
-    # All are asked here too, so that a wrong answer is found before anything is compiled.
+    # Trace the policy here too, so that a wrong answer is found before anything is compiled.
     if setup.policy is not None:
         shapes, _ = jax.eval_shape(partial(_answer, setup.policy, world, reading, memories[0]))
         if setup.policy_ticks > 1:
@@ -220,7 +220,7 @@ def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
     found = []
     for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):
         fine = jnp.ones(fleet.size, bool)
-        # In the rows of who is not commanded is anything.
+        # Rows of vehicles that are not commanded are ignored: they may contain anything.
         for which, asked in action.parts if isinstance(action, Some) else [(True, action)]:
             for leaf in jax.tree.leaves(asked):
                 fine = fine & (jnp.isfinite(leaf) | jnp.logical_not(which))

@@ -25,9 +25,9 @@ from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import State, World
 
-# Ticks between two looks at the progress, where nothing else stops the loop.
+# Largest number of ticks in one call of a program: progress is reported between calls.
 TICKS_PER_CALL = 500
-# What readings take of a state, and of that of a fleet.
+# Fields of a state, and of a fleet's state, that readings use.
 _TOLD = ("sky", "sky_keys")
 _TOLD_OF_FLEETS = ("readings", "violation", "passed_on", "fitted", "estimate", "belief")
 
@@ -272,7 +272,7 @@ class LockStep:
 
     @staticmethod
     def _stack(function: UserFunction | None, answers: list[Any], count: int) -> object:
-        # Where nothing is asked of any fleet of any world, it is as without a policy.
+        # If no fleet of any world is commanded, the program is the one without a policy.
         if not jax.tree.leaves(answers):
             return ()
         filled = answers + [answers[-1]] * (count - len(answers))

@@ -52,7 +52,7 @@ class Injecting(Alone):
         super().__init__()
         self._injections: list[Injection] = []
         self._requests: list[Injection] = []
-        # The weather of the scenario, once another was asked for.
+        # The scenario's own weather, kept from the first request that changes it.
         self._weather: Weather | None = None
         self._count = 0
         self._asked: tuple[int, int] = (-1, 0)

@@ -351,7 +351,7 @@ def _rotor_fault(
         start_tick=_put(slot.start_tick, chosen, ticks[0]),
         end_tick=_put(slot.end_tick, chosen, ticks[1]),
         affected=slot.affected | chosen,
-        # A rotor that is stuck turns as fast as it does, whatever it is told.
+        # A stuck rotor keeps its speed, so its health has no effect.
         health=_put(slot.health, chosen, 1.0 if kind == "stuck" else number),
         speed=_put(slot.speed, chosen, number if kind == "stuck" else FREE),
     )

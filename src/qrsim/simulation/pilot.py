@@ -99,7 +99,7 @@ class Pilot:
                 result, self.memories[function.what] = jax.tree.map(np.asarray, answer)
             else:
                 result, self.memories[function.what] = function(simulation.reading, memory)
-            # Checked here, where it is known whose it is.
+            # Checked here, where messages can name the function.
             if function is self.policy:
                 self._checker.actions(result, lambda: simulation.valid)
             else:

@@ -91,7 +91,7 @@ class Simulation(Radios, Injecting, Tabled):
         return with_files(self, self.world, protocol) or super().__reduce_ex__(protocol)
 
     def __getstate__(self) -> dict[str, object]:
-        # Programs are those of the world, and made again; locks are nobody else's.
+        # Programs follow from the world and are made again; locks cannot be shared with a copy.
         with self._lock:
             kept = {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
             return kept | {"_state": None if self._state is None else tuple(map(np.array, self._state))}
@@ -309,8 +309,9 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def compiled_by(self) -> tuple[str, str]:
-        """Which compiler made the program of the last ticks, "llvm" (machine code by qrsim) or "xla"; and why the first
-        did not take them, "" where it did or was not asked.
+        """Compiler of the program of the last ticks, and the reason why it is not "llvm".
+
+        The compiler is "llvm" (machine code by qrsim) or "xla"; the reason is "" if "llvm" compiled it or was not tried.
         """
         self._running()
         program = self._ticks.flown_by

@@ -33,9 +33,9 @@ NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "worl
 LARGEST_SEED, LARGEST_NUMBER = 2**63 - 1, 2**32 - 1
 # No state comes near it: a thousand vehicles take 600 kB.
 LARGEST_FILE = 2**28
-# What may be NaN of a state: what sensors say where they have nothing to say, and what nobody asked for.
+# Fields that may be NaN: missing readings, and numbers that were never commanded.
 MAY_BE_NAN = ("readings", "true_readings", "passed_on", "fitted", "sensors", "setpoint", "controller", "violation")
-# What may be NaN of a vehicle that has stopped.
+# Fields that may be NaN for a vehicle that has stopped.
 MAY_BE_NAN_ONCE_STOPPED = ("command", "estimate")
 
 

@@ -70,7 +70,7 @@ def own_checks(
     # One after the other: side by side in one array they would be written to memory first.
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
-        # Who has hit the ground hard enough to overflow has crashed.
+        # The vehicle's own checks are first: a crash so hard that the state overflows is reported as a crash.
         *fleet.vehicle.own_checks(state.vehicle),
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *ground_checks(world, fleet, state),
