@@ -311,7 +311,8 @@ class Simulation(Radios, Injecting, Tabled):
     def compiled_by(self) -> tuple[str, str]:
         """Compiler of the program of the last ticks, and the reason why it is not "llvm".
 
-        The compiler is "llvm" (machine code by qrsim) or "xla"; the reason is "" if "llvm" compiled it or was not tried.
+        The compiler is "llvm" (machine code by qrsim) or "xla"; the reason is "" if "llvm" compiled it or was not
+        tried.
         """
         self._running()
         program = self._ticks.flown_by

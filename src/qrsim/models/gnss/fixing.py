@@ -27,10 +27,10 @@ NONE, SINGLE, CORRECTED, FLOAT, FIXED = 0.0, 3.0, 4.0, 5.0, 6.0
 # Ages of corrections [s] up to which carrier phase stays fixed, and after which they are of no use.
 _FIXED_AGE, LAST_AGE = 10.0, 60.0
 _OLDEST = 1e4
-# Carrier phase is fixed in so many stages, each as long on average: their sum is Gamma distributed.
+# Fixing the carrier phase takes this number of stages of equal mean duration, so the time has a gamma distribution.
 _STAGES = 4
-# It needs so many satellites; with so many more it goes as quickly as it can; over so long a baseline [m] it takes e
-# times as long.
+# Satellites that it needs, number of further satellites from which on it is fastest, and length [m] of a baseline over
+# which it takes e times as long.
 _FEWEST, _MORE, _BASELINE = 5.0, 12.0, 25e3
 # Wrong fixes: their errors [m], horizontal per axis and vertical, and the rate [1/s] at which they are noticed.
 _WRONG, _NOTICED = (0.3, 0.6), 1.0 / 30.0

@@ -37,8 +37,8 @@ _STRONG_CN0, _LOCKED_S = 35.0, 3.0
 # Satellites are lost below the one and found again above the other [dB-Hz]; what that is in weakness, 1 at 45 dB-Hz.
 _LOST_CN0, _FOUND_CN0 = 25.0, 33.0
 LOST, FOUND = (10.0 ** (0.1 * (_CN0_STRONG - cn0)) for cn0 in (_LOST_CN0, _FOUND_CN0))
-# Ages below this are of satellites that are not seen, which count on downwards from there. After so long [s] they have
-# to be found anew.
+# Ages below this are of satellites that are not tracked, and decrease with the time since. After _COLD_S [s] they must
+# be acquired again.
 AWAY = -1000.0
 _COLD_S, _OLDEST_S = 60.0, 1e6
 # Rate [1/s] of a base station's multipath, as an accuracy takes it.
@@ -269,7 +269,7 @@ def geometry_of(
     found = solution.of([*(entry[:, None] for entry in columns), *apart])
     horizontal, vertical, speed = _accuracies(receiver, slots, solution, rows, multipath, weaker, found[5:])
     half = math.sqrt(0.5) * multipath
-    # Among obstacles there is less to remember; hidden.py says for whom the open sky's solution holds.
+    # Receivers among obstacles keep less: hidden.py decides which use the solution of the open sky.
     own = None if view is None else Own(Gains(solution.weight, solution.mean, solution.inverse), solution.enough)
     # Carrier phase is not fixed with reflections, which are all that is weaker for obstacles.
     direct = used if view is None else used & ~(view.loss > 0.0)

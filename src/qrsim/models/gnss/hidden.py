@@ -153,7 +153,7 @@ def _looked(
         counted=there,
     )
     now = geometry_of(receiver, slots, seen, age, view, None if effect is None else effect.jam)
-    # Those for whom no signal is hidden, reflected or coming back.
+    # Receivers with no signal that is hidden, reflected or being acquired again.
     settled = held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
     clear = jnp.all(~there | (settled & ~hides & ~mirrored), axis=0)
     count = up.dtype

@@ -264,7 +264,7 @@ def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> 
 
 def _inside(circle: Circle, position_ned: Vec3) -> Array:
     way = position_ned - circle.position_ned
-    # Negative while it is off, so that nobody is inside.
+    # The radius is negative while the disc is off, so that no receiver is inside.
     return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
 
 

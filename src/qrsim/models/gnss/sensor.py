@@ -141,7 +141,7 @@ class Gnss(ReceiverParameters, Sensor):
             said = outer
         else:
             got = fixing.received(self, slots, link, position_ned, now, own, error, moved_on, effect)
-            # Whose kind of solution is another than before starts anew.
+            # The filter restarts if the receiver begins or ends to use corrections.
             fixes = jnp.where(enough & (got.on != link.on), 1.0, fixes)
             inner, outer = lagged(self, state, got.error, got.moved_on, fixes, got)
             before = link.said

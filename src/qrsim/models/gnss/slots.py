@@ -25,10 +25,10 @@ from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, Sight, sight_of
 from qrsim.models.site import Site
 
-# Time between knots [s], and the number of nobody, in a slot that is free.
+# Time between knots [s], and the number of a free slot.
 KNOT_S = 5.0
 NOBODY = 0xFFFFFFFF
-# Slots are made for the satellites of a day, looked at so often [s], and so many more; there are no more than these.
+# Slots: for the satellites in view over a day [s], sampled at this interval [s]; spare ones; and the largest number.
 DAY_S, LOOK_S, SPARE_SLOTS, MOST_SLOTS = 86400.0, 120.0, 1, 48
 
 
@@ -124,7 +124,7 @@ class SlottedSky(Sky):
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[object, ...]:
-            # What interferes is of the epoch, and told below.
+            # Interference changes at every epoch and is set below.
             return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
         memory, slots, satellites, error = lax.cond(tick % self.knot_ticks == 0, lambda: self._knot(state, draw), held)

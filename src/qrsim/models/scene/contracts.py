@@ -18,7 +18,7 @@ from qrsim.core.noise import Draw
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 
-# Places along a ray at which the ground is asked whether it is there, and halvings of the part where it begins.
+# Samples of the ground along a ray, and bisections of the interval with the first crossing.
 LOOKS, HALVINGS = 32, 6
 
 

@@ -25,7 +25,7 @@ FARTHEST, STEP = 50_000.0, 0.005
 # Parts of a way between two points, at whose ends the ground is asked whether it is in between: of the whole way, and
 # at least and at most of that over the grid, which it meets cell by cell as long as there are no more.
 _LOOKS, _FEWEST_LOOKS, _MOST_LOOKS = 32, 16, 512
-# Who stands on the ground is not hidden by a rounding error [m].
+# Tolerance [m], so that rounding does not hide a vehicle on the ground.
 _SLACK = 0.1
 
 

@@ -78,7 +78,7 @@ class PatchyGround(GroundCover):
 
     def init(self, draw: Draw) -> TerrainState:
         """Return the ground of an episode; the draw is for one id."""
-        # Whole numbers have no slope in anything, and a loop of unknown length would refuse to be asked for one.
+        # Classes have no derivatives, and JAX cannot differentiate a loop of unknown length in reverse.
         return jax.tree.map(lax.stop_gradient, self)._grown(draw)
 
     def _grown(self, draw: Draw) -> TerrainState:

@@ -141,7 +141,7 @@ def fault_numbers(
         spreads = {name: more * (_white(name, white or {}) or 0.0) for name in chosen}
     amounts = tuple(spreads.get(name, 0.0) for name in fields)
     scales = tuple(scale if name in chosen else 1.0 for name in fields)
-    # A delay is a whole number of readings, and at least as long as asked for; so are the parts of a turn.
+    # Delays are rounded up to whole readings; the on and off times of intermittent faults to whole ticks.
     counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
     every, late, on, off = (np.array(min(math.ceil(count - 1e-6), 2**30 - 1), np.int32) for count in counts)
     parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]

@@ -25,7 +25,7 @@ from qrsim.models.sensors.contracts import Explained, Memoryless, Sensor
 from qrsim.models.sensors.ranging_presets import PRESETS, default
 from qrsim.models.sensors.uniforms import along_rows, uniforms
 
-# Antennas are this much [m] above the place of what they belong to, so that the ground there is in nobody's way.
+# Height [m] of antennas above the position of a beacon or vehicle, so that the ground there does not block paths.
 ANTENNA = 0.1
 # In place of the names of all beacons.
 EVERY = "all"

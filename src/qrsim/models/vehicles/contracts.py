@@ -26,7 +26,7 @@ from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.commands import clipped
 from qrsim.models.vehicles.wake import Wake
 
-# A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
+# A check of vehicles: the code of a reason (scene/area.py), the checked value (n,), and whether the limit is broken.
 Check = tuple[int, Array, Array]
 # What a vehicle may declare in ``reads``.
 AROUND = ("ground", "air_rates", "air_density")

@@ -66,7 +66,7 @@ def envelope(vehicle: Vehicle, tilt_limit: npt.ArrayLike, thrust_limit: npt.Arra
             low, high = np.where(too_much, low, middle), np.where(too_much, middle, high)
         tilt = np.where(by_thrust, low, tilt)
         airspeed, thrust = balance(tilt)
-    # Who weighs more than that cannot stay in the air at all, and holds no wind.
+    # A vehicle whose weight exceeds the limit cannot hover, and so has an airspeed of zero.
     return Envelope(airspeed, tilt, np.minimum(thrust, most), by_thrust)
 
 

@@ -38,7 +38,7 @@ def move(
     """
 
     def step(position_ned: Vec3) -> tuple[VehicleState, Vec3]:
-        # A vehicle that looks at nothing around it need not take it.
+        # Vehicles without ``reads`` have no argument for their surroundings.
         more = () if around is None else (around,)
         return vehicle.step(replace(state, position_ned=position_ned), command, air_velocity, noise, dt, *more)
 

@@ -94,7 +94,7 @@ def fly(
             outside.ground,
             model.longest_substep,
         )
-        # What a vehicle far above would get from the bristles does not depend on whom it flies with.
+        # Zero for vehicles far above the ground, so that their state does not depend on the others in the fleet.
         straight = jax.tree.map(jnp.zeros_like, motion.brush)
         return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
 
@@ -222,12 +222,12 @@ def stabilised(
         rates = Vec3(command.roll_rate, command.pitch_rate, command.yaw_rate)
         return None, loops, lambda motion, loops: speeds_for(motion, rates, loops)
 
-    # Who cannot hold a heading leans as seen from the heading it has.
+    # A vehicle that cannot hold its heading applies the commanded tilt at its present heading.
     heading, yaw_rate = state.yaw_setpoint, command.yaw_rate
     if known:
         heading = jnp.where(mixer.holds_yaw > 0.0, heading, state.quaternion.euler().yaw)
         yaw_rate = yaw_rate * mixer.holds_yaw
-    # Motors that are off hold no heading: who is turned meanwhile, or asked to turn, goes on from where it looks.
+    # With motors off no heading is held: the set-point follows the present heading, whatever yaw rate is commanded.
     heading = jnp.where(runs, heading, state.quaternion.euler().yaw)
     yaw_rate = jnp.where(runs, yaw_rate, 0.0)
     sine, cosine = sincos(0.5 * heading)
