@@ -19,7 +19,7 @@ from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
 from qrsim.world import tick as ticks_of
-from qrsim.world.radio import parted
+from qrsim.world.radio import split_messages
 from qrsim.world.state import Some, State, World, WorldKeys
 
 # Errors of JAX for a function that needs the value of an array while it is traced.
@@ -218,7 +218,7 @@ def tick_of_world(
 def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
     """Return whether all that is asked of each vehicle (n,) is finite."""
     found = []
-    for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):
+    for fleet, action in zip(world.fleets, split_messages(actions)[0], strict=True):
         fine = jnp.ones(fleet.size, bool)
         # Rows of vehicles that are not commanded are ignored: they may contain anything.
         for which, asked in action.parts if isinstance(action, Some) else [(True, action)]:

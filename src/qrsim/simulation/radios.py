@@ -16,7 +16,7 @@ from qrsim.simulation.one_world import OneWorld
 from qrsim.world.state import State, World
 
 
-def nobody() -> None:
+def no_seen_state() -> None:
     """Return None, as a weak reference to a state does that no longer exists."""
 
 
@@ -69,7 +69,7 @@ class Radios(Alone):
         for sender, payload, receiver in checked:
             radio = self.world.radio.handed(radio, sender, payload, receiver, self.tick)
         with self.precision_context():
-            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), nobody
+            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), no_seen_state
 
     def _checked(self, vehicle: str | int, payload: object, to: str | int | None) -> tuple[int, Any, int]:
         """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""

@@ -31,7 +31,7 @@ from qrsim.simulation.injecting import Injecting
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
-from qrsim.simulation.radios import Radios, nobody
+from qrsim.simulation.radios import Radios, no_seen_state
 from qrsim.simulation.snapshot import SavedState, fingerprint, write
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
@@ -83,7 +83,7 @@ class Simulation(Radios, Injecting, Tabled):
         self._offsets: StateOffsets | None = None
         self._state: Buffers | None = None
         # The present state, as long as somebody sees it.
-        self._now: Callable[[], Seen | None] = nobody
+        self._now: Callable[[], Seen | None] = no_seen_state
         # Whether vehicles may come to have more others around them than they look at.
         self._crowded = True
 
@@ -140,7 +140,7 @@ class Simulation(Radios, Injecting, Tabled):
         self._clear_all()
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
-            self.tick, self._now = 0, nobody
+            self.tick, self._now = 0, no_seen_state
             refuse_unplaced(self.world, cast(State, self._seen()).placed)
         return self.reading
 
@@ -261,7 +261,7 @@ class Simulation(Radios, Injecting, Tabled):
             changed = self._ticks.place(layout, before, self.tick, (rows, chosen, chosen & new_battery))
             fleets = layout.unpack(changed).fleets
             refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
-            self._state, self._now = changed, nobody
+            self._state, self._now = changed, no_seen_state
         return self.reading
 
     @alone
@@ -298,7 +298,7 @@ class Simulation(Radios, Injecting, Tabled):
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._inject_again(saved.injections)
             self._state = self._ticks.adopt(buffers)
-            self._layout, self._now = layout, nobody
+            self._layout, self._now = layout, no_seen_state
             self.tick, self.seed, self.number = saved.tick, saved.seed, saved.number
         return self.reading
 
@@ -345,7 +345,7 @@ class Simulation(Radios, Injecting, Tabled):
         seen = self._now()
         if seen is not None:
             seen.keep()
-            self._now = nobody
+            self._now = no_seen_state
 
     @property
     def history(self) -> History:

@@ -19,7 +19,7 @@ from qrsim.world.sensing import estimate_of
 from qrsim.world.state import Action, Fleet, FleetState, Saying, State, World, WorldKeys
 
 
-def parted(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
+def split_messages(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
     """Split actions into each fleet's action without messages, and the messages of its vehicles, None without any."""
     plain = tuple(action.action if isinstance(action, Saying) else action for action in actions)
     return plain, tuple(action.outbox if isinstance(action, Saying) else None for action in actions)

@@ -37,7 +37,7 @@ def on_ground(fleet: Fleet, state: FleetState) -> Array | None:
     return fleet.vehicle.on_ground(state.vehicle)
 
 
-def seen_ground(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
+def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
     """Return the argument ``on_ground`` (n,) bool of a guidance that uses it, by name; empty for other guidances."""
     if not fleet.guidance.sees_ground:
         return {}

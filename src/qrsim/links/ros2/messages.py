@@ -1,4 +1,4 @@
-"""All that is published of a world at a tick: topics and messages as bytes; DDS is not known here."""
+"""Topics of a world and their messages as bytes at each tick, independent of DDS."""
 
 from __future__ import annotations
 
