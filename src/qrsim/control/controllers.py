@@ -287,7 +287,7 @@ class AttitudeController(QuadrotorController):
 
 @record
 class OffboardState:
-    """Memory of the loops of an offboard controller, (n,); those that a set-point does not use start anew."""
+    """State of the loops of an offboard controller, (n,); loops that a set-point does not use are reset."""
 
     height: HeightState = quantity(doc="height loop")
     horizontal: VelocityState = quantity(doc="horizontal velocity loop")

@@ -2,7 +2,7 @@
 
 See docs/explanation/models/control.md, C16 and C17.
 
-Where nobody reports an attitude it finds that too (mahony.py).
+Without a sensor of the attitude, the attitude is estimated too (mahony.py).
 """
 
 from __future__ import annotations

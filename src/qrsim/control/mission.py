@@ -40,7 +40,7 @@ class Orbits:
 
 @record
 class Facing:
-    """Legs during which a vehicle looks at a place, (W, n)."""
+    """Legs during which a vehicle's heading points at a place, (W, n)."""
 
     faced: Array = quantity(doc="bool: the leg has one")
     north: Array = quantity(unit="m", doc="of the place")

@@ -1,9 +1,10 @@
 """The K nearest others of each point within reach, by cells of space: work grows with the number of points.
 
-Unlike ``nearest_squared``, which tells collisions, this says who is near. It is written in operations that both
-compilers take (no sort). Space is cut into upright columns as wide as the reach, so that who is in reach of a point is
-in its own column or in the eight around it. Points lie in memory by their columns, three of which are one stretch: each
-point looks along three stretches. A stretch has room for a fixed number; who finds more there is counted.
+Unlike ``nearest_squared``, which serves collisions, it returns the numbers of the neighbours. It uses operations that
+both compilers accept (no sort). Space is divided into vertical columns as wide as the reach, so that all points in
+reach of a point are in its own column or in the eight around it. Points are listed by column, and three columns side by
+side are one stretch of the list, so each point searches three stretches. A stretch has room for a fixed number of
+points; a point that finds more is marked as overfull.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _NOBODY = -1
 
 @record
 class Neighbours:
-    """The nearest others of n points, nearest first; of two as far, the one of the lower number."""
+    """The nearest others of n points, nearest first; at equal distance the lower number is first."""
 
     index: Array = quantity(doc="(K, n) int32 number of the other point; -1: nobody")
     squared: Array = quantity(unit="m^2", doc="(K, n) squared distance; infinite: nobody")
@@ -35,12 +36,11 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
     """Find for each of n points the nearest others within reach.
 
     Args:
-        x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is nobody's.
-        reach: () [m] how far is looked.
-        count: K, how many are wanted at most.
-        room: for the points in three columns side by side, each as wide as the reach; default: twice as many as are
-            wanted, at least 32. Where there are no more points than in three such stretches, all pairs are looked at,
-            and nothing is ever overfull.
+        x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is no neighbour.
+        reach: () [m] largest distance of a neighbour.
+        count: K, the largest number of neighbours.
+        room: largest number of points in three columns side by side; default: twice ``count``, at least 32. With no
+            more points than in three such stretches, all pairs are compared, and no point is ever overfull.
     """
     room = _capacity(count) if room is None else room
     reach = jnp.asarray(reach, x.dtype)
@@ -51,7 +51,7 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
 
 
 def always_room(points: int, count: int, room: int | None = None) -> bool:
-    """Return whether ``neighbours`` of so many points, with this ``count`` and ``room``, can never be overfull."""
+    """Return whether ``neighbours`` of ``points`` points, with this ``count`` and ``room``, is never overfull."""
     return points - 1 <= 3 * (_capacity(count) if room is None else room)
 
 
@@ -65,7 +65,7 @@ def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int)
 
 
 def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return numbers and squared distances (n, n) of all points; infinite of itself."""
+    """Return numbers and squared distances (n, n) of all points; infinite to itself."""
     n = x.shape[0]
     number = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32)[:, None], (n, n))
     squared = sum((axis[None, :] - axis[:, None]) ** 2 for axis in (x, y, z))
@@ -73,7 +73,7 @@ def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return numbers and squared distances (M, n) of candidates; infinite of itself and of nobody."""
+    """Return numbers and squared distances (M, n) of candidates; infinite to itself and for empty places."""
     there = jnp.maximum(candidates, 0)
     squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
     itself = candidates == jnp.arange(x.shape[0], dtype=jnp.int32)[None, :]

@@ -20,11 +20,12 @@ def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
 
 
 def with_presets(cls: Any) -> Any:
-    """Return a dataclass whose constructor takes what it is not given from the preset, if the class has any.
+    """Return a dataclass whose constructor takes missing arguments from a preset, if the class has presets.
 
-    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them. A
-    preset says by a mapping what is different in a part that is a record itself; such a part, if given, counts as a
-    whole. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts too.
+    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them.
+
+    For a part that is a record itself, a preset has a mapping with the parameters that differ. Such a part, if passed, is
+    taken as it is. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts too.
     """
     presets = presets_of(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}

@@ -297,7 +297,7 @@ class ActionChecker:
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
     def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
-        """Return whether nothing in commands (n, C) is to be said."""
+        """Return whether all commands (n, C) pass the check, so that the search for the wrong one can be skipped."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.

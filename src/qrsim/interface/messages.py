@@ -128,7 +128,7 @@ def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -
     """Return the number of a vehicle in the world by its name or number; -1 for None, which is all.
 
     Raises:
-        UsageError: nobody is called so.
+        UsageError: no vehicle has this name or number.
     """
     if name is None:
         return ALL
@@ -150,7 +150,7 @@ def checked_message(
     """Return number of the sender, its message (D,) and number of the receiver, -1 for all.
 
     Raises:
-        UsageError: no radio, nobody of that name, or a message that is too long or not of finite numbers.
+        UsageError: no radio, no vehicle of that name, or a message that is too long or not finite.
     """
     if world.radio is None:
         raise UsageError("say: the scenario has no world.radio")

@@ -216,7 +216,7 @@ def tick_of_world(
 
 
 def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
-    """Return whether all that is asked of each vehicle (n,) is finite."""
+    """Return (n,) bool: all numbers of the vehicle's command are finite."""
     found = []
     for fleet, action in zip(world.fleets, split_messages(actions)[0], strict=True):
         fine = jnp.ones(fleet.size, bool)

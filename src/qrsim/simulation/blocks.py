@@ -54,16 +54,16 @@ class Schedule:
 
 
 class Engine:
-    """Flies block after block.
+    """Flies the worlds of a rollout, block after block.
 
     Args:
-        setup: what the rollout is made of.
+        setup: structure of the rollout.
         example: one of the worlds.
-        fixed: leaves that all worlds share.
-        varied: leaves (W, ...) that they do not.
-        schedule: how long, and what is looked at when.
-        record: what is kept of a state, None for nothing.
-        sink: takes what is recorded; None: it is kept.
+        fixed: leaves that are equal in all worlds.
+        varied: leaves (W, ...) that vary.
+        schedule: number of ticks, and the ticks that are recorded.
+        record: returns the part of a state that is recorded; None: nothing is.
+        sink: called with each record; None: records are kept.
         progress: called with the number of world-ticks done.
     """
 
@@ -139,13 +139,13 @@ class Engine:
 
 
 class LateRadio:
-    """The radios' state of all worlds at a tick, fetched where a function looks at an inbox, and else not at all.
+    """State of the radios of all worlds at a tick, fetched only if a user's function reads an inbox.
 
     Args:
-        fetch: returns it while the tick lasts, leaves (W, ...).
+        fetch: returns it, leaves (W, ...); it can be called until the next tick.
 
     Attributes:
-        over: the tick is over, and what was not fetched cannot be.
+        over: whether the tick is over, so that the state can no longer be fetched.
     """
 
     def __init__(self, fetch: Callable[[], Any]):

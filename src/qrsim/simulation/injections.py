@@ -41,14 +41,14 @@ class Injection:
     """A fault that was injected, or another request of a flight: one that ends faults, or changes the world.
 
     Attributes:
-        id: its number, from 1; 0 of what is no fault.
+        id: number of the fault, from 1; 0 for other requests.
         target: sensor, ``rotor N``, ``battery``, ``radio``, ``link`` or ``world``.
-        kind: what happens to it; ``ok``: a fault ends.
-        vehicles: names; none of the world.
+        kind: kind of the fault; ``ok`` ends faults.
+        vehicles: names; empty for the world.
         start_tick, end_tick: first tick of the fault, and first tick after it.
-        numbers: how large it is, and the field that it is of.
-        asked_by: who asked for it.
-        tick: at which it was asked for.
+        numbers: of the fault by name, with its ``field``.
+        asked_by: name of the client that made the request.
+        tick: tick of the request.
     """
 
     id: int

@@ -88,11 +88,11 @@ def sense(
 def with_traffic(
     world: World, view: Surroundings, vehicles: Sequence[VehicleState], flies: Sequence[Array | None]
 ) -> Surroundings:
-    """Return surroundings with all vehicles of a world, as they are where no sensor looks at them.
+    """Return surroundings with the traffic of all vehicles, or unchanged if no sensor measures vehicles.
 
     Args:
         world: its parameters.
-        view: what sensors may look at.
+        view: surroundings that sensors can read.
         vehicles: true states of each fleet.
         flies: of each fleet whether each vehicle (n,) is still valid; None: all are.
     """
@@ -242,16 +242,16 @@ def faulted(
     first: bool = False,
     comes: Array | None = None,
 ) -> tuple[Record, tuple[FaultMemory | None, ...]]:
-    """Apply a sensor's faults in turn; return the delivered reading and what the faults remember.
+    """Apply a sensor's faults in turn; return the delivered reading and the states of the faults.
 
     Args:
-        fleet, name: whose sensor.
-        reading: what it says.
-        passed_on: what the faults remember.
-        tick: () or (n,) of the reading: of a late one, when it was taken.
-        noise: of the fleet.
-        first: whether it is the reading of a start, when nothing is remembered.
-        comes: (n,) whether a late reading arrives; None: by the sensor's period.
+        fleet, name: fleet and name of the sensor.
+        reading: of the sensor, without faults.
+        passed_on: states of the faults.
+        tick: () or (n,) tick at which the reading was taken.
+        noise: random streams of the fleet, by name.
+        first: whether it is the first reading, at which the states begin.
+        comes: (n,) bool: a delayed reading arrives; None: by the sensor's period.
     """
     memories = list(passed_on)
     for i, fault in enumerate(fleet.all_faults):
@@ -286,9 +286,9 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 
 def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estimate:
-    """Return an estimate with the airspeed, true or measured, if the fleet's controller looks at it and it has none.
+    """Return an estimate with the airspeed that the fleet's controller reads, or without one if it reads none.
 
-    Without a sensor of it, as where an estimate is handed in, it is the true one.
+    An airspeed in the estimate is kept; else it is the measured one, or the true one without a sensor.
     """
     if not fleet.controller.reads_airspeed:
         return estimate if estimate.airspeed is None else replace(estimate, airspeed=None)
