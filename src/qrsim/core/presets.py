@@ -24,8 +24,9 @@ def with_presets(cls: Any) -> Any:
 
     Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them.
 
-    For a part that is a record itself, a preset has a mapping with the parameters that differ. Such a part, if passed, is
-    taken as it is. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts too.
+    For a part that is a record itself, a preset has a mapping with the parameters that differ. Such a part, if passed,
+    is taken as it is. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts
+    too.
     """
     presets = presets_of(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
