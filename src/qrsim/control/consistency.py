@@ -1,4 +1,4 @@
-"""Whether an estimator errs by as much as it states: normalised estimation errors squared.
+"""Consistency of an estimator: its errors compared with its covariance, as normalised estimation errors squared.
 
 See docs/explanation/consistency.md.
 """
@@ -18,7 +18,7 @@ LEAST = 1e-6
 
 @record
 class Truth:
-    """What an estimate is compared with, (n,) or (T, n)."""
+    """True values with which an estimate is compared, (n,) or (T, n)."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")

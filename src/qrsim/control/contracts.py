@@ -27,7 +27,7 @@ class Controller(Protocol):
         gives: the command record that it returns, one of its vehicle's ``actions``; ``object``: what the vehicle's
             ``tilt_command`` returns.
         reads_airspeed: whether its estimate has an airspeed.
-        feed: what it is fed with, where nobody hands in an estimate: the sensors, the truth, or its own ``estimator``.
+        feed: source of its estimate if the user passes none: the sensors, the truth, or its own ``estimator``.
     """
 
     setpoints: ClassVar[tuple[type, ...]]
@@ -69,12 +69,12 @@ class Guidance(Protocol):
 
     Attributes:
         gives: kind of its set-points.
-        sees_others: whether ``step`` is handed ``others_ned`` (m,) [m], where the vehicles of all other fleets say they
-            are; NaN where one does not fly any more, and left out where there is no other fleet.
-        sees_ground: whether ``step`` is handed ``on_ground`` (n,) bool, who stands on the ground now.
-        sees_motion: whether ``step`` is handed ``velocity_ned`` (n,) [m/s], as estimated, and ``dt`` [s].
-        sees_mates: whether ``step`` is handed ``mates``, what each vehicle knows of the others of its fleet
-            (``teams/mates.py``); the component then has ``reach`` [m] and ``mates``, how far and how many it looks at.
+        sees_others: whether ``step`` takes ``others_ned`` (m,) [m], the estimated positions of all vehicles of other
+            fleets; NaN for stopped vehicles. The argument is left out if there is no other fleet.
+        sees_ground: whether ``step`` takes ``on_ground`` (n,) bool: the vehicle is on the ground.
+        sees_motion: whether ``step`` takes ``velocity_ned`` (n,) [m/s], as estimated, and ``dt`` [s].
+        sees_mates: whether ``step`` takes ``mates``, the neighbour lists in its fleet (``teams/mates.py``); the
+            component then has ``reach`` and ``mates``, the largest distance [m] and number of neighbours.
     """
 
     gives: ClassVar[type]

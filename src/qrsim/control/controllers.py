@@ -213,7 +213,7 @@ class VelocityHeightController(HeightController):
     ) -> tuple[VelocityHeightState, Command]:
         """Return the new state and the command (n,)."""
         north, east = setpoint.velocity_north, setpoint.velocity_east
-        # The climb is the height loop's, so that no vertical velocity is asked for beside the present one.
+        # The height loop controls the climb: the vertical velocity set-point is the present velocity, without an error.
         wanted = Vec3(north, east, estimate.velocity_ned.z)
         error = _body_error(estimate, wanted, self.velocity.speed_limit)
         asked = Vec3(north, east, jnp.zeros_like(north))
@@ -287,7 +287,7 @@ class AttitudeController(QuadrotorController):
 
 @record
 class OffboardState:
-    """Memory of the loops of an offboard controller, (n,); those that a set-point does not use start anew."""
+    """State of the loops of an offboard controller, (n,); loops that a set-point does not use are reset."""
 
     height: HeightState = quantity(doc="height loop")
     horizontal: VelocityState = quantity(doc="horizontal velocity loop")

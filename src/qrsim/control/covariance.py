@@ -39,7 +39,7 @@ def independent(variances: Sequence[Array]) -> Covariance:
     """Return the covariance of independent errors with these variances (n,)."""
     count = len(variances) // BLOCK
     none = jnp.zeros((BLOCK, BLOCK, *variances[0].shape), variances[0].dtype)
-    own = [_diagonal([variances[i] for i in _of(a)]) for a in range(count)]
+    own = [_diagonal([variances[i] for i in _errors_of(a)]) for a in range(count)]
     return tuple(jnp.stack([own[a]] + [none] * (count - a - 1)) for a in range(count))
 
 
@@ -67,7 +67,7 @@ def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> 
         return 0.5 * (whole + _transposed(whole)) if a == b else whole
 
     def row(a: int) -> Array:
-        own = _diagonal([jnp.broadcast_to(noise[i], covariance[a].shape[3:]) for i in _of(a)])
+        own = _diagonal([jnp.broadcast_to(noise[i], covariance[a].shape[3:]) for i in _errors_of(a)])
         if a not in into:
             return _with_own(covariance[a], own)
         return jnp.stack([moved(a, a) + own, *(moved(a, b) for b in range(a + 1, count))])
@@ -96,7 +96,7 @@ def corrected(
     """
     crossed, own = variance_of(covariance, sensitivity)
     left = jnp.where(used, innovation - expected(errors, sensitivity), 0.0)
-    # By the root, so that a block on the diagonal stays as symmetric as it is.
+    # Both factors of the product get the root, so that blocks on the diagonal stay symmetric.
     scale = jnp.where(used, 1.0 / jnp.sqrt(own + variance), 0.0)
     scaled = crossed * scale[None, None]
     after = [row - scaled[a][None, :, None] * scaled[a:, None] for a, row in enumerate(covariance)]
@@ -104,7 +104,7 @@ def corrected(
 
 
 def expected(errors: Array, sensitivity: Sparse) -> Array:
-    """Return what errors (B, 3, n) make of a scalar measurement (n,)."""
+    """Return the change (n,) of a scalar measurement by errors (B, 3, n), to first order."""
     return _sum([factor * errors[k // BLOCK, k % BLOCK] for k, factor in sensitivity.items()])
 
 
@@ -115,10 +115,11 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
 
     def fresh(a: int, row: Array) -> Array:
         known = [
-            [[[i not in variances and j not in variances] for j in _of(b)] for i in _of(a)] for b in range(a, count)
+            [[[i not in variances and j not in variances] for j in _errors_of(b)] for i in _errors_of(a)]
+            for b in range(a, count)
         ]
         unchanged = jnp.asarray(known, row.dtype) * row
-        own = _diagonal([variances.get(i, zero) for i in _of(a)])
+        own = _diagonal([variances.get(i, zero) for i in _errors_of(a)])
         return jnp.where(where[None, None, None], _with_own(unchanged, own), row)
 
     return tuple(fresh(a, row) for a, row in enumerate(covariance))
@@ -129,7 +130,7 @@ def widened(covariance: Covariance, variances: Sparse) -> Covariance:
     zero = jnp.zeros(covariance[0].shape[3:], covariance[0].dtype)
 
     def wider(a: int, row: Array) -> Array:
-        own = [variances.get(i) for i in _of(a)]
+        own = [variances.get(i) for i in _errors_of(a)]
         if all(variance is None for variance in own):
             return row
         return _with_own(row, _diagonal([zero if variance is None else variance for variance in own]))
@@ -137,7 +138,8 @@ def widened(covariance: Covariance, variances: Sparse) -> Covariance:
     return tuple(wider(a, row) for a, row in enumerate(covariance))
 
 
-def _of(block: int) -> range:
+def _errors_of(block: int) -> range:
+    """Return the numbers of the errors in a block."""
     return range(BLOCK * block, BLOCK * (block + 1))
 
 

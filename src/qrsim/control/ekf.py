@@ -71,7 +71,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     """
 
     def _delay_ticks(self, readings: Mapping[str, object]) -> int:
-        """Return how late a fix is [ticks]."""
+        """Return the delay of a fix [ticks]."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
     @computed
@@ -290,7 +290,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         carry: Corrected = (state.covariance, none, state.since_fix, state.innovations, state.slow)
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):
             believe = partial(self._believed, what, scalars, new)
-            # Between two readings of a sensor nothing is computed; who hears at times of their own are all looked at.
+            # Nothing is computed between two readings of a sensor. If vehicles have different times, all are computed.
             carry = lax.cond(due, believe, _unchanged, carry) if due.ndim == 0 else believe(carry)
         covariance, errors, since_fix, innovations, slow = carry
         state = replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations, slow=slow)
@@ -328,7 +328,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _groups(
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
-        """Yield what is measured: the kind, its scalars, whether it is new (n,), and whether at all, () or (n,)."""
+        """Yield each measurement: kind, scalars, new (n,) bool, and whether its sensor is due, () or (n,) bool."""
         one = jnp.ones_like(state.since_fix)
 
         def new(field: str) -> tuple[Array, Array]:
@@ -354,12 +354,12 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _by_fix(
         self, state: KalmanState, readings: Mapping[str, object], new: Callable[[str], tuple[Array, Array]], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
-        """Yield what a fix measures: place and velocity of as many ticks ago as it is late (F2)."""
+        """Yield the measurements of a fix: position and velocity at the tick at which it was taken (F2)."""
         one = jnp.ones_like(state.since_fix)
         late = dt * len(state.past)
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         if fix is not None:
-            # A barometer without a bias has the height alone.
+            # With a barometer without bias, the fix does not measure the height.
             axes = "xy" if field_of(readings, "height") is not None and not self.height_bias else "xyz"
             variances = self._variances(readings, "position_ned", one)
             yield "position_ned", places(state, fix, variances, axes, late), *new("position_ned")

@@ -37,28 +37,28 @@ def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
         charge: charge of the battery, 0 to 1.
         low, critical, emergency: thresholds BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
     """
-    return _one(charge <= low) * (1 + _one(charge <= critical) + _one(charge <= emergency))
+    return _as_int(charge <= low) * (1 + _as_int(charge <= critical) + _as_int(charge <= emergency))
 
 
 def battery_action(level: Any, low_bat_act: int) -> Any:
     """Return the action at a level of the battery, by the number of COM_LOW_BAT_ACT."""
     at_critical, at_emergency = _ON_BATTERY.get(low_bat_act, (NOTHING, NOTHING))
-    return _one(level == CRITICAL) * at_critical + _one(level >= EMERGENCY) * at_emergency
+    return _as_int(level == CRITICAL) * at_critical + _as_int(level >= EMERGENCY) * at_emergency
 
 
 def link_action(lost: Any, dll_act: int) -> Any:
     """Return the action if the link is ``lost``, by the number of NAV_DLL_ACT or NAV_RCL_ACT."""
-    return _one(lost) * _ON_LINK.get(dll_act, NOTHING)
+    return _as_int(lost) * _ON_LINK.get(dll_act, NOTHING)
 
 
 def fix_action(lost: Any, gnssloss_act: int) -> Any:
     """Return the action of a vehicle that has ``lost`` its GNSS fix, by the number of COM_GNSSLOSS_ACT."""
-    return _one(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
+    return _as_int(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
 
 
 def position_action(lost: Any) -> Any:
     """Return the action if the position is ``lost``: a descent, which needs no position."""
-    return _one(lost) * DESCEND
+    return _as_int(lost) * DESCEND
 
 
 def is_lost(silence: Any, after: Any) -> Any:
@@ -68,9 +68,9 @@ def is_lost(silence: Any, after: Any) -> Any:
 
 def graver(one: Any, other: Any) -> Any:
     """Return the graver of two actions."""
-    return one + _one(other > one) * (other - one)
+    return one + _as_int(other > one) * (other - one)
 
 
-def _one(flag: Any) -> Any:
-    """Return 1 for true and 0 for false: an int, or an array of int32."""
+def _as_int(flag: Any) -> Any:
+    """Return 1 for true and 0 for false, as an int or an array of int32."""
     return int(flag) if isinstance(flag, bool) else flag.astype(np.int32)

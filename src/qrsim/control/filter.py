@@ -2,7 +2,7 @@
 
 See docs/explanation/models/control.md, C16 and C17.
 
-Where nobody reports an attitude it finds that too (mahony.py).
+Without a sensor of the attitude, the attitude is estimated too (mahony.py).
 """
 
 from __future__ import annotations
@@ -233,7 +233,13 @@ class ComplementaryFilter(Estimator):
     def _corrections(
         self, gains: tuple[Array, Array], error: Array, slip: Array, span: Array
     ) -> tuple[Array, Array, Array]:
-        """Return what is added to position, velocity and bias (n,) for their errors (n,), after a time (n,) [s]."""
+        """Return the corrections (n,) of position [m], velocity [m/s] and bias [m/s^2] along one axis (C17).
+
+        Args:
+            gains: of the position and of the velocity [1/s].
+            error, slip: measured minus estimated position [m] and velocity [m/s] (n,), 0 if not measured.
+            span: time since the last correction (n,) [s], 0 if there is no new reading.
+        """
         position, velocity = gains
         return (
             position * error * span,

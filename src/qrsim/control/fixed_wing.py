@@ -126,7 +126,7 @@ class FixedWingController(Controller):
         return found
 
     def _airspeed_of(self, estimate: Estimate) -> Array:
-        """Return the airspeed (n,) [m/s], that of cruise while nobody knows it."""
+        """Return the airspeed (n,) [m/s], the cruise airspeed while it is unknown."""
         usual = jnp.zeros_like(estimate.position_ned.z) + self._vehicle().cruise_airspeed
         if estimate.airspeed is None:
             return usual

@@ -29,7 +29,7 @@ class FleeGuidance(RouteGuidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the same state and the set-point.
+        """Return the state unchanged, and the set-point (n,).
 
         Args:
             state, route: as of every guidance.

@@ -47,7 +47,7 @@ class RouteState:
 
 
 class RouteGuidance(Guidance):
-    """Base of guidances with a ``RouteState``; without a ``step`` of its own, one asks for the same at every tick."""
+    """Base of guidances with a ``RouteState``; by default ``step`` returns the same set-point at every tick."""
 
     def init(self, route: Route) -> RouteState:
         """Return the start of each route."""
@@ -56,7 +56,7 @@ class RouteGuidance(Guidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, object]:
-        """Return the same state and set-point."""
+        """Return the state unchanged, and its set-point (n,)."""
         return state, self.setpoint(state, route)
 
 

@@ -18,14 +18,14 @@ Filter = TypeVar("Filter", bound="KalmanParameters")
 
 
 def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Array:
-    """Declare a number that is that of the sensors where a scenario leaves it out."""
+    """Declare a parameter that is derived from the sensors if a scenario leaves it out."""
     least, above = (None, 0.0) if positive else (0.0, None)
     return parameter(default=default, unit=unit, doc=doc, of_sensors=True, minimum=least, above=above)
 
 
 @record
 class KalmanParameters(Estimator):
-    """What the filter takes the errors of the sensors, of the start and of its own model to be."""
+    """Noise parameters of the filter: errors of the sensors, of the start and of its own model."""
 
     gyroscope_noise: Array = _sensed(1e-3, "rad/s/sqrt(Hz)", "density of white noise")
     accelerometer_noise: Array = _sensed(0.02, "m/s^2/sqrt(Hz)", "density of white noise, vibration included")

@@ -1,4 +1,4 @@
-"""How the Kalman filter starts: calibrated, aligned at rest by its readings, or in flight with a drawn error (F7)."""
+"""Start of the Kalman filter: calibrated, aligned at rest by its readings, or in flight with a drawn error (F7)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the error-state Kalman filter remembers, and what small errors do to it.
+"""State of the error-state Kalman filter, and its correction by small errors.
 
 See docs/explanation/models/estimators.md, F1.
 
@@ -22,13 +22,13 @@ from qrsim.core.vectors import Rotation, Vec3
 
 # Errors by their numbers: position, velocity, attitude (NED), then biases (body axes); others follow (Places).
 PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER, SIZE = 0, 3, 6, 9, 12, 15
-# What is known of each angle [rad] where fixes were not believed for too long.
+# Std of each angle [rad] after fixes were rejected for too long.
 LOST_TURN_STD = 0.2
 
 
 @record
 class Innovations:
-    """What each kind of reading said beside what was expected, (n,), in units of the std expected of it."""
+    """Innovations of each kind of reading (n,): measured minus predicted, divided by the std of that difference."""
 
     position_ned: Array = quantity(unit="1", doc="innovation of the last fix: largest axis, divided by its std")
     velocity_ned: Array = quantity(unit="1", doc="innovation of the last velocity: largest axis, divided by its std")
@@ -46,7 +46,7 @@ class Innovations:
 
 @record
 class Past:
-    """Where the vehicles (n,) were, as far as is known now."""
+    """Estimate at an earlier tick (n,), with all later corrections; late fixes are compared with it."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position")
     position_low_ned: Vec3 = quantity(unit="m", doc="remainder of it beyond single precision")
@@ -55,7 +55,7 @@ class Past:
 
 @record
 class Inner:
-    """What the filter estimates beside position, velocity and attitude, (n,), or the std of each."""
+    """States other than position, velocity and attitude, (n,), or the std of each."""
 
     gyroscope_bias: Vec3 = quantity(unit="rad/s", doc="error of the body rates")
     accelerometer_bias: Vec3 = quantity(unit="m/s^2", doc="error of the specific force, body axes")
@@ -94,7 +94,7 @@ class KalmanState:
 
     @property
     def places(self) -> Places:
-        """Where the errors stand."""
+        """Numbers of the errors in the covariance."""
         return Places.of(self.inner)
 
     @property
@@ -114,7 +114,7 @@ class Places(NamedTuple):
 
     @staticmethod
     def of(inner: Inner) -> Places:
-        """Return where the errors of what is estimated stand."""
+        """Return the numbers of the errors of the states in ``inner``."""
         none = inner.earth_field_ned is None
         last = SIZE if none else SIZE + 6
         wind, height = inner.wind_north is not None, inner.height_bias is not None
@@ -128,7 +128,7 @@ class Places(NamedTuple):
 
 
 def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
-    """Return what a tick makes of the errors of the motion: the blocks of F beside 1 (F1)."""
+    """Return the blocks of the transition matrix F of a tick, without the identity (F1)."""
     none = jnp.zeros_like(felt.x)
     swing = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in swung(felt)])
     rows = zip(*(axis.axes for axis in body_axes(turned)), strict=True)
@@ -138,7 +138,7 @@ def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
 
 
 def swung(force: Vec3) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-    """Return how each axis of a specific force changes with a small rotation: it turns with the attitude."""
+    """Return the derivatives of a specific force in NED by small rotations of the attitude."""
     x, y, z = force.axes
     return {1: z, 2: -y}, {0: -z, 2: x}, {0: y, 1: -x}
 
@@ -149,7 +149,7 @@ def body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-    """Return how roll, pitch and yaw change with small rotations in NED; at a pitch of 90 degrees bounded."""
+    """Return the derivatives of roll, pitch and yaw by small rotations in NED; bounded at a pitch of 90 degrees."""
     ahead = turned.forward
     square = jnp.maximum(ahead.x * ahead.x + ahead.y * ahead.y, 1e-4)
     level = jnp.sqrt(square)
@@ -175,10 +175,10 @@ def small(half: Vec3) -> Quaternion:
 
 
 def lost(covariance: Covariance, variances: Sequence[Array], where: Array) -> Covariance:
-    """Return a covariance that knows nothing of place and speed and little of the attitude, where (n,) bool.
+    """Return a covariance with large variances of position, velocity and attitude, where (n,) bool.
 
-    There a fix is to be believed whatever it says: the filter has been wrong for long, of which a wrong tilt may be
-    the cause, and with a tilt that it is sure of it would be wrong again at once.
+    So the next fix is accepted whatever its value. Fixes were rejected for long, perhaps because of a wrong tilt, and a
+    filter that trusted its tilt would diverge again at once.
     """
     wide: Mapping[int, Array] = {
         **{PLACE + axis: 1e4 * variance for axis, variance in enumerate(variances)},
@@ -189,7 +189,7 @@ def lost(covariance: Covariance, variances: Sequence[Array], where: Array) -> Co
 
 
 def injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
-    """Return the state with the mean errors (m, n) taken from it."""
+    """Return the state corrected by the mean errors (m, n), its past too."""
     place, speed, turn = (_three(errors, first) for first in (PLACE, SPEED, TURN))
     position, low = added(state.position_ned, state.position_low_ned + place)
     past = []
@@ -244,7 +244,7 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
         unseen: variances of the biases of gyroscope and accelerometer that the covariance does not contain.
     """
     places = state.places
-    # In NumPy where the state is: a log asks for each part of a flight.
+    # NumPy stays NumPy: a log calls this for each part of a flight.
     more = dict(enumerate(unseen, GYROSCOPE))
     own = [(variance + more.get(k, 0.0)) ** 0.5 for k, variance in enumerate(variances(state.covariance))]
 

@@ -13,7 +13,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.commands import limits_of
 from qrsim.models.vehicles.quadrotor import Command
 
-# The set-point of a loop that has not seen one: no height or velocity that is ever asked for.
+# Set-point of a loop before its first one: a height or velocity that is never commanded.
 NEVER = 1e9
 Windup = Literal["held", "published"]
 

@@ -19,7 +19,7 @@ from qrsim.core.vectors import Vec3
 
 @record
 class Turning:
-    """What the attitude filter remembers, (n,)."""
+    """State of the attitude filter, (n,)."""
 
     attitude: Quaternion = quantity(doc="estimated attitude")
     gyroscope_bias: Vec3 = quantity(unit="rad/s", doc="estimated error of the body rates")
@@ -31,7 +31,7 @@ class Turning:
 
     @staticmethod
     def start(attitude: Quaternion, velocity_ned: Vec3) -> Turning:
-        """Return the state of vehicles that stand or fly straight."""
+        """Return the state of vehicles that do not accelerate."""
         zero = jnp.zeros_like(velocity_ned.x)
         none = Vec3(zero, zero, zero)
         return Turning(attitude, none, none, velocity_ned, none, zero, zero)
@@ -41,7 +41,7 @@ class Turning:
         return replace(self, since_fix=self.since_fix + dt, since_heading=self.since_heading + dt)
 
     def with_velocity(self, velocity_ned: Vec3, new: Array) -> Turning:
-        """Return the state that knows how the vehicles accelerate, where the velocity of a fix is new (n,)."""
+        """Return the state with the acceleration from the last two fixes, if the velocity of a fix is new (n,)."""
         for axis in velocity_ned.axes:
             new = new & jnp.isfinite(axis)
         change = (velocity_ned - self.velocity_ned) * (1.0 / jnp.maximum(self.since_fix, 1e-3))

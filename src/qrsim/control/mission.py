@@ -40,7 +40,7 @@ class Orbits:
 
 @record
 class Facing:
-    """Legs during which a vehicle looks at a place, (W, n)."""
+    """Legs during which a vehicle's heading points at a place, (W, n)."""
 
     faced: Array = quantity(doc="bool: the leg has one")
     north: Array = quantity(unit="m", doc="of the place")
@@ -220,7 +220,7 @@ class MissionGuidance(Guidance):
         where: tuple[Array, Array],
         dt: float,
     ) -> Vec3:
-        """Return how far the path that is flown lies from the planned one, (n,) NED (C22).
+        """Return the offset of the flown path from the planned one, (n,) NED [m] (C22).
 
         Args:
             before: the step before.
@@ -287,7 +287,7 @@ def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
 
 
 def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Array], low: Array) -> PathSetpoint:
-    """Return what is asked for (n,): the point that is due, its motion slower by ``rate``; who is low moves up only."""
+    """Return the set-point (n,) that is due, with its motion slower by ``rate``; vehicles that are low only climb."""
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 
     def upright(vector: Vec3) -> Vec3:
@@ -298,7 +298,7 @@ def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Arra
 
 def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:
     """Return the time (n,) on the path ``by`` later, in two parts."""
-    # A path that is flown through waits half-way round its corner for a vehicle that has not come near.
+    # At a waypoint without a stop the path waits in the middle of the corner until the vehicle is near.
     corner = jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
     most = jnp.where(leg.stops, jnp.where(leg.lands, jnp.inf, ends), corner)
     ahead = jnp.maximum(jnp.minimum(state.time + by, most) - state.time, 0.0)
@@ -306,27 +306,27 @@ def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Arra
 
 
 def held(above: Array, sinking: Array) -> Array:
-    """Return who (n,) is asked to come down and does not: what holds it is the ground.
+    """Return (n,) bool: the vehicle is commanded to descend and does not, so it is on the ground.
 
-    Idle motors then let its feet bear.
+    Its motors then idle, so that the feet carry its weight.
 
     Args:
-        above: how far it is above the point that is due [m].
-        sinking: its vertical velocity [m/s].
+        above: height above the point that is due (n,) [m].
+        sinking: vertical velocity (n,) [m/s].
     """
-    # Twice so far above, it may rattle on its feet.
+    # At twice the height, more speed is allowed: the vehicle may bounce on its feet.
     calm = jnp.where(above > 2.0 * HELD, 4.0 * HELD_SPEED, HELD_SPEED)
     return (above > HELD) & (jnp.abs(sinking) < calm)
 
 
 def _progress(now: MissionState, route: Mission, leg: Mission, arrives: Array, ends: Array, dt: float) -> MissionState:
-    """Return the state (n,) with what is counted; on the next leg for who has been at the end of its own long enough.
+    """Return the state (n,) with its counters; vehicles that have waited long enough at the end begin the next leg.
 
     Args:
-        now: state, with what was reached until now.
+        now: state at the end of the step.
         route, leg: the mission, and the leg that was flown.
-        arrives: who has come to its end in this step.
-        ends: when its path ends [s].
+        arrives: (n,) bool: the vehicle has reached the end of the leg in this step.
+        ends: time at which the path of the leg ends (n,) [s].
         dt: step [s].
     """
     over = now.index + 1 >= route.count

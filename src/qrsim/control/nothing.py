@@ -13,7 +13,7 @@ from qrsim.models.vehicles.no_command import NoCommand
 
 @record
 class NoSetpoint:
-    """The set-point of a vehicle that is asked for nothing: a record without fields."""
+    """The set-point of a vehicle that takes no commands: a record without fields."""
 
 
 @record

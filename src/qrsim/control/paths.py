@@ -28,15 +28,15 @@ BISECTIONS = 60
 
 @dataclass(frozen=True)
 class Limits:
-    """What a path may ask for.
+    """Limits of the motion along a path.
 
     Attributes:
-        acceleration, jerk: largest, of every ramp and turn [m/s^2], [m/s^3].
+        acceleration, jerk: largest values in ramps and turns [m/s^2], [m/s^3].
         climb, sink: largest vertical speeds [m/s].
         descent, touchdown: vertical speeds [m/s] of a landing, above and below ``slow_below``.
-        slow_below: height above the ground [m] from which on a landing is slow.
-        quintic: every leg from rest to rest by a polynomial of fifth degree, in place of ramps and turns.
-        timeout: how much longer than planned a leg may take before that is told [s].
+        slow_below: height above the ground [m] below which a landing is slow.
+        quintic: whether every leg is a polynomial of fifth degree from rest to rest, in place of ramps and turns.
+        timeout: time [s] by which a leg may take longer than planned before it is reported.
     """
 
     acceleration: float = 3.0
@@ -264,7 +264,7 @@ def _in_time(part: _Part, limits: Limits) -> None:
 
 
 def _descend(part: _Part, limits: Limits) -> None:
-    """Come down quickly first, then slowly and on, until the ground is felt: where it is, nobody knows exactly."""
+    """Plan a descent: fast, then slow, and on below the ground, whose height is not known exactly, until contact."""
     part.direction = part.onward = np.array([0.0, 0.0, 1.0])
     part.leave = limits.touchdown
     high = part.length - limits.slow_below
@@ -275,7 +275,7 @@ def _descend(part: _Part, limits: Limits) -> None:
 
 
 def flown_seconds(part: _Part) -> float:
-    """Return how long a leg takes as planned [s]."""
+    """Return the planned duration of a leg [s]."""
     line = part.rise + part.cruise + part.fall + part.turn
     if part.leg.kind != "land":
         return line
@@ -288,8 +288,8 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
 
     Args:
         plans: of each vehicle, as ``plan`` returns them.
-        again: for each the index of the leg that follows its last; None: none does.
-        limits: with which they were planned.
+        again: for each vehicle the index of the leg that follows the last one, or None.
+        limits: those of the plans.
     """
     longest = max(map(len, plans))
     rows = [[*parts, *[parts[-1]] * (longest - len(parts))] for parts in plans]

@@ -1,4 +1,4 @@
-"""What estimators take from the readings of a fleet: fields by their names, whatever sensor has them."""
+"""Fields of the readings of a fleet by name, from the first sensor that has them, for estimators."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def field_of(readings: Mapping[str, object], field: str) -> Any:
 
 
 def known(new: object, old: object) -> Any:
-    """Return a tree of arrays (n,), and those of another where a value is not finite."""
+    """Return the tree ``new`` of arrays (n,), with values of ``old`` in place of those that are not finite."""
     return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)

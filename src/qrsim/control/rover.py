@@ -20,7 +20,7 @@ from qrsim.errors import UsageError
 from qrsim.models.vehicles.rover import DriveCommand
 from qrsim.models.vehicles.rover.planar import Drives
 
-# Whoever is asked for less [m/s] stands.
+# A commanded speed below this [m/s] is a stop.
 CREEP = 0.15
 # With this speed [m/s] it backs away from a place that no forward turn leads to, until an arc this much wider does.
 BACK_SPEED, BACK_SHARE = 0.5, 1.4
@@ -136,7 +136,7 @@ class RoverController(Controller):
         tightest = self.lookahead_min * jnp.where(speed < -CREEP, BACK_SHARE, 1.0)
         backs = near & (distance < tightest * jnp.abs(sine))
         reach = jnp.where(near & (cosine > 0.0), jnp.maximum(distance, self.stop_radius), ahead)
-        # Who looks the other way turns as for a point beside it.
+        # A rover that points away from its goal turns as for a point at its side.
         curvature = 2.0 * jnp.where(cosine < 0.0, side, sine) / reach
         wanted = jnp.where(track.speed > 0.0, track.speed, self.speed)
         wanted = jnp.minimum(wanted, root(self.side_acceleration / jnp.maximum(jnp.abs(curvature), 1e-3)))

@@ -164,14 +164,19 @@ def log(x: Array) -> Array:
 
 
 def _exp(x: Array) -> tuple[Array, Array]:
-    """Return two factors of e**x; the product is left to the caller, where a sum may round it once."""
+    """Return two factors of e**x in single precision: e**r with abs(r) <= ln(2)/2, and the power of two 2**k.
+
+    The caller multiplies them, so that a sum there can be fused with the product.
+    """
     x = jnp.clip(x, -87.0, 88.0)
+    # The last bits of ``shifted`` are k, the whole number nearest to x/ln(2), as in ``sincos_ratio``.
     shifted = lax.stop_gradient(x * (1.0 / math.log(2.0)) + _SHIFT)
     k = rounded(shifted) - _SHIFT
     r = (x - k * _LN2_HIGH) - k * _LN2_LOW
     tail = _polynomial(
         r, (1.9875691500e-4, 1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1)
     )
+    # 2**k: k plus the bias 127 in the bits of the exponent.
     scale = lax.bitcast_convert_type((lax.bitcast_convert_type(shifted, jnp.int32) + 127) << 23, jnp.float32)
     return 1.0 + (r + r * r * tail), scale
 

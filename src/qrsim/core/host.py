@@ -24,7 +24,7 @@ from qrsim.core.primitives import KERNELS
 from qrsim.core.structure import kinds
 
 Rule = Callable[..., Any]
-# So many programs of a function are kept.
+# Largest number of programs that are kept for a function.
 _MOST = 64
 # Longer loops are left to JAX.
 _MOST_TURNS = 100
@@ -47,7 +47,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
     def call(*trees: object) -> Any:
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
-        # As text and by types too: to JAX, structures whose records differ in nothing but their type are equal.
+        # Text and types are part of the key: JAX treats structures as equal if only the types of their records differ.
         key = repr(structure), tuple(kinds(structure)), tuple((array.shape, array.dtype) for array in arrays)
         if key not in traced:
             while len(traced) >= _MOST:
@@ -221,7 +221,7 @@ def _shifted(function: Rule) -> Rule:
     return rule
 
 
-def _of(function: Rule) -> Rule:
+def _ignoring_parameters(function: Rule) -> Rule:
     return lambda parameters, *inputs: function(*inputs)
 
 
@@ -257,7 +257,7 @@ _REDUCTIONS: dict[str, Rule] = {
     "prod": np.multiply,
 }
 _RULES: dict[str, Rule] = {
-    **{name: _of(function) for name, function in _ELEMENTWISE.items()},
+    **{name: _ignoring_parameters(function) for name, function in _ELEMENTWISE.items()},
     **{f"reduce_{name}": _along(function) for name, function in _REDUCTIONS.items()},
     "reduce_sum": _sum,
     "broadcast_in_dim": _broadcast,

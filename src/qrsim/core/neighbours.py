@@ -1,9 +1,10 @@
 """The K nearest others of each point within reach, by cells of space: work grows with the number of points.
 
-Unlike ``nearest_squared``, which tells collisions, this says who is near. It is written in operations that both
-compilers take (no sort). Space is cut into upright columns as wide as the reach, so that who is in reach of a point is
-in its own column or in the eight around it. Points lie in memory by their columns, three of which are one stretch: each
-point looks along three stretches. A stretch has room for a fixed number; who finds more there is counted.
+Unlike ``nearest_squared``, which serves collisions, it returns the numbers of the neighbours. It uses operations that
+both compilers accept (no sort). Space is divided into vertical columns as wide as the reach, so that all points in
+reach of a point are in its own column or in the eight around it. Points are listed by column, and three columns side by
+side are one stretch of the list, so each point searches three stretches. A stretch has room for a fixed number of
+points; a point that finds more is marked as overfull.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from qrsim.core.tree import quantity, record
 
 # Columns for each point: fewer collisions of far columns in the table for more memory.
 _COLUMNS_FOR_A_POINT = 2
-# Points of one column that are told apart at most; the rest are out of sight, and counted.
+# Largest number of points that a column holds; further ones are not found, only counted.
 _DEEPEST = 64
 # Wider than the reach by more than rounding, 50 km from the origin too.
 _WIDTH_IN_REACHES = 1.01
@@ -24,7 +25,7 @@ _NOBODY = -1
 
 @record
 class Neighbours:
-    """The nearest others of n points, nearest first; of two as far, the one of the lower number."""
+    """The nearest others of n points, nearest first; at equal distance the lower number is first."""
 
     index: Array = quantity(doc="(K, n) int32 number of the other point; -1: nobody")
     squared: Array = quantity(unit="m^2", doc="(K, n) squared distance; infinite: nobody")
@@ -35,12 +36,11 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
     """Find for each of n points the nearest others within reach.
 
     Args:
-        x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is nobody's.
-        reach: () [m] how far is looked.
-        count: K, how many are wanted at most.
-        room: for the points in three columns side by side, each as wide as the reach; default: twice as many as are
-            wanted, at least 32. Where there are no more points than in three such stretches, all pairs are looked at,
-            and nothing is ever overfull.
+        x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is no neighbour.
+        reach: () [m] largest distance of a neighbour.
+        count: K, the largest number of neighbours.
+        room: largest number of points in three columns side by side; default: twice ``count``, at least 32. With no
+            more points than in three such stretches, all pairs are compared, and no point is ever overfull.
     """
     room = _capacity(count) if room is None else room
     reach = jnp.asarray(reach, x.dtype)
@@ -51,7 +51,7 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
 
 
 def always_room(points: int, count: int, room: int | None = None) -> bool:
-    """Return whether ``neighbours`` of so many points, with this ``count`` and ``room``, can never be overfull."""
+    """Return whether ``neighbours`` of ``points`` points, with this ``count`` and ``room``, is never overfull."""
     return points - 1 <= 3 * (_capacity(count) if room is None else room)
 
 
@@ -65,7 +65,7 @@ def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int)
 
 
 def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return numbers and squared distances (n, n) of all points; infinite of itself."""
+    """Return numbers and squared distances (n, n) of all points; infinite to itself."""
     n = x.shape[0]
     number = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32)[:, None], (n, n))
     squared = sum((axis[None, :] - axis[:, None]) ** 2 for axis in (x, y, z))
@@ -73,7 +73,7 @@ def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return numbers and squared distances (M, n) of candidates; infinite of itself and of nobody."""
+    """Return numbers and squared distances (M, n) of candidates; infinite to itself and for empty places."""
     there = jnp.maximum(candidates, 0)
     squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
     itself = candidates == jnp.arange(x.shape[0], dtype=jnp.int32)[None, :]
@@ -91,18 +91,21 @@ def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overful
         chosen = jnp.min(jnp.where(squared == nearest[None], number, most), axis=0)
         found.append(jnp.where(nearest < jnp.inf, chosen, _NOBODY))
         distances.append(nearest)
-        # Nobody is there twice.
+        # No point is chosen twice.
         squared = jnp.where(number == chosen[None], jnp.inf, squared)
     return Neighbours(jnp.stack(found), jnp.stack(distances), overfull)
 
 
 def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Array, Array]:
-    """Return who is in the nine columns around each point, (3 room, n) with -1 for nobody, and who is overfull."""
+    """Return the points in the nine columns around each point, (3 room, n) int32, and overfull (n,) bool.
+
+    Empty places have -1. A point is overfull if some of the points around it found no room.
+    """
     n = x.shape[0]
     side = max(4, int((_COLUMNS_FOR_A_POINT * n) ** 0.5) + 1)
     known = jnp.isfinite(x + y + z)
     scale = 1.0 / jnp.maximum(_WIDTH_IN_REACHES * reach, 1e-3)
-    # The table repeats in space: who shares a column from afar is told by the distance.
+    # The table repeats in space; the caller excludes far points in the same column by their distance.
     cell = [
         jnp.mod(jnp.floor(jnp.where(known, axis, 0.0) * scale), side).astype(jnp.int32).clip(0, side - 1)
         for axis in (x, y)
@@ -111,7 +114,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
     column = jnp.where(known, cell[0] * side + cell[1], columns)
     rank = _ranks(column, columns)
     inside = known & (rank >= 0)
-    # With those that are out of sight.
+    # All points of each column, also those beyond the deepest place.
     members = jnp.zeros(columns, jnp.int32).at[jnp.where(known, column, columns)].add(1, mode="drop")
     # From 0 on: where the points of each column begin.
     begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(jnp.minimum(members, _DEEPEST), dtype=jnp.int32)])
@@ -142,7 +145,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
 
 
 def _ranks(column: Array, columns: int) -> Array:
-    """Return how many points (n,) of a lower number are in the same column; -1 for nowhere, or too many."""
+    """Return the rank (n,) of each point in its column, by number; -1 if it is in none, or beyond the deepest place."""
     n = column.shape[0]
     number = jnp.arange(n, dtype=jnp.int32)
     somewhere = column < columns

@@ -257,7 +257,7 @@ class Draw:
         return self.stream.normal_pairs(self.tick, pairs, self.like.dtype)
 
     def uniform_pairs(self, pairs: Array) -> tuple[Array, Array]:
-        """Return the same of mean 0 and variance 1, but uniform; see ``Stream.uniform_pairs``."""
+        """Return two uniform numbers (K, n) of mean 0 and variance 1 for each pair; see ``Stream.uniform_pairs``."""
         return self.stream.uniform_pairs(self.tick, pairs, self.like.dtype)
 
     def alone(self, number: int) -> Draw:

@@ -20,11 +20,13 @@ def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
 
 
 def with_presets(cls: Any) -> Any:
-    """Return a dataclass whose constructor takes what it is not given from the preset, if the class has any.
+    """Return a dataclass whose constructor takes missing arguments from a preset, if the class has presets.
 
-    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them. A
-    preset says by a mapping what is different in a part that is a record itself; such a part, if given, counts as a
-    whole. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts too.
+    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them.
+
+    For a part that is a record itself, a preset has a mapping with the parameters that differ. Such a part, if passed,
+    is taken as it is. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts
+    too.
     """
     presets = presets_of(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
@@ -34,7 +36,7 @@ def with_presets(cls: Any) -> Any:
 
     @functools.wraps(plain)
     def completed(self: object, *args: Any, **given: Any) -> None:
-        # All are given where JAX or dataclasses make one anew.
+        # JAX and dataclasses pass all fields when they rebuild a record; nothing is missing then.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
             chosen = dict(zip(fields, args, strict=False)).get("preset", given.get("preset", usual))
@@ -52,7 +54,7 @@ def with_presets(cls: Any) -> Any:
 
 
 def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given by name, filled with what is usual; nested mappings too."""
+    """Return the entries of ``given``, and those of ``usual`` that it lacks; nested mappings are merged too."""
     both = {**usual, **given}
     for name, part in usual.items():
         if isinstance(part, Mapping) and isinstance(given.get(name), Mapping):

@@ -22,9 +22,9 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
     """Make a primitive of one result that XLA lowers, and JAX differentiates, through a function.
 
     Args:
-        name: of the primitive, for whoever prints a program.
-        function: of arrays, that returns an array of the shape and type of the first.
-        elementwise: of one array, each element for itself; then it stays the same operation on a batch.
+        name: of the primitive, in printed programs.
+        function: of arrays; it returns an array with shape and type of the first.
+        elementwise: whether it maps each element of one array; a batch then keeps the same operation.
     """
     primitive = Primitive(name)
     primitive.def_impl(jax.jit(function))

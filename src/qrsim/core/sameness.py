@@ -14,7 +14,7 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 
-# So many attributes of attributes are looked at; what lies deeper is told by its identity.
+# Maximum depth of the comparison; deeper objects compare by identity.
 DEPTH = 4
 _PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _CODE = (
@@ -44,7 +44,7 @@ class Itself:
 
     @property
     def gone(self) -> bool:
-        """Whether the object no longer exists."""
+        """True if the object no longer exists."""
         return self._given() is None
 
     def __eq__(self, other: object) -> bool:
@@ -61,12 +61,12 @@ class Itself:
 def sameness(given: object, depth: int = DEPTH) -> Hashable:
     """Return a key that changes with the identity of an object and with its attributes.
 
-    A program has the attributes of a policy as constants. Functions and classes are told by their identity: as with
-    ``jax.jit``, what they close over is not looked at.
+    A program has the attributes of a policy as constants. Functions and classes compare by identity: as with
+    ``jax.jit``, a change of a variable that they close over is not noticed.
 
     Args:
         given: the object.
-        depth: so many steps into attributes, lists and dicts are looked at.
+        depth: largest depth of attributes, lists and dicts that are compared.
     """
     if isinstance(given, _PLAIN):
         # As text, because 1, 1.0 and True are equal, NaN is not equal to itself, and -0.0 is no 0.0.

@@ -98,7 +98,7 @@ def number_text(value: object, digits: int = 4) -> str:
 
 
 def cells_of(array: NumpyArray | jax.Array, columns: int, digits: int = 4) -> tuple[str, ...]:
-    """Return what an array (n, ...) has for each of the first vehicles, and "..." for the others."""
+    """Return the text of each of the first rows of an array (n, ...), and "..." for the other columns."""
     if isinstance(array, jax.core.Tracer):
         return (number_text(array), *[""] * (columns - 1))
     cells = [number_text(row, digits) for row in array[: min(columns, MOST_COLUMNS)]]

@@ -123,7 +123,7 @@ class ActionChecker:
         return WaypointSetpoint(Vec3(north, east, down), heading)
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
-        """Return what is asked of each fleet by commands of fleets and of vehicles."""
+        """Return the action of each fleet from commands by the name of a fleet or a vehicle."""
         rows: dict[str, dict[int, object]] = {fleet.name: {} for fleet in self.fleets}
         for name, command in commands.items():
             if name in rows:
@@ -150,7 +150,7 @@ class ActionChecker:
         return tuple(actions)
 
     def _of_fleet(self, command: object, fleet: Fleet, flying: Flying | None) -> Action:
-        """Return what is asked of a fleet, with what its vehicles have to say."""
+        """Check the command of a whole fleet; return its action, with the messages of its vehicles."""
         if not isinstance(command, Say):
             return self._checked(command, list(fleet.vehicle_names), (fleet,), flying)
         (said,) = outboxes(command, self._world, [fleet.vehicle_names], self.dtype, self.traced)
@@ -158,9 +158,7 @@ class ActionChecker:
         return Saying(asked, said)
 
     def _of_vehicles(self, fleet: Fleet, rows: Mapping[int, object], flying: Flying | None) -> Action:
-        """Return what is asked of a fleet by commands of some of its vehicles, by their rows; those of None are left to
-        their guidance.
-        """
+        """Return the action of a fleet from commands by row of a vehicle; vehicles without follow their guidance."""
         kinds: dict[type, dict[int, object]] = {}
         for row, command in rows.items():
             if command is None:
@@ -169,7 +167,7 @@ class ActionChecker:
             own_flying = None if flying is None else partial(_part, flying, slice(row, row + 1))
             one = self._checked(self._one_row(command, fleet), [name], (fleet,), own_flying)
             kinds.setdefault(type(one), {})[row] = one
-        # In one order whoever comes first, so that the same kinds are the same program.
+        # Sorted, so that the same kinds of commands are the same program whichever vehicle comes first.
         parts = tuple(self._filled(fleet.size, kinds[kind]) for kind in sorted(kinds, key=lambda kind: kind.__name__))
         if len(parts) == 1 and len(next(iter(kinds.values()))) == fleet.size:
             return parts[0][1]
@@ -188,7 +186,7 @@ class ActionChecker:
         return library_for(self.traced).asarray(command)[None] if flat else command
 
     def _filled(self, size: int, asked: Mapping[int, object]) -> tuple[Any, Any]:
-        """Return which vehicles (n,) of a fleet something is asked of, and that as (n,) each."""
+        """Return the vehicles (n,) bool of a fleet that are commanded, and their commands, each leaf (n,)."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
         ones = [asked.get(row, first) for row in range(size)]
@@ -208,10 +206,9 @@ class ActionChecker:
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
         if isinstance(command, Some | Piloted):
-            # Who mixes kinds by himself has checked them too (links/shared/latches.py), as an autopilot's
-            # motors are (links/autopilot/flight.py).
+            # Checked by the links that make them: links/shared/latches.py and links/autopilot/flight.py.
             return command
-        # A command of another vehicle is no array either; who takes what is said below.
+        # A dataclass is never taken for an array; ``_kind`` refuses commands of another kind of vehicle.
         given = type(command) if dataclasses.is_dataclass(command) else None
         kind = self._kind(given, fleets)
         if given is not None:
@@ -300,7 +297,7 @@ class ActionChecker:
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
     def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
-        """Return whether nothing in commands (n, C) is to be said."""
+        """Return whether all commands (n, C) pass the check, so that the search for the wrong one can be skipped."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.

@@ -17,7 +17,7 @@ from qrsim.core.vectors import Euler, Vec3
 
 
 class Library(Protocol):
-    """What NumPy and jax.numpy have in common, of what is used here."""
+    """The functions of NumPy and jax.numpy that this package uses from either."""
 
     def cos(self, x: Floats, /) -> Floats: ...  # noqa: D102
     def sin(self, x: Floats, /) -> Floats: ...  # noqa: D102
@@ -33,7 +33,7 @@ class Library(Protocol):
 
 
 def library_of(*values: object) -> Library:
-    """Return the library that some arrays are of."""
+    """Return ``numpy`` or ``jax.numpy``, whichever the arrays belong to."""
     return library(*values)
 
 

@@ -1,4 +1,4 @@
-"""How large the errors of the fleets' estimators are beside what they state, in flight."""
+"""Consistency of the fleets' estimators in flight: their errors compared with the uncertainty that they report."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from qrsim.core.tree import concatenated, quantity, record
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.world.state import Fleet, FleetState, State, World
 
-# Time between two looks [s]: errors of a filter last longer, and looking costs as much as a tick of it.
+# Time between two samples [s]: errors of a filter last longer, and a sample costs as much as a tick of the filter.
 EVERY_S = 1.0
 
 
 @record
 class Looks:
-    """What was seen so far of n vehicles, each (n,)."""
+    """Sums of the normalised squared errors of n vehicles so far, each (n,)."""
 
     total: Consistency = quantity(unit="1", doc="sums")
-    count: Array = quantity(doc="int32 looks")
+    count: Array = quantity(doc="int32 samples")
 
     @staticmethod
     def none(world: World, state: State) -> Looks | None:
-        """Return the start; None where no estimator states how far off it is."""
+        """Return the sums at the start; None if no estimator reports an uncertainty."""
         if all(fleet.belief is None or fleet.belief.std is None for fleet in state.fleets):
             return None
         code = jnp.concatenate([fleet.violation.code for fleet in state.fleets])
@@ -33,7 +33,7 @@ class Looks:
         return Looks(Consistency(zero, zero, zero, zero, zero), jnp.zeros(code.shape, jnp.int32))
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> Looks:
-        """Look again at some ticks, at vehicles (n,) that fly; where nothing is stated, sums become NaN."""
+        """Add a sample every ``EVERY_S`` for vehicles (n,) that fly; NaN if the uncertainty is not reported."""
 
         def look() -> Looks:
             parts = [_consistency_of(fleet, part) for fleet, part in zip(world.fleets, state.fleets, strict=True)]
@@ -48,22 +48,22 @@ class Looks:
 
 
 def truth_of(fleet: Fleet, state: FleetState) -> Truth:
-    """Return what is true of a fleet's vehicles (n,), or (T, n) in a history."""
+    """Return the true values of the quantities that estimators estimate, (n,), or (T, n) in a history."""
     pose = fleet.vehicle.pose(state.vehicle)
-    found = dict(_biases(fleet, state))
+    biases = dict(_biases(fleet, state))
     velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
     return Truth(
         pose.position_ned,
         velocity,
         pose.attitude,
         state.position_low_ned,
-        found.get("rates_body"),
-        found.get("specific_force"),
+        biases.get("rates_body"),
+        biases.get("specific_force"),
     )
 
 
 def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
-    """Yield the fields of readings whose slow errors are known, and the errors: of the sensor that estimators read."""
+    """Yield fields of readings with a known bias, and that of the first sensor with the field, as estimators use it."""
     seen: set[str] = set()
     zero = jnp.zeros_like(state.vehicle.position_ned.x)
     for sensor, memory, reading in zip(fleet.sensors, state.sensors, state.readings, strict=True):
@@ -76,9 +76,9 @@ def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
 
 
 def _consistency_of(fleet: Fleet, state: FleetState) -> Consistency:
-    """Return how large the errors are beside what is stated (n,), NaN where nothing is."""
-    found, estimator = None, fleet.own_estimator
+    """Return the normalised squared errors (n,) of a fleet's estimator, NaN without a reported uncertainty."""
+    errors, estimator = None, fleet.own_estimator
     if state.belief is not None and estimator is not None:
-        found = estimator.consistency(state.belief.memory, truth_of(fleet, state))
+        errors = estimator.consistency(state.belief.memory, truth_of(fleet, state))
     nothing = jnp.full_like(state.vehicle.position_ned.x, jnp.nan)
-    return Consistency(*(nothing,) * 5) if found is None else found
+    return Consistency(*(nothing,) * 5) if errors is None else errors

@@ -1,7 +1,7 @@
-"""Crowds: where more others were around a vehicle than it looks at, so that it may have missed the nearest.
+"""Crowds: searches for neighbours that found more than they have room for, so that they may have missed the nearest.
 
-Who is near is searched by cells (``qrsim.core.neighbours``), by radios, sensors that see others, and teams. Collisions
-are found by a search without such a limit.
+Radios, sensors that see others, and teams search by cells (``qrsim.core.neighbours``). Collisions are found by a search
+without such a limit.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from qrsim.world.state import State, World
 
 @dataclass(frozen=True)
 class Crowds:
-    """Looks of one radio, sensor or guidance of vehicles in a row that may have missed others, since the start.
+    """Number of searches, since the start, by which a radio, sensor or guidance may have missed others.
 
     Attributes:
-        path: whose looks, as in the scenario.
-        remedy: what makes room.
-        first: number of the first of these vehicles in the world.
-        looks: (..., n) how many.
+        path: of the radio, sensor or guidance in the scenario.
+        remedy: advice for the user.
+        first: number of the first of its n vehicles in the world.
+        looks: (..., n) number of such searches by each vehicle.
     """
 
     path: str
@@ -35,7 +35,7 @@ class Crowds:
     looks: npt.NDArray[np.int32]
 
     def text(self, looks: int) -> str:
-        """Return what is said of so many looks."""
+        """Return the warning for a number of searches."""
         return (
             f"{self.path}: {looks} times a vehicle had more others around it than were looked at, so that it may have"
             f" missed the nearest; {self.remedy}"
@@ -43,9 +43,9 @@ class Crowds:
 
 
 def crowds_of(world: World, state: State) -> list[Crowds]:
-    """Return the looks of all that may miss others; ``state`` on the host, leaves (n,), or (W, n) of many worlds."""
+    """Return the crowds of radio, guidance and sensors; ``state``: on the host, leaves (n,), or (W, n) of W worlds."""
     fleets = _of_fleets(world, state)
-    # However few are looked at, so many always find room.
+    # In a world this small, even a search for one neighbour has room for all.
     if world.radio is None or always_room(sum(fleet.size for fleet in world.fleets), 1):
         return fleets
     looks = world.radio.counted(state.radio)["overfull"]
@@ -54,25 +54,25 @@ def crowds_of(world: World, state: State) -> list[Crowds]:
 
 
 def _of_fleets(world: World, state: State) -> list[Crowds]:
-    """Return those of guidance and sensors."""
-    found, first = [], 0
+    """Return the crowds of guidance and sensors."""
+    crowds, first = [], 0
     for fleet, now in zip(world.fleets, state.fleets, strict=True):
         path = f"fleets.{fleet.name}"
         of_team = now.guidance.overfull if isinstance(now.guidance, RouteState) else None
         if of_team is not None:
             remedy = f"give a larger {path}.guidance.mates, or a smaller reach"
-            found.append(Crowds(f"{path}.guidance", remedy, first, np.asarray(of_team)))
+            crowds.append(Crowds(f"{path}.guidance", remedy, first, np.asarray(of_team)))
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, now.sensors, strict=True):
             seen = sensor.overfull(memory)
             if seen is not None:
                 remedy = f"give a smaller {path}.sensors.{name}.range_max"
-                found.append(Crowds(f"{path}.sensors.{name}", remedy, first, np.asarray(seen)))
+                crowds.append(Crowds(f"{path}.sensors.{name}", remedy, first, np.asarray(seen)))
         first += fleet.size
-    return found
+    return crowds
 
 
 def overfull_of_fleets(world: World, state: State) -> npt.NDArray[np.int32] | None:
-    """Return the looks (..., N) of sensors and guidance of all vehicles; None where none can miss anybody."""
+    """Return the number (..., N) of such searches by sensors and guidance of all vehicles; None if none can be."""
     crowds = _of_fleets(world, state)
     if not crowds:
         return None
@@ -90,7 +90,7 @@ def warn_of_overfull(world: World, state: State) -> bool:
         state: at the end, on the host; of many worlds, leaves (W, ...).
 
     Returns:
-        Whether there may be something to warn of later.
+        Whether a warning may be due later: searches can overflow, and none has yet.
     """
     crowds = crowds_of(world, state)
     full = [crowd for crowd in crowds if crowd.looks.any()]

@@ -95,7 +95,7 @@ def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...],
 
 
 def _delay_periods(fleet: Fleet, now: FleetState) -> int:
-    """Return how many periods after it is taken a fix of the first receiver is reported, 0 without one."""
+    """Return the delay of the first receiver's fixes, in periods of the receiver; 0 without a receiver."""
     return int(fleet.sensors[_receiver(now)].delay) if _receiver(now) >= 0 else 0
 
 

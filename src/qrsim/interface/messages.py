@@ -1,4 +1,4 @@
-"""Messages over the radio, as users say and hear them (docs/howto/radio.md)."""
+"""Messages over the radio, as users send and receive them (docs/howto/radio.md)."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from qrsim.world.radio import vehicle_ids
 from qrsim.world.state import State, World
 
 ALL = -1
-# Of single precision, which messages have.
+# Messages are in single precision.
 _LARGEST = float(np.finfo(np.float32).max)
-# What keys of users are drawn with: the first two words of sha256("qrsim/user").
+# Key of the users' random numbers: the first two words of sha256("qrsim/user").
 _USER = (0x71E1A68C, 0x5E3CBE24)
 
 
 @dataclass(frozen=True)
 class Say:
-    """What vehicles have to say, with what they are commanded; a policy returns it in place of its command.
+    """Messages of vehicles together with their command; a policy returns it in place of the command alone.
 
     Attributes:
-        payload: (n, D) numbers of each vehicle, or fewer than the radio's ``size``, which are then followed by zeros.
-        command: what ``Simulation.step`` takes; None: their guidance flies.
-        send: who says it now, one bool or (n,).
-        to: who alone is to hear it: number of a vehicle in the world or its name, one for all or n of them; -1: all.
+        payload: (n, D) numbers of each vehicle; if D is less than the radio's ``size``, zeros follow.
+        command: as for ``Simulation.step``; None: the vehicles follow their guidance.
+        send: whether each vehicle sends its message now, one bool or (n,).
+        to: receiver of the message, by number in the world or by name, one for all or n of them; -1: every vehicle.
     """
 
     payload: object
@@ -46,13 +46,13 @@ class Say:
 
 @dataclass(frozen=True)
 class Message:
-    """A message that a vehicle has heard.
+    """A message that a vehicle has received.
 
     Attributes:
         sender: name of the vehicle that sent it.
-        sent: when it was handed to the sender's radio [s].
-        received: when it was known [s].
-        rssi: strength at which it was received [dBm].
+        sent: time at which the sender's radio was given it [s].
+        received: time at which it was received [s].
+        rssi: received signal strength [dBm].
         payload: (D,) numbers.
     """
 
@@ -64,10 +64,10 @@ class Message:
 
 
 def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: object, traced: bool) -> list[Outbox]:
-    """Return what vehicles have to say, checked, for each fleet or other group of which names are given.
+    """Check the messages of vehicles, and return them for each group of vehicles in ``names``, such as a fleet.
 
     Raises:
-        UsageError: no radio, another shape, a payload too long, or a receiver that nobody is.
+        UsageError: no radio, a wrong shape, a payload that is too long, or an unknown receiver.
     """
     radio = world.radio
     if radio is None:
@@ -128,7 +128,7 @@ def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -
     """Return the number of a vehicle in the world by its name or number; -1 for None, which is all.
 
     Raises:
-        UsageError: nobody is called so.
+        UsageError: no vehicle has this name or number.
     """
     if name is None:
         return ALL
@@ -150,7 +150,7 @@ def checked_message(
     """Return number of the sender, its message (D,) and number of the receiver, -1 for all.
 
     Raises:
-        UsageError: no radio, nobody of that name, or a message that is too long or not of finite numbers.
+        UsageError: no radio, no vehicle of that name, or a message that is too long or not finite.
     """
     if world.radio is None:
         raise UsageError("say: the scenario has no world.radio")
@@ -166,7 +166,7 @@ def checked_message(
 
 
 def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> list[list[Message]]:
-    """Return what each of some vehicles has heard by a tick, the newest first; ``state`` on the host."""
+    """Return the messages that each of some vehicles has received by a tick, newest first; ``state`` on the host."""
     assert world.radio is not None
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), world.time_step)
@@ -191,7 +191,7 @@ def user_key(state: State, tick: object) -> Array:
     keys = state.sky_keys
     traced = isinstance(tick, Array) or isinstance(keys.high, jax.core.Tracer)
     library = library_for(traced)
-    # Arrays of one, whose sums wrap around without a warning.
+    # Arrays of one element: NumPy warns of overflow in scalars, not in arrays.
     high, low = (
         library.reshape(library.asarray(keys.high), (-1,))[:1],
         library.reshape(library.asarray(keys.low), (-1,))[:1],

@@ -113,7 +113,7 @@ class FlightMetrics:
         position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         low = _low(state)
         goal = _goal(world, state)
-        start = select(_differs(goal, flight.leg_end), _known(flight.leg_end, flight.position_ned), flight.leg_start)
+        start = select(_differs(goal, flight.leg_end), _or_else(flight.leg_end, flight.position_ned), flight.leg_start)
         error = _distance_from_leg(_minus(position, low, start), start, goal)
         radius = _radius(state)
         if radius is not None:
@@ -129,12 +129,12 @@ class FlightMetrics:
             flight,
             distance=distance,
             distance_low=distance_low,
-            ticks=flight.ticks + _one(flying & (tick > 0)),
+            ticks=flight.ticks + _as_int(flying & (tick > 0)),
             position_ned=position,
             position_low_ned=low,
             leg_start=start,
             leg_end=goal,
-            tracked=flight.tracked + _one(counted),
+            tracked=flight.tracked + _as_int(counted),
             tracking_square=flight.tracking_square + jnp.where(counted, error * error, 0.0),
             tracking=flight.tracking.update(error, tick, position, counted),
             wind=flight.wind.update(air.norm(), tick, position, flying),
@@ -143,7 +143,7 @@ class FlightMetrics:
             ceiling=_smaller(flight.ceiling, ceiling, inside),
             floor=_smaller(flight.floor, floor, inside),
             charge=jnp.fmin(flight.charge, charges(world, state)),
-            clipped=flight.clipped + _one(clipped & flying),
+            clipped=flight.clipped + _as_int(clipped & flying),
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
         )
         if flying.shape[0] <= MOST_FOR_SEPARATION:
@@ -236,7 +236,7 @@ def _minus(position: Vec3, low: Vec3 | None, place: Vec3) -> Vec3:
 
 
 def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) -> tuple[Array, Array | None]:
-    """Return the distance flown (n,) with the way of a tick, and what single precision leaves out of it."""
+    """Return the distance flown (n,) [m] after a tick, and its rounding error, None in double precision."""
     if low is None:
         way = (position - flight.position_ned).norm()
         return flight.distance + jnp.where(flying, way, 0.0), None
@@ -246,12 +246,12 @@ def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) ->
     return two_sum(flight.distance, flight.distance_low + jnp.where(flying, way, 0.0))
 
 
-def _one(counts: Array) -> Array:
+def _as_int(counts: Array) -> Array:
     return counts.astype(jnp.int32)
 
 
 def _moves(world: World) -> Array:
-    """Return which vehicles (n,) fly by commands; what stands or drives may well be at the edge of the area."""
+    """Return which vehicles (n,) fly by commands; only their clearance from the edges of the area is of interest."""
     each = [
         np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type)) and not fleet.vehicle.rides)
         for fleet in world.fleets
@@ -290,13 +290,13 @@ def _smaller(known: Array, new: Array, counts: Array) -> Array:
 
 
 def _goal(world: World, state: State) -> Vec3:
-    """Return the waypoint of each vehicle (n,), NaN where it is asked for something else."""
+    """Return the waypoint of each vehicle (n,), NaN if its set-point is of another kind or below the ground."""
     goals = []
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
         setpoint = fleet.setpoint
         if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint | PathSetpoint | TrackSetpoint):
-            # The point that a landing follows goes on below the ground.
+            # A landing follows a point that continues below the ground.
             below = setpoint.position_ned.z > world.ground_down(setpoint.position_ned) + BELOW_M
             goals.append(select(below, nowhere, setpoint.position_ned))
         else:
@@ -328,7 +328,8 @@ def _differs(new: Vec3, old: Vec3) -> Array:
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))
 
 
-def _known(preferred: Vec3, other: Vec3) -> Vec3:
+def _or_else(preferred: Vec3, other: Vec3) -> Vec3:
+    """Return ``preferred``, and ``other`` for vehicles where it is NaN."""
     return select(jnp.isfinite(preferred.x), preferred, other)
 
 

@@ -49,7 +49,7 @@ class WithMemory(Protocol):
 
 
 class _Readings(Protocol):
-    """Readings that can be told apart by fleets and vehicles."""
+    """Readings that can be indexed by fleet and by vehicle."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ class Reading(Tabled):
 
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
-        # Not before somebody asks: not every step of a loop is looked at.
+        # Built on first use, because many steps of a loop read no sensor.
         chosen = self._only and self.fleets
         found = {}
         for i, fleet in enumerate(self._world.fleets):
@@ -108,7 +108,7 @@ class Reading(Tabled):
 
     @property
     def inbox(self) -> Inbox:
-        """What each vehicle (n,) has heard over the radio, the newest message of each of K senders.
+        """Messages that each vehicle (n,) has received over the radio, the newest of each of K senders.
 
         See docs/howto/radio.md.
 
@@ -194,7 +194,7 @@ class Reading(Tabled):
         return getattr(next(iter(self._fleets.values())), sensor)
 
     def __dir__(self) -> list[str]:
-        """Return what a single fleet has too, for completion."""
+        """Return the attributes of a single fleet's reading too, for completion."""
         alone = dir(self[self.fleets[0]]) if len(self.fleets) == 1 else ()
         return [*super().__dir__(), *alone]
 

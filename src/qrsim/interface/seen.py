@@ -1,7 +1,7 @@
 """A packed state as users see it: parts of its tree, and arrays by offsets that are computed once.
 
-The buffers of a state are overwritten tick after tick, so nothing here hands out a view of them: each array is copied
-when it is asked for, and the whole state only where somebody still sees a tick that is about to pass.
+The buffers of a state are overwritten at every tick, so nothing here returns a view of them. Each array is copied when
+it is read; the whole state is copied only if a ``Seen`` of a tick still exists when the next one is about to begin.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FIELDS = frozenset(field.name for field in dataclasses.fields(State))
 
 
 class Leaf:
-    """Stand-in for an array of a state. A model that computes with it fails, so that what remains is a choice."""
+    """Stand-in for an array of a state. It has no arithmetic, so only functions that select arrays accept it."""
 
     __slots__ = ("number", "shape")
 
@@ -35,11 +35,11 @@ class Leaf:
 
 
 class StateOffsets:
-    """Where the numbers that users look at lie in a packed state.
+    """Offsets of readings and quantities in a packed state.
 
     Args:
-        world: its parameters.
-        layout: of the state.
+        world: the parameters of the state's world.
+        layout: the layout of the packed state.
     """
 
     def __init__(self, world: World, layout: Packer):
@@ -56,41 +56,45 @@ class StateOffsets:
 
     @cached_property
     def in_two_parts(self) -> bool:
-        """Whether positions have a second part, as in single precision."""
+        """True if positions have a second part, the rounding error of the first, as in single precision."""
         return self._tree.fleets[0].position_low_ned is not None
 
     def of_readings(self, fleet: int, sensor: int) -> Mapping[str, Offsets]:
-        """Return the offsets of each field of a sensor's reading, by name, of those that are arrays of floats."""
-        found = self._readings.get((fleet, sensor))
-        if found is None:
+        """Return the offsets of each field of a sensor's reading that is an array of floats, by name."""
+        offsets = self._readings.get((fleet, sensor))
+        if offsets is None:
             reading: Record = self._tree.fleets[fleet].readings[sensor]
-            each = {field.name: self._of(getattr(reading, field.name)) for field in dataclasses.fields(reading)}
-            found = self._readings[fleet, sensor] = {name: where for name, where in each.items() if where is not None}
-        return found
+            each = {field.name: self._offsets(getattr(reading, field.name)) for field in dataclasses.fields(reading)}
+            offsets = {name: where for name, where in each.items() if where is not None}
+            self._readings[fleet, sensor] = offsets
+        return offsets
 
     def of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Offsets | None:
-        """Return the offsets of something of all vehicles, (n, ...); None where it has to be computed.
+        """Return the offsets of a quantity of all vehicles, (n, ...); None if it is not stored but computed.
 
         Args:
-            name: of what it is.
-            pick: called with the world, a state and the number of a fleet.
+            name: of the quantity.
+            pick: returns the quantity of a fleet from the world, a state and the number of the fleet.
         """
         if name not in self._of_vehicles:
-            parts = [self._offsets_of(pick, number) for number in range(len(self._world.fleets))]
+            parts = [self._offsets_of_fleet(pick, number) for number in range(len(self._world.fleets))]
             known = [part for part in parts if part is not None]
             self._of_vehicles[name] = np.concatenate(known) if len(known) == len(parts) else None
         return self._of_vehicles[name]
 
-    def _offsets_of(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
+    def _offsets_of_fleet(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
+        """Return the offsets (n, ...) of the quantity that ``pick`` selects from a fleet's state, or None."""
         try:
-            found = self._of(pick(self._world, self._tree, fleet))
+            offsets = self._offsets(pick(self._world, self._tree, fleet))
         except Exception:
-            # A model, perhaps a user's own, computes it.
+            # ``pick`` computes with the stand-ins and does not only select them. A component of a user may raise
+            # anything then.
             return None
-        # One number may stand for all vehicles.
-        return None if found is None or found.shape[:1] != (self._world.fleets[fleet].size,) else found
+        # One number for all vehicles has no offset for each.
+        return None if offsets is None or offsets.shape[:1] != (self._world.fleets[fleet].size,) else offsets
 
-    def _of(self, value: object) -> Offsets | None:
+    def _offsets(self, value: object) -> Offsets | None:
+        """Return the offsets of stand-ins, with the axes of vectors and the entries of tuples stacked; or None."""
         if isinstance(value, Leaf):
             layout, number = self.layout, value.number
             if not layout.is_float[number]:
@@ -98,10 +102,10 @@ class StateOffsets:
             part = layout.slices[number]
             return np.arange(part.start, part.stop, dtype=np.intp).reshape(value.shape)
         if isinstance(value, Vec3 | Euler):
-            axes = [self._of(axis) for axis in jax.tree.leaves(value)]
+            axes = [self._offsets(axis) for axis in jax.tree.leaves(value)]
             return self._stacked(axes, -1)
         if isinstance(value, tuple) and value:
-            return self._stacked([self._of(part) for part in value], 1 if isinstance(value[0], Vec3) else -1)
+            return self._stacked([self._offsets(part) for part in value], 1 if isinstance(value[0], Vec3) else -1)
         return None
 
     @staticmethod
@@ -111,7 +115,7 @@ class StateOffsets:
 
 
 class Part:
-    """A tuple, a state or that of a fleet, of which only what somebody looks at is unpacked."""
+    """A tuple, a state or a fleet's state whose entries are unpacked when they are read."""
 
     def __init__(self, seen: Seen, numbers: State | FleetState | tuple[object, ...]):
         self._seen, self._part = seen, numbers
@@ -139,8 +143,8 @@ class Part:
 class Seen:
     """A state at one tick. It reads like a ``State``, and its numbers stay those of that tick whatever flies on.
 
-    Whoever owns the buffers calls ``keep`` before they are overwritten. Another thread may read meanwhile: it reads
-    again where the buffers were exchanged under its hands, because only then they may have been overwritten.
+    The owner of the buffers calls ``keep`` before they are overwritten. Another thread may read meanwhile: it reads
+    again if the buffers were exchanged during its read, because only then they may have been overwritten.
 
     Args:
         offsets: of such states.
@@ -163,7 +167,7 @@ class Seen:
                 self._buffers, self._kept = copy, True
 
     def at(self, offsets: Offsets) -> Floats:
-        """Return the numbers at some offsets, an array of their shape."""
+        """Return the numbers at some offsets, in an array of the same shape."""
         while True:
             buffers = self._buffers
             found: Floats = buffers[0].take(offsets)
@@ -185,7 +189,7 @@ class Seen:
                 return found
 
     def whole(self) -> State:
-        """Return all of it, as arrays of NumPy."""
+        """Return the whole state, as NumPy arrays."""
         if self._whole is None:
             self.keep()
             self._whole = self.offsets.layout.unpack(self._buffers)

@@ -22,7 +22,7 @@ from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.sensors.contracts import Explained
 from qrsim.models.site import Site
 
-# Fields that a sensor has if it is asked for them, with the parameter that asks.
+# Optional fields of readings, with the parameter that enables each.
 _UNASKED = {**dict.fromkeys(OF_SATELLITES, "per_satellite"), "velocity": "velocity"}
 
 
@@ -79,7 +79,7 @@ class SensorReading(Tabled):
 
     @property
     def tick_of_reading(self) -> Floats:
-        """Tick (n,), a whole number, at which what is reported was true; exact in compiled programs too."""
+        """Tick (n,), a whole number, at which the reading was true; exact in compiled programs too."""
         return self._for_each(FleetSource.taken)
 
     @property
@@ -89,15 +89,15 @@ class SensorReading(Tabled):
 
     @property
     def _timed(self) -> bool:
-        """Whether the times of its readings are known."""
+        """True if the times of the readings are known."""
         return self._source is not None and self._source.time_step > 0.0
 
-    def _for_each(self, told: Callable[[FleetSource, str], Any]) -> Floats:
+    def _for_each(self, time_of: Callable[[FleetSource, str], Any]) -> Floats:
         if self._source is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
         library = library_of(leaf)
-        return cast(Floats, library.broadcast_to(told(self._source, self._name), leaf.shape)[self._rows])
+        return cast(Floats, library.broadcast_to(time_of(self._source, self._name), leaf.shape)[self._rows])
 
     @property
     def reasons(self) -> list[str]:
@@ -181,7 +181,7 @@ class SensorReading(Tabled):
 
     @property
     def _traced(self) -> bool:
-        """Whether it is a fix in a program that is being compiled, where there is no position on the ellipsoid."""
+        """True for a fix in a program that is being compiled, which has no position on the ellipsoid."""
         reading = self._reading
         return isinstance(reading, GnssReading) and isinstance(reading.position_ned.x, jax.core.Tracer)
 
@@ -212,9 +212,9 @@ class SensorReading(Tabled):
         return Table(f"reading of {self._name}", ("field", "unit", *columns), rows)
 
 
-# What a camera's picture has beside where and when it was taken.
+# Fields of a camera's picture, without the place and time at which it was taken.
 PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
-# What readings add to fixes, by the ellipsoid, outside of compiled functions.
+# Fields on the ellipsoid that readings add to fixes, outside of compiled functions.
 _GEODETIC = ("latitude_deg", "longitude_deg", "height")
 # Of fields that no model declares.
 _UNITS = {

@@ -50,7 +50,7 @@ class Slot:
             first += size
 
     def take(self, command: object) -> bool:
-        """Take a command; return False for one that has to be looked at more closely."""
+        """Write a command into the program's numbers; return False if it needs the full check."""
         try:
             leaves = self._leaves(command)
         except (TypeError, ValueError, OverflowError):
@@ -69,13 +69,13 @@ class Slot:
 
 
 def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checker: ActionChecker) -> Slot | None:
-    """Return the slot of commands like one that was flown, None where they have to be looked at each time.
+    """Return a slot for further commands of the same form as one that was flown; None if each needs the full check.
 
     Args:
-        command: as the user gave it, for all vehicles.
-        actions: the same for each fleet.
-        numbers: where the program reads them from.
-        checker: that split it.
+        command: as the user passed it, for all vehicles.
+        actions: the action of each fleet that it became.
+        numbers: the arrays from which the program reads commands.
+        checker: the checker of the command.
     """
     sizes = [fleet.size for fleet in checker.fleets]
     kind = type(actions[0])

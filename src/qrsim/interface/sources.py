@@ -1,4 +1,4 @@
-"""What a fleet's sensors have read, with its times and with the reasons for what is missing."""
+"""The readings of a fleet's sensors, with their times and the reasons for missing ones."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class FleetSource:
         return self.state.fleets[self.number]
 
     def offsets(self, sensor: str) -> Mapping[str, Offsets]:
-        """Return where the fields of a sensor's reading lie; empty where they are no numbers in a packed state."""
+        """Return the offsets of the fields of a sensor's reading by name; empty if the state is not packed."""
         state = self.state
         if not isinstance(state, Seen):
             return {}
@@ -58,7 +58,7 @@ class FleetSource:
 
     @property
     def pictured(self) -> bool:
-        """Whether cameras have pictures: all but what lies between two ticks of a rollout is a whole state."""
+        """True if cameras have pictures: they need a whole state, which a rollout does not give between two ticks."""
         return isinstance(self.state, State | Seen)
 
     def picture(self, camera: str) -> Picture:
@@ -73,7 +73,7 @@ class FleetSource:
         return found
 
     def taken(self, sensor: str) -> int | Array:
-        """Return the tick at which what a sensor reports was true."""
+        """Return the tick at which the reading of a sensor was true."""
         model, transit = self._delivery(sensor)
         tick = cast(Array, self.tick)
         taken = model.time_of_reading(tick, self.time_step) if transit is None else transit.time_of_reading(tick)

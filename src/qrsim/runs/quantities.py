@@ -45,7 +45,10 @@ def find_quantities(run: Run, name: str) -> list[Quantity]:
 
 
 def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
-    """Return name -> parts of what has no parts of parts: a vector is one, a sensor with several quantities is not."""
+    """Return the groups whose members are plain numbers, by name, with their members.
+
+    ``truth.position_ned`` is a group of three; a sensor with a vector among its quantities is none.
+    """
     names = dict.fromkeys(item.name.rpartition(".")[0] for item in every if "." in item.column.name)
     members = {name: [item for item in every if item.name.startswith(f"{name}.")] for name in names}
     return {

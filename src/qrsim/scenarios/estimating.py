@@ -1,4 +1,8 @@
-"""What the Kalman filter of a fleet takes the errors of its sensors to be: by the sensors' own parameters."""
+"""Parameters of a fleet's Kalman filter that follow from the parameters of its sensors.
+
+``_RULES`` maps each type of sensor to a function that returns standard deviations by the name of the filter's
+parameter, from the sensor, the time [s] over which a gyroscope is calibrated, and the range errors of the sky.
+"""
 
 from __future__ import annotations
 
@@ -117,6 +121,10 @@ def _imu(imu: Imu, time: float, _: object) -> Stds:
 
 
 def _gyroscope(sensor: Gyroscope, time: float, _: object) -> Stds:
+    """Return the errors of a gyroscope that has white noise only: no bias, scale error or g-sensitivity.
+
+    The noise is a density [rad/s/√Hz]; the mean of white noise over ``time`` [s] has a std of density/√time.
+    """
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "gyroscope_noise": density,

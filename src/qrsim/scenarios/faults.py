@@ -116,7 +116,7 @@ def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> t
     for spec in fleet.faults:
         if isinstance(spec, RotorFaultSpec):
             times = (_tick(spec.at, dt), _tick(NOTICED_S, dt), _tick(spec.end, dt))
-            # One that is stuck turns as fast as it does, whatever it is told.
+            # A stuck rotor keeps its speed, so its health has no effect.
             health = spec.health if spec.speed is None else 1.0
             fault = record_of(RotorFault, *times, _mask(names, spec.vehicles), health, spec.rotor, speed=spec.speed)
             found.append(fault)

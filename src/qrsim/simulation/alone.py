@@ -1,4 +1,4 @@
-"""Methods that only one thread may be in at a time."""
+"""Methods that only one thread at a time may execute."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from qrsim.errors import BusyError
 class Alone:
     """Base of objects that one thread at a time may change while others read.
 
-    Whoever looks holds ``_lock`` and waits for it. Whoever changes holds it too and notes ``_changes``: another
-    that wants to change knows that it must not wait: two threads that fly one simulation get another flight each time.
+    Readers wait for ``_lock``. A writer holds it too and sets ``_changes``, so that a second writer raises an error
+    instead of waiting: with two threads that fly one simulation, the order of steps would differ in every run.
     """
 
     def __init__(self) -> None:
@@ -22,10 +22,10 @@ class Alone:
         self._changes = False
 
     def _wait_or_refuse(self, what: str) -> None:
-        """Take the lock, which another thread has, as soon as nobody looks.
+        """Take the lock from a thread that reads, as soon as it is free.
 
         Raises:
-            BusyError: the other one does not look but change.
+            BusyError: the other thread is changing the object.
         """
         if self._changes:
             raise BusyError(

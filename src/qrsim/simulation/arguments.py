@@ -1,4 +1,4 @@
-"""What a user may say of a simulation: its seed, its number, its precision."""
+"""Checks of the arguments of a simulation: seed, number, precision and counts."""
 
 from __future__ import annotations
 

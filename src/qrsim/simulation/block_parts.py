@@ -19,10 +19,10 @@ from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
 from qrsim.world import tick as ticks_of
-from qrsim.world.radio import parted
+from qrsim.world.radio import split_messages
 from qrsim.world.state import Some, State, World, WorldKeys
 
-# What JAX raises where a program that is being compiled would have to know a number.
+# Errors of JAX for a function that needs the value of an array while it is traced.
 NEEDS_VALUES = (
     jax.errors.ConcretizationTypeError,
     jax.errors.TracerArrayConversionError,
@@ -37,15 +37,15 @@ class Setup:
 
     Attributes:
         policy, estimator: the user's, None without.
-        metrics: what sums up a flight.
-        measured: which object that is, and its attributes, which are constants of a program.
-        policy_ticks: the policy is asked at every so-many-th tick.
+        metrics: object that sums up a flight.
+        measured: identity of ``metrics`` and of its attributes, which are constants of a program.
+        policy_ticks: number of ticks from one call of the policy to the next.
         site: origin of the local frame.
-        structure: of a World as a PyTree.
-        types: the same as text: to JAX two structures are equal whose records differ in nothing but their type.
+        structure: PyTree structure of a World.
+        types: ``structure`` as text: JAX treats structures as equal if only the types of their records differ.
         varied: for each leaf of a World, whether every world has its own.
         mesh: the devices, None for a single one.
-        kinds: the types of all records, because a class that is defined anew has the same name.
+        kinds: the types of all records, because a class that is defined again has the same name.
     """
 
     policy: UserFunction | None
@@ -73,7 +73,7 @@ class Setup:
 
     @property
     def key(self) -> Hashable:
-        """What programs depend on, by which none of the user's objects are kept alive."""
+        """Key of compiled programs. It has identities of the user's objects, so that it does not keep them alive."""
         asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
         return (
             *asked,
@@ -88,7 +88,7 @@ class Setup:
 
     @property
     def plain(self) -> bool:
-        """Whether it is made of this package's code alone, so that its structure identifies it in any process."""
+        """True if all code is this package's, so that the structure identifies the setup in any process."""
         own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}
         asks_nobody = self.policy is None and self.estimator is None
         return asks_nobody and self.metrics is FLIGHT_METRICS and own
@@ -118,7 +118,7 @@ def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Seq
     reading = Reading(world, state, 0, setup.site)
     memories = [_first_memory(function, reading) for function in (setup.policy, setup.estimator)]
     held = ()
-    # All are asked here too, so that a wrong answer is found before anything is compiled.
+    # Trace the policy here too, so that a wrong answer is found before anything is compiled.
     if setup.policy is not None:
         shapes, _ = jax.eval_shape(partial(_answer, setup.policy, world, reading, memories[0]))
         if setup.policy_ticks > 1:
@@ -216,11 +216,11 @@ def tick_of_world(
 
 
 def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
-    """Return whether all that is asked of each vehicle (n,) is finite."""
+    """Return (n,) bool: all numbers of the vehicle's command are finite."""
     found = []
-    for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):
+    for fleet, action in zip(world.fleets, split_messages(actions)[0], strict=True):
         fine = jnp.ones(fleet.size, bool)
-        # In the rows of who is not commanded is anything.
+        # Rows of vehicles that are not commanded are ignored: they may contain anything.
         for which, asked in action.parts if isinstance(action, Some) else [(True, action)]:
             for leaf in jax.tree.leaves(asked):
                 fine = fine & (jnp.isfinite(leaf) | jnp.logical_not(which))

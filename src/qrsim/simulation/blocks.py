@@ -25,9 +25,9 @@ from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import State, World
 
-# Ticks between two looks at the progress, where nothing else stops the loop.
+# Largest number of ticks in one call of a program: progress is reported between calls.
 TICKS_PER_CALL = 500
-# What readings take of a state, and of that of a fleet.
+# Fields of a state, and of a fleet's state, that readings use.
 _TOLD = ("sky", "sky_keys")
 _TOLD_OF_FLEETS = ("readings", "violation", "passed_on", "fitted", "estimate", "belief")
 
@@ -54,16 +54,16 @@ class Schedule:
 
 
 class Engine:
-    """Flies block after block.
+    """Flies the worlds of a rollout, block after block.
 
     Args:
-        setup: what the rollout is made of.
+        setup: structure of the rollout.
         example: one of the worlds.
-        fixed: leaves that all worlds share.
-        varied: leaves (W, ...) that they do not.
-        schedule: how long, and what is looked at when.
-        record: what is kept of a state, None for nothing.
-        sink: takes what is recorded; None: it is kept.
+        fixed: leaves that are equal in all worlds.
+        varied: leaves (W, ...) that vary.
+        schedule: number of ticks, and the ticks that are recorded.
+        record: returns the part of a state that is recorded; None: nothing is.
+        sink: called with each record; None: records are kept.
         progress: called with the number of world-ticks done.
     """
 
@@ -139,13 +139,13 @@ class Engine:
 
 
 class LateRadio:
-    """The radios' state of all worlds at a tick, fetched where a function looks at an inbox, and else not at all.
+    """State of the radios of all worlds at a tick, fetched only if a user's function reads an inbox.
 
     Args:
-        fetch: returns it while the tick lasts, leaves (W, ...).
+        fetch: returns it, leaves (W, ...); it can be called until the next tick.
 
     Attributes:
-        over: the tick is over, and what was not fetched cannot be.
+        over: whether the tick is over, so that the state can no longer be fetched.
     """
 
     def __init__(self, fetch: Callable[[], Any]):
@@ -153,7 +153,7 @@ class LateRadio:
         self.over = False
 
     def of(self, world: int) -> Any:
-        """Return that of one world; raises UsageError where it is too late."""
+        """Return the radio state of one world; raise UsageError if it was not read before the next tick."""
         if self._host is None:
             if self.over:
                 raise UsageError(
@@ -164,8 +164,8 @@ class LateRadio:
         return jax.tree.map(lambda leaf: leaf[world], self._host)
 
 
-class _Each(Sequence[object]):
-    """A tuple of one world, of leaves (W, ...) for all; only what somebody looks at is sliced."""
+class _LazyTuple(Sequence[object]):
+    """A tuple of one world, from leaves (W, ...) of all worlds; an entry is sliced when it is read."""
 
     def __init__(self, parts: Sequence[object], world: int):
         self._parts, self._world = parts, world
@@ -177,8 +177,8 @@ class _Each(Sequence[object]):
         return jax.tree.map(lambda leaf: leaf[self._world], self._parts[number])
 
 
-class _Told:
-    """Parts of one world, by name, of leaves (W, ...) for all; only what somebody looks at is sliced."""
+class _LazyParts:
+    """Parts of one world by name, from leaves (W, ...) of all worlds; a part is sliced when it is read."""
 
     def __init__(self, parts: Mapping[str, object], world: int):
         self._parts, self._world = parts, world
@@ -189,21 +189,21 @@ class _Told:
         part = self._parts[name]
         found: object
         if isinstance(part, tuple) and type(part) is tuple:
-            found = _Each(part, self._world)
+            found = _LazyTuple(part, self._world)
         else:
             found = jax.tree.map(lambda leaf: leaf[self._world], part)
         setattr(self, name, found)
         return found
 
 
-class _ToldState(_Told):
-    """What a reading takes of the state of one world."""
+class _LazyState(_LazyParts):
+    """The parts of one world's state that a ``Reading`` uses."""
 
     def __init__(
         self, parts: Mapping[str, object], fleets: Sequence[Mapping[str, object]], radios: LateRadio, world: int
     ):
         super().__init__(parts, world)
-        self.fleets = [_Told(fleet, world) for fleet in fleets]
+        self.fleets = [_LazyParts(fleet, world) for fleet in fleets]
         self._radios = radios
 
     @property
@@ -226,7 +226,7 @@ class LockStep:
         self._memories: dict[tuple[str, int], Any] = {}
 
     def _call(self, function: UserFunction, reading: Reading, world: int) -> Any:
-        """Return what a function answers in a world, and keep its memory."""
+        """Call a user's function for one world, keep its new memory, and return its answer."""
         which = (function.what, world)
         if which not in self._memories:
             self._memories[which] = function.init(reading)
@@ -244,7 +244,7 @@ class LockStep:
         parts, fleets = jax.tree.map(np.asarray, flight.get(heard))
         flying = np.concatenate([fleet["violation"].code for fleet in fleets], axis=1) == 0
         for world in range(len(self.rows)):
-            state: Any = _ToldState(parts, fleets, radios, world)
+            state: Any = _LazyState(parts, fleets, radios, world)
             found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying[world]))
         return found
 
@@ -272,7 +272,7 @@ class LockStep:
 
     @staticmethod
     def _stack(function: UserFunction | None, answers: list[Any], count: int) -> object:
-        # Where nothing is asked of any fleet of any world, it is as without a policy.
+        # If no fleet of any world is commanded, the program is the one without a policy.
         if not jax.tree.leaves(answers):
             return ()
         filled = answers + [answers[-1]] * (count - len(answers))

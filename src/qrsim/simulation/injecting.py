@@ -52,7 +52,7 @@ class Injecting(Alone):
         super().__init__()
         self._injections: list[Injection] = []
         self._requests: list[Injection] = []
-        # The weather of the scenario, once another was asked for.
+        # The scenario's own weather, kept from the first request that changes it.
         self._weather: Weather | None = None
         self._count = 0
         self._asked: tuple[int, int] = (-1, 0)
@@ -197,12 +197,13 @@ class Injecting(Alone):
         Raises:
             UsageError: one is not possible in this world; nothing has changed.
         """
-        count, found = self._count, []
-        for one in requests:
-            fault = one.kind != OK and one.target != WORLD
+        count, renewed = self._count, []
+        for request in requests:
+            # Only faults have an id, by which they can be ended.
+            fault = request.kind != OK and request.target != WORLD
             count += fault
-            found.append(dataclasses.replace(one, tick=self.tick, id=count if fault else 0))
-        self._make(found)
+            renewed.append(dataclasses.replace(request, tick=self.tick, id=count if fault else 0))
+        self._make(renewed)
 
     def set_wind(self, speed: float, from_deg: float, over: float = 0.0, asked_by: str = "python") -> None:
         """Change the mean wind from the next tick on.

@@ -41,14 +41,14 @@ class Injection:
     """A fault that was injected, or another request of a flight: one that ends faults, or changes the world.
 
     Attributes:
-        id: its number, from 1; 0 of what is no fault.
+        id: number of the fault, from 1; 0 for other requests.
         target: sensor, ``rotor N``, ``battery``, ``radio``, ``link`` or ``world``.
-        kind: what happens to it; ``ok``: a fault ends.
-        vehicles: names; none of the world.
+        kind: kind of the fault; ``ok`` ends faults.
+        vehicles: names; empty for the world.
         start_tick, end_tick: first tick of the fault, and first tick after it.
-        numbers: how large it is, and the field that it is of.
-        asked_by: who asked for it.
-        tick: at which it was asked for.
+        numbers: of the fault by name, with its ``field``.
+        asked_by: name of the client that made the request.
+        tick: tick of the request.
     """
 
     id: int
@@ -189,7 +189,7 @@ def without_faults(world: World) -> World:
 
 
 def targets_of(fleet: Fleet) -> list[str]:
-    """Return what of a fleet may be made to fail in flight."""
+    """Return the names of a fleet's parts that can be made to fail in flight: those with a slot in the program."""
     rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
     others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot}
     return (
@@ -227,7 +227,7 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
 
 
 def _parts(fleet: Fleet) -> list[str]:
-    """Return what of a fleet could be injectable."""
+    """Return the names of a fleet's parts that a scenario can declare injectable."""
     rotors = range(len(fleet.vehicle.rotors)) if isinstance(fleet.vehicle, Multirotor) else ()
     return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *["battery"] * bool(fleet.battery.drains), "radio"]
 
@@ -351,7 +351,7 @@ def _rotor_fault(
         start_tick=_put(slot.start_tick, chosen, ticks[0]),
         end_tick=_put(slot.end_tick, chosen, ticks[1]),
         affected=slot.affected | chosen,
-        # A rotor that is stuck turns as fast as it does, whatever it is told.
+        # A stuck rotor keeps its speed, so its health has no effect.
         health=_put(slot.health, chosen, 1.0 if kind == "stuck" else number),
         speed=_put(slot.speed, chosen, number if kind == "stuck" else FREE),
     )

@@ -48,6 +48,6 @@ def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], car
 
 
 def _function(name: str, call: Any, setup: Setup) -> Function:
-    # Only what is made of this package alone can be told by its structure in another process.
+    # Only setups of this package's own code can be identified by their structure in another process.
     text = (setup.types, setup.varied) if setup.plain else None
     return Function(name, partial(call, setup), setup.key, text)

@@ -12,11 +12,11 @@ from qrsim.files.code import FileModules, files_of, load_files
 
 
 def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None:
-    """Return how an object is pickled, None where no class of its tree is in a file.
+    """Return the result of ``__reduce_ex__`` for an object; None if no class of its tree is from a user's file.
 
     Args:
-        item: with ``__getstate__`` and ``__setstate__``.
-        tree: whose classes it holds.
+        item: the object, with ``__getstate__`` and ``__setstate__``.
+        tree: PyTree of records whose classes may be from files.
         protocol: of the pickle.
     """
     files = files_of(kinds(jax.tree.structure(tree)))

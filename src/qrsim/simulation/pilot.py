@@ -22,13 +22,13 @@ class Pilot:
     """Runs a policy and an estimator; compiles those that can be compiled.
 
     Args:
-        simulation: what they fly; it has been reset.
+        simulation: the simulation to fly, after a reset.
         policy, estimator: see ``qrsim.interface.policies``; None for the scenario's own.
-        policy_ticks: the policy is asked at every so-many-th tick.
+        policy_ticks: number of ticks from one call of the policy to the next.
 
     Raises:
-        UsageError: it is no function of a reading.
-        RunError: it failed at its start.
+        UsageError: a policy or estimator is no function of a reading.
+        RunError: one of them failed at its start.
     """
 
     def __init__(self, simulation: Simulation, policy: object = None, estimator: object = None, policy_ticks: int = 1):
@@ -99,7 +99,7 @@ class Pilot:
                 result, self.memories[function.what] = jax.tree.map(np.asarray, answer)
             else:
                 result, self.memories[function.what] = function(simulation.reading, memory)
-            # Checked here, where it is known whose it is.
+            # Checked here, where messages can name the function.
             if function is self.policy:
                 self._checker.actions(result, lambda: simulation.valid)
             else:

@@ -1,4 +1,4 @@
-"""What the radios of a simulation are given to send, and what they have heard."""
+"""Sending messages by the radios of a simulation, and reading their inboxes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from qrsim.simulation.one_world import OneWorld
 from qrsim.world.state import State, World
 
 
-def nobody() -> None:
-    """Stand in for the reference to a state that nobody sees."""
+def no_seen_state() -> None:
+    """Return None, as a weak reference to a state does that no longer exists."""
 
 
 class Radios(Alone):
@@ -41,21 +41,21 @@ class Radios(Alone):
         raise NotImplementedError
 
     def send(self, vehicle: str | int, payload: object, to: str | int | None = None) -> None:
-        """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/howto/radio.md).
+        """Give a message to the radio of a vehicle, which sends it at its next turn (docs/howto/radio.md).
 
         Args:
             vehicle: name or number of the sender.
-            payload: at most as many numbers as ``world.radio.size`` says.
-            to: name or number of who alone is to hear it; None: all.
+            payload: at most ``world.radio.size`` numbers.
+            to: name or number of the only receiver; None: all vehicles.
 
         Raises:
-            UsageError: no radio, nobody of that name, or a payload that is too long or no numbers.
+            UsageError: no radio, no vehicle of that name, or a payload that is too long or contains no numbers.
         """
         self.send_all([(vehicle, payload, to)])
 
     @alone
     def send_all(self, messages: Sequence[tuple[str | int, Any, str | int | None]]) -> None:
-        """Hand messages to radios, all or none, each as in ``send``: vehicle, payload and to.
+        """Give messages to radios, all or none, each as in ``send``: vehicle, payload and to.
 
         Raises:
             UsageError: as of ``send``.
@@ -69,7 +69,7 @@ class Radios(Alone):
         for sender, payload, receiver in checked:
             radio = self.world.radio.handed(radio, sender, payload, receiver, self.tick)
         with self.precision_context():
-            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), nobody
+            self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), no_seen_state
 
     def _checked(self, vehicle: str | int, payload: object, to: str | int | None) -> tuple[int, Any, int]:
         """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""
@@ -78,17 +78,17 @@ class Radios(Alone):
         return sender, outbox.payload[:, 0], receiver
 
     def inbox(self, vehicle: str | int) -> list[Message]:
-        """Return what a vehicle has heard over the radio, the newest message of each sender.
+        """Return the messages that a vehicle has received, the newest of each sender.
 
         Raises:
-            UsageError: no radio, or nobody of that name.
+            UsageError: no radio, or no vehicle of that name.
         """
         if self.world.radio is None:
             raise UsageError("inbox: the scenario has no world.radio")
         return messages(self.world, self.state, self.tick, [self._vehicle_number("inbox", vehicle)])[0]
 
     def inboxes(self) -> list[list[Message]]:
-        """Return the same of every vehicle; raises UsageError without a radio."""
+        """Return the inbox of every vehicle; raises UsageError without a radio."""
         if self.world.radio is None:
             raise UsageError("inboxes: the scenario has no world.radio")
         return messages(self.world, self.state, self.tick, range(len(self.vehicle_names)))

@@ -1,7 +1,7 @@
 """Many worlds at once: compiled, cut into blocks that fit in memory, over all devices.
 
-A world of a rollout is what a Simulation with its seed and number flies. It does not know how many others there are:
-its noise is the same to the bit however the worlds are cut into blocks.
+A world of a rollout flies like a Simulation with its seed and number. Its noise does not depend on the number of
+worlds, and is bit-identical however the worlds are cut into blocks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from qrsim.world.state import State, World
 
 # Vehicles of a block on one device: their states and the noise of a tick then stay in a core's own cache.
 VEHICLES_PER_BLOCK = 4096
-# Of the states of a block, with all that a tick makes of them.
+# Limit for the states of a block; a tick needs about COPIES of them.
 MEMORY_BYTES = 512 * 2**20
 COPIES = 4
 LARGEST_SEED = 2**63
@@ -108,7 +108,7 @@ class Rollout(Tabled):
 
 
 def _metric_row(name: str, values: NumpyArray) -> tuple[str, ...]:
-    """Return name, unit, shape, and three numbers of a metric; these only where each value is one number."""
+    """Return name, unit, shape, and least, median and greatest of a metric; the last three only for scalars (W, n)."""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
     numbers = values[np.isfinite(values)] if values.ndim == 2 and values.dtype.kind in "fiub" else values[:0]
     found = (numbers.min(), np.median(numbers), numbers.max()) if numbers.size else (None,) * 3
@@ -174,24 +174,24 @@ def setup_of(
     policy_ticks: int = 1,
     site: Site | None = None,
 ) -> tuple[Setup, list[Any], list[Any]]:
-    """Return the setup of a rollout, the leaves that its worlds share, and those that vary, (W, ...).
+    """Return the setup of a rollout of W worlds, the leaves equal in all of them, and those that vary, (W, ...).
 
-    The arguments are those of ``rollout``.
+    The arguments are those of ``rollout``; ``several`` lists the worlds.
     """
     structure, fixed, varied, which_varied = _stack(list(several))
     metrics = FLIGHT_METRICS if metrics is None else metrics
     setup = Setup(
-        user_function("policy", policy),
-        user_function("estimator", estimator),
-        metrics,
-        sameness(metrics),
-        policy_ticks,
-        site or Site(),
-        structure,
-        repr(structure),
-        which_varied,
-        device_mesh(),
-        tuple(kinds(structure)),
+        policy=user_function("policy", policy),
+        estimator=user_function("estimator", estimator),
+        metrics=metrics,
+        measured=sameness(metrics),
+        policy_ticks=policy_ticks,
+        site=site or Site(),
+        structure=structure,
+        types=repr(structure),
+        varied=which_varied,
+        mesh=device_mesh(),
+        kinds=tuple(kinds(structure)),
     )
     return setup, fixed, varied
 
@@ -221,12 +221,12 @@ def _seeds_and_numbers(
 
 
 def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool, ...]]:
-    """Return the structure of the worlds, the leaves they share, those they do not, (W, ...), and which is which."""
+    """Return the structure of the worlds, the leaves equal in all, those that vary (W, ...), and which leaves vary."""
     flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
     structure = flat[0][1]
     types = tuple(kinds(structure))
     for i, (_, other) in enumerate(flat[1:], 1):
-        # By the types too: classes of one name, in two files, are no less two.
+        # Types are compared by identity too: two files may define classes of the same name.
         alike = other == structure and tuple(kinds(other)) == types
         different = "" if alike else "types, names, sensors or settings"
         if different or (different := _other_arrays(several[0], several[i])):

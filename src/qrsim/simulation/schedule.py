@@ -31,7 +31,7 @@ class Schedule:
             self._made = due
 
     def ticks(self, most: int) -> int:
-        """Return how many ticks to fly until the next request, at most ``most``."""
+        """Return the number of ticks until the next request, at most ``most``."""
         return min(most, self._ticks[self._made] - self._simulation.tick) if self else most
 
     def __bool__(self) -> bool:

@@ -31,7 +31,7 @@ from qrsim.simulation.injecting import Injecting
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
-from qrsim.simulation.radios import Radios, nobody
+from qrsim.simulation.radios import Radios, no_seen_state
 from qrsim.simulation.snapshot import SavedState, fingerprint, write
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
@@ -83,7 +83,7 @@ class Simulation(Radios, Injecting, Tabled):
         self._offsets: StateOffsets | None = None
         self._state: Buffers | None = None
         # The present state, as long as somebody sees it.
-        self._now: Callable[[], Seen | None] = nobody
+        self._now: Callable[[], Seen | None] = no_seen_state
         # Whether vehicles may come to have more others around them than they look at.
         self._crowded = True
 
@@ -91,7 +91,7 @@ class Simulation(Radios, Injecting, Tabled):
         return with_files(self, self.world, protocol) or super().__reduce_ex__(protocol)
 
     def __getstate__(self) -> dict[str, object]:
-        # Programs are those of the world, and made again; locks are nobody else's.
+        # Programs follow from the world and are made again; locks cannot be shared with a copy.
         with self._lock:
             kept = {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
             return kept | {"_state": None if self._state is None else tuple(map(np.array, self._state))}
@@ -140,7 +140,7 @@ class Simulation(Radios, Injecting, Tabled):
         self._clear_all()
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
-            self.tick, self._now = 0, nobody
+            self.tick, self._now = 0, no_seen_state
             refuse_unplaced(self.world, cast(State, self._seen()).placed)
         return self.reading
 
@@ -261,7 +261,7 @@ class Simulation(Radios, Injecting, Tabled):
             changed = self._ticks.place(layout, before, self.tick, (rows, chosen, chosen & new_battery))
             fleets = layout.unpack(changed).fleets
             refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
-            self._state, self._now = changed, nobody
+            self._state, self._now = changed, no_seen_state
         return self.reading
 
     @alone
@@ -298,7 +298,7 @@ class Simulation(Radios, Injecting, Tabled):
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._inject_again(saved.injections)
             self._state = self._ticks.adopt(buffers)
-            self._layout, self._now = layout, nobody
+            self._layout, self._now = layout, no_seen_state
             self.tick, self.seed, self.number = saved.tick, saved.seed, saved.number
         return self.reading
 
@@ -309,8 +309,10 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def compiled_by(self) -> tuple[str, str]:
-        """Which compiler made the program of the last ticks, "llvm" (machine code by qrsim) or "xla"; and why the first
-        did not take them, "" where it did or was not asked.
+        """Compiler of the program of the last ticks, and the reason why it is not "llvm".
+
+        The compiler is "llvm" (machine code by qrsim) or "xla"; the reason is "" if "llvm" compiled it or was not
+        tried.
         """
         self._running()
         program = self._ticks.flown_by
@@ -328,7 +330,7 @@ class Simulation(Radios, Injecting, Tabled):
             return self._seen().whole()
 
     def _seen(self) -> Seen:
-        """Return the present state, to be looked at."""
+        """Return the present state, read by offsets; the same object as long as a caller holds it."""
         seen = self._now()
         if seen is None:
             layout, state = self._running()
@@ -339,11 +341,11 @@ class Simulation(Radios, Injecting, Tabled):
         return seen
 
     def _detach_seen(self) -> None:
-        """Leave the present state to whom it is seen by, because the next tick overwrites its buffers."""
+        """Copy the present state for callers that still hold it, because the next tick overwrites its buffers."""
         seen = self._now()
         if seen is not None:
             seen.keep()
-            self._now = nobody
+            self._now = no_seen_state
 
     @property
     def history(self) -> History:

@@ -33,9 +33,9 @@ NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "worl
 LARGEST_SEED, LARGEST_NUMBER = 2**63 - 1, 2**32 - 1
 # No state comes near it: a thousand vehicles take 600 kB.
 LARGEST_FILE = 2**28
-# What may be NaN of a state: what sensors say where they have nothing to say, and what nobody asked for.
+# Fields that may be NaN: missing readings, and numbers that were never commanded.
 MAY_BE_NAN = ("readings", "true_readings", "passed_on", "fitted", "sensors", "setpoint", "controller", "violation")
-# What may be NaN of a vehicle that has stopped.
+# Fields that may be NaN for a vehicle that has stopped.
 MAY_BE_NAN_ONCE_STOPPED = ("command", "estimate")
 
 
@@ -217,7 +217,7 @@ def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> 
 
 
 def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray]]:
-    """Yield where and what in a state is finite in every simulation."""
+    """Yield the numbers of a state that are finite in every simulation, with their place for messages."""
     # Recorded orbits end, and have gaps.
     recorded = isinstance(world.sky, SharedSky | SlottedSky) and isinstance(world.sky.orbits, Sp3Orbits)
     if not recorded:
@@ -239,7 +239,7 @@ def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray
 
 
 def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, object]]:
-    """Yield what may be NaN and is infinite in no built-in component; a user's own may mean something by it."""
+    """Yield parts that may contain NaN but no infinity, by name. Only built-in components: others may use infinity."""
     for sensor, memory, reading, true in zip(
         fleet.sensors, state.sensors, state.readings, state.true_readings, strict=True
     ):
@@ -256,7 +256,7 @@ def _floats(where: str, tree: object, flies: Any = None) -> Iterator[tuple[str, 
 
 
 def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, float, float]]:
-    """Yield where and what in a state is a number of something, and its smallest and largest value."""
+    """Yield the numbers of a state that have a range: their place for messages, values, smallest and largest."""
     for number, (fleet, now) in enumerate(zip(world.fleets, state.fleets, strict=True)):
         here = f"of fleet {number}"
         yield f"the reason why a vehicle stopped, {here},", now.violation.code, 0, len(REASONS) - 1

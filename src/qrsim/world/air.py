@@ -1,4 +1,4 @@
-"""The air at vehicles: what their turbulence looks at, its gusts, and what a vehicle may look at around it."""
+"""The air at vehicles: inputs of their turbulence, gusts, and the surroundings that a vehicle model can read."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Time = tuple[Array, Array]
 
 
 def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: object) -> dict[str, object]:
-    """Return the arguments of a turbulence beside its state and the height, by name.
+    """Return the arguments that a turbulence names in ``reads``, in addition to its state and the height.
 
     Args:
-        turbulence: whose ``reads`` say so.
-        position_ned: of vehicles (n,) [m].
+        turbulence: of the world.
+        position_ned: positions of vehicles (n,) [m].
         time: since the start of the run, () int32 whole seconds and the rest.
-        field: what the gusts of the episode share.
+        field: the part of the episode's gusts that all vehicles share.
     """
     known: dict[str, object] = {"position_ned": position_ned, "seconds": time[0], "fraction": time[1], "field": field}
     return {name: known[name] for name in turbulence.reads}
@@ -51,7 +51,7 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
 
 
 def _shared_and_own(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
-    """Return what the turbulence of all vehicles shares, and what each updraft has drawn."""
+    """Return the part of the turbulent field that all vehicles share, and the random draws of each updraft."""
     return (field.turbulence, field.updrafts) if world.updrafts else (field, ())
 
 

@@ -11,12 +11,12 @@ from qrsim.core.tree import quantity, record
 
 @record
 class Course:
-    """A number over time in K legs, of which the last that has begun counts; K is part of what is compiled."""
+    """A number over time, in K legs; the leg that began last determines it. K is fixed in the compiled program."""
 
     start_tick: Array = quantity(doc="(K,) int32 tick at which a leg begins, increasing")
-    ticks: Array = quantity(doc="(K,) int32 ticks that it takes; 0: it is a step")
-    before: Array = quantity(doc="(K,) value at which it begins")
-    after: Array = quantity(doc="(K,) value at which it ends, and which is kept")
+    ticks: Array = quantity(doc="(K,) int32 duration of the leg [ticks]; 0: a step")
+    before: Array = quantity(doc="(K,) value at the beginning of the leg")
+    after: Array = quantity(doc="(K,) value at its end and after it")
 
     def at(self, tick: Array) -> Array:
         """Return the number () at a tick."""
@@ -24,7 +24,7 @@ class Course:
         for leg in range(self.start_tick.shape[0]):
             since, ticks = tick - self.start_tick[leg], self.ticks[leg]
             share = since.astype(value.dtype) / jnp.maximum(ticks, 1).astype(value.dtype)
-            # Rounded, so that every program makes the same bits.
+            # The product is rounded, so that the result does not depend on the program around it.
             on_the_way = self.before[leg] + rounded(share * (self.after[leg] - self.before[leg]))
             value = jnp.where(since >= 0, jnp.where(since >= ticks, self.after[leg], on_the_way), value)
         return value
@@ -32,9 +32,9 @@ class Course:
 
 @record
 class Changes:
-    """What of a world's weather changes; None and () of what does not."""
+    """Changes of a world's weather over time; None or () for numbers that do not change."""
 
-    speed_20ft: Course | None = quantity(default=None, doc="of the mean wind [m/s]")
-    wind_from_rad: Course | None = quantity(default=None, doc="bearing that it comes from [rad]")
-    gusts: Course | None = quantity(default=None, doc="what random gusts are multiplied by")
-    powers: tuple[Course, ...] = quantity(default=(), doc="of each jammer [W]")
+    speed_20ft: Course | None = quantity(default=None, doc="speed of the mean wind [m/s]")
+    wind_from_rad: Course | None = quantity(default=None, doc="bearing from which it blows [rad]")
+    gusts: Course | None = quantity(default=None, doc="factor of random gusts")
+    powers: tuple[Course, ...] = quantity(default=(), doc="power of each jammer [W]")

@@ -1,4 +1,4 @@
-"""What ends the flights of vehicles: new positions looked at together, and each vehicle alone."""
+"""Checks that end flights: collisions among all vehicles, and the limits of each vehicle alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,12 @@ from qrsim.world.state import Fleet, FleetState, World
 
 
 def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
-    """Look at all new positions together; a vehicle that breaks a limit stays where it was, at rest."""
+    """Check all vehicles after a step; one that breaks a limit is put back where it was, at rest.
+
+    Args:
+        world: parameters.
+        before, flown: states of each fleet before and after the step.
+    """
     positions = []
     for old, new in zip(before, flown, strict=True):
         moving = old.violation.code == 0
@@ -35,7 +40,7 @@ def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState,
         violation = old.violation.or_else(own.or_else(in_collision))
         stopped = fleet.vehicle.stopped(old.vehicle)
         valid = violation.code == 0
-        # The vehicle itself is put back, and its estimate stays: what else a stopped vehicle computes goes nowhere.
+        # Only the vehicle and its estimate are put back: nothing else of a stopped vehicle has an effect.
         vehicle = select(valid, new.vehicle, stopped)
         low = select(valid, new.position_low_ned, old.position_low_ned)
         checked.append(
@@ -65,7 +70,7 @@ def own_checks(
     # One after the other: side by side in one array they would be written to memory first.
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
-        # Who has hit the ground hard enough to overflow has crashed.
+        # The vehicle's own checks are first: a crash so hard that the state overflows is reported as a crash.
         *fleet.vehicle.own_checks(state.vehicle),
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *ground_checks(world, fleet, state),

@@ -17,7 +17,7 @@ from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.world.failing import by_failsafe
 from qrsim.world.sensing import estimate_of, with_airspeed
-from qrsim.world.standing import on_ground, seen_ground
+from qrsim.world.standing import ground_argument, on_ground
 from qrsim.world.state import Action, Fleet, FleetState, Piloted, Some, State, World
 
 T = TypeVar("T")
@@ -63,7 +63,7 @@ def command_fleet(
     estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, state.estimate)
     setpoint = action
     if setpoint is None:
-        others = _others(world, whole, fleet) | seen_ground(fleet, standing)
+        others = _others(world, whole, fleet) | ground_argument(fleet, standing)
         motion: dict[str, Any] = {}
         if fleet.guidance.sees_motion:
             motion = {"velocity_ned": estimate.velocity_ned, "dt": world.time_step}
@@ -129,7 +129,7 @@ def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Ca
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
-    """Return the mates that the vehicles of a fleet (n,) know; stopped vehicles send nothing new."""
+    """Return the neighbour lists of a fleet's vehicles (n,); stopped vehicles send nothing new."""
     guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None

@@ -96,7 +96,7 @@ def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
 
 
 def draw_field(world: World, draws: dict[str, Draw]) -> object:
-    """Draw what the gusts of an episode share, None if they share nothing; with updrafts an ``AirField``."""
+    """Draw the part of an episode's gusts that all vehicles share, or None; with updrafts an ``AirField``."""
     turbulence, shared = world.turbulence, None
     if turbulence.field_ids:
         shared = turbulence.draw_field(draws[FIELD], **({"wind": world.wind} if turbulence.sees_wind else {}))
@@ -129,7 +129,7 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
     start: Start
     start, found = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
     if not world.ground.at_zero:
-        # Nobody knows beforehand where that is, so the height given is that above the ground.
+        # Random places are not known beforehand, so the given height is above the ground there.
         position = start.position_ned
         start = replace(start, position_ned=replace(position, z=position.z + world.ground.down(position)))
     return start, found

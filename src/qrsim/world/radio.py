@@ -1,4 +1,4 @@
-"""The radio of a world in a tick: who says what, and who sends and hears it."""
+"""The radio of a world in a tick: messages and beacons to send, and messages received."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from qrsim.world.sensing import estimate_of
 from qrsim.world.state import Action, Fleet, FleetState, Saying, State, World, WorldKeys
 
 
-def parted(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
-    """Return what is asked of each fleet, and what its vehicles have to say."""
+def split_messages(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
+    """Split actions into each fleet's action without messages, and the messages of its vehicles, None without any."""
     plain = tuple(action.action if isinstance(action, Saying) else action for action in actions)
     return plain, tuple(action.outbox if isinstance(action, Saying) else None for action in actions)
 
@@ -35,13 +35,13 @@ def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: t
 
 
 def exchange(world: World, state: State, outboxes: tuple[Outbox | None, ...], tick: Array, due: Array) -> object:
-    """Return the state of the radio after what is said at a tick.
+    """Return the state of the radio after the messages of a tick.
 
     Args:
         world, state: at the start of the tick.
-        outboxes: of the vehicles of each fleet; None: nothing, so that they send beacons, if any.
+        outboxes: messages of the vehicles of each fleet; None: no messages, so they send beacons if the radio has any.
         tick: () int32 now.
-        due: () int32 the same, not batched.
+        due: () int32 the tick as ``step`` counts it, which is not batched under vmap.
     """
     radio = world.radio
     if radio is None:
@@ -83,13 +83,16 @@ def _failed(world: World, like: Array, tick: Array) -> tuple[Array | None, Array
 
 
 def heard(world: World, state: State, tick: Array) -> Inbox:
-    """Return what all vehicles (n,) of a world have heard by a tick."""
+    """Return the messages that the vehicles (n,) of a world have received by a tick."""
     assert world.radio is not None
     return world.radio.received(state.radio, tick, world.time_step)
 
 
 def vehicle_ids(fleet: Fleet) -> npt.NDArray[np.uint32]:
-    """Return what draws of each vehicle (n,) belong to: its fleet's name and its number in it, uint32."""
+    """Return the identity (n,) uint32 of each vehicle in random draws, from its fleet's name and its number there.
+
+    So draws do not change when another fleet is added.
+    """
     first = int.from_bytes(hashlib.sha256(fleet.name.encode()).digest()[:4], "little")
     return ((first + np.arange(fleet.size, dtype=np.uint64)) & 0xFFFFFFFF).astype(np.uint32)
 
@@ -113,7 +116,7 @@ def _merged_outbox(world: World, outboxes: tuple[Outbox | None, ...], like: Arra
 
 
 def _beacons(world: World, state: State, outboxes: tuple[Outbox | None, ...]) -> Outbox:
-    """Return each vehicle's estimate of its own position and velocity, for all; nothing of those who speak."""
+    """Return the beacons of all vehicles: estimated position and velocity; none of vehicles that send messages."""
     assert world.radio is not None
     size, parts, sends = world.radio.size, [], []
     for fleet, now, part in zip(world.fleets, state.fleets, outboxes, strict=True):

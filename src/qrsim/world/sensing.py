@@ -88,11 +88,11 @@ def sense(
 def with_traffic(
     world: World, view: Surroundings, vehicles: Sequence[VehicleState], flies: Sequence[Array | None]
 ) -> Surroundings:
-    """Return surroundings with all vehicles of a world, as they are where no sensor looks at them.
+    """Return surroundings with the traffic of all vehicles, or unchanged if no sensor measures vehicles.
 
     Args:
         world: its parameters.
-        view: what sensors may look at.
+        view: surroundings that sensors can read.
         vehicles: true states of each fleet.
         flies: of each fleet whether each vehicle (n,) is still valid; None: all are.
     """
@@ -115,7 +115,7 @@ def with_traffic(
 def inputs_of(
     sensor: Sensor, fitting: Fitting | None, scene: dict[str, object], memory: Fitted | None, time_step: float
 ) -> dict[str, object]:
-    """Return what a sensor reads, where it is mounted."""
+    """Return the inputs of a sensor by name (``reads``), at its mounting position and in its axes."""
     if fitting is None or (fitting.position_body is None and fitting.attitude is None):
         return {item: scene[item] for item in sensor.reads}
     before = None if memory is None else memory.rates_body
@@ -123,7 +123,7 @@ def inputs_of(
 
 
 def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> object:
-    """Return what the fittings of a fleet remember at a start, with the first readings of its sensors."""
+    """Return the states of a fleet's fittings at the start, from the first readings of its sensors; () without any."""
     if not fleet.fittings:
         return ()
     rates = cast(Vec3, scene["rates_body"])
@@ -138,7 +138,7 @@ def _fitted(state: FleetState, number: int) -> Fitted | None:
 
 
 def _moved_on(memory: Fitted | None, scene: dict[str, object]) -> Fitted | None:
-    """Return the memory of a fitting with the rates of now, where it needs them at the next tick."""
+    """Return the state of a fitting with the present rates, if it needs them at the next tick."""
     if memory is None or memory.rates_body is None:
         return memory
     return replace(memory, rates_body=cast(Vec3, scene["rates_body"]))
@@ -153,7 +153,7 @@ def _sent(
     dt: float,
     tick: Array,
 ) -> tuple[object, Any]:
-    """Step a sensor and send its reading; return its state, and what is on its way."""
+    """Step a sensor and send its reading; return its state, and the readings in transit."""
     after, reading = step()
     assert memory.transit is not None
     late = fitting.ticks(period, dt, draw, memory.transit.due[0].shape)
@@ -170,10 +170,10 @@ def _believed(
     due: Array,
     after: Array,
 ) -> Belief | None:
-    """Return what the controller's own estimator makes of the readings of now; None without one.
+    """Step the controller's own estimator with the present readings; return its belief, None without an estimator.
 
-    Of vehicles that are not ``valid`` (n,) it keeps what it made of their last readings, at rest: without any, an
-    estimator would have them fly on.
+    Vehicles that are not ``valid`` (n,) keep their last estimate, with zero velocity: without new readings, a filter
+    would go on predicting their flight.
     """
     estimator = fleet.own_estimator
     if estimator is None or belief is None:
@@ -184,9 +184,9 @@ def _believed(
         name: sensor.fresh(due, dt) if memory is None or memory.transit is None else memory.transit.fresh(after)
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
     }
-    found = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
+    new = Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
     resting = at_rest(belief.estimate)
-    return replace(found, estimate=select(valid, found.estimate, resting), std=select(valid, found.std, belief.std))
+    return replace(new, estimate=select(valid, new.estimate, resting), std=select(valid, new.std, belief.std))
 
 
 def first_belief(
@@ -197,7 +197,15 @@ def first_belief(
     readings: dict[str, Record],
     start: Estimate,
 ) -> Belief | None:
-    """Return what a fleet's estimator makes of the first readings, of which ``firsts`` has the sensors' states."""
+    """Return the belief of a fleet's own estimator at the start; None without an estimator.
+
+    Args:
+        fleet, state: parameters and state of the fleet.
+        firsts: state and first reading of each sensor.
+        draws: random streams of the start, by name.
+        readings: the first readings, by the name of the sensor.
+        start: estimate of the fleet at the start, which filters begin with.
+    """
     estimator = fleet.own_estimator
     if estimator is None:
         return None
@@ -234,16 +242,16 @@ def faulted(
     first: bool = False,
     late: Late | None = None,
 ) -> tuple[Record, tuple[FaultMemory | None, ...]]:
-    """Apply a sensor's faults in turn; return the delivered reading and what the faults remember.
+    """Apply a sensor's faults in turn; return the delivered reading and the states of the faults.
 
     Args:
-        fleet, name: whose sensor.
-        reading: what it says.
-        passed_on: what the faults remember.
-        tick: () int32.
-        noise: of the fleet.
-        first: whether it is the reading of a start, when nothing is remembered.
-        late: of a sensor that delivers its readings later; None: it delivers at once.
+        fleet, name: fleet and name of the sensor.
+        reading: of the sensor, without faults.
+        passed_on: states of the faults.
+        tick: () int32 at which the reading is delivered or held.
+        noise: random streams of the fleet, by name.
+        first: whether it is the first reading, at which the states begin.
+        late: of a sensor with a delay; None: it delivers at once.
     """
     memories = list(passed_on)
     for i, fault in enumerate(fleet.all_faults):
@@ -278,9 +286,9 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 
 def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estimate:
-    """Return an estimate with the airspeed, true or measured, if the fleet's controller looks at it and it has none.
+    """Return an estimate with the airspeed that the fleet's controller reads, or without one if it reads none.
 
-    Without a sensor of it, as where an estimate is handed in, it is the true one.
+    An airspeed in the estimate is kept; else it is the measured one, or the true one without a sensor.
     """
     if not fleet.controller.reads_airspeed:
         return estimate if estimate.airspeed is None else replace(estimate, airspeed=None)

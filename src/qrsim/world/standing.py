@@ -2,8 +2,8 @@
 
 See docs/explanation/models/scene.md.
 
-Vehicles that touch softly and upright are parked: at rest where they touched, and soon level, until their thrust
-exceeds their weight. Nothing of it is traced for fleets whose flight ends at the ground.
+Vehicles that touch down softly and upright are parked: at rest where they touched, and soon level, until their thrust
+exceeds their weight. None of this is compiled for fleets whose flight ends at the ground.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from qrsim.world.state import Fleet, FleetState, World
 SOFT_SPEED, SOFT_TILT = 1.5, math.radians(30.0)
 # A start this near to the ground [m] is one on the ground.
 START_HEIGHT = 0.01
-# Who touches down leaning comes to stand level: with this time constant [s], not faster than [rad/s].
+# A vehicle that touches down tilted becomes level with this time constant [s], not faster than [rad/s].
 LEVELLING_TIME, LEVELLING_RATE = 0.1, 2.0
-# Who leans less [rad] is level.
+# Tilt [rad] below which a vehicle counts as level.
 LEVEL = 1e-4
 
 
 def on_ground(fleet: Fleet, state: FleetState) -> Array | None:
-    """Return which vehicles (n,) of a fleet stand on the ground, bool; None where its flights end there."""
+    """Return which vehicles (n,) of a fleet are on the ground, bool; None if touching it ends a flight."""
     if state.parked is not None:
         return state.parked
     return fleet.vehicle.on_ground(state.vehicle)
 
 
-def seen_ground(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
-    """Return who stands on the ground (n,), by name, for a guidance that looks at it."""
+def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
+    """Return the argument ``on_ground`` (n,) bool of a guidance that uses it, by name; empty for other guidances."""
     if not fleet.guidance.sees_ground:
         return {}
     return {"on_ground": jnp.zeros(fleet.size, bool) if standing is None else standing}
@@ -47,10 +47,10 @@ def seen_ground(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
 def started(
     world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
 ) -> tuple[VehicleState, Vec3 | None, Array | None]:
-    """Return vehicles (n,) at a start: who starts on the ground stands or is parked there, with rotors that are still.
+    """Return vehicles (n,) at the start; those that start on the ground are at rest there, with still rotors.
 
     Returns:
-        The state, the second part of the position, and who is parked.
+        The state, the second part of the position, and which vehicles are parked (n,), None in a fleet that cannot be.
     """
     if fleet.ground != "parked":
         if "ground" in fleet.vehicle.reads:
@@ -67,25 +67,25 @@ def started(
 def settled(
     world: World, fleet: Fleet, before: FleetState, command: object, moved: VehicleState, low: Vec3 | None, force: Vec3
 ) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
-    """Hold on the ground who stands there or touches down softly, after a step of a fleet that can be parked.
+    """Hold vehicles on the ground that are parked or touch down softly, after a step of a fleet that can be parked.
 
     Args:
         world, fleet: parameters.
         before: the fleet before the step.
-        command: what was flown.
+        command: the command that was flown.
         moved, low, force: state, second part of the position and specific force after the step, as if there were no
             ground.
 
     Returns:
-        The state, the second part of the position, the specific force [m/s^2], and who is parked (n,).
+        The state, the second part of the position, the specific force [m/s^2], and which vehicles are parked (n,).
     """
     model = fleet.vehicle
     assert before.parked is not None
     load, pose = model.load(moved), model.pose(moved)
-    # Who would lean before it has the thrust for that would come down again, and lean when it touches.
+    # Only the upright part of the thrust counts: a vehicle that tilts before it can lift off would touch down tilted.
     stays = before.parked & ~(load.thrust * model.upright_share(command) > load.weight)
     lands = (_depth(world, pose, low) > 0.0) & _is_soft(*_touch(world, pose))
-    # Whoever stays is where it was, and whoever lands where it came down.
+    # A parked vehicle keeps its position; one that lands is put where it touched down.
     stood = model.pose(before.vehicle)
     place = select(stays, stood.position_ned, pose.position_ned)
     position_low_ned = select(stays, before.position_low_ned, low)
@@ -99,9 +99,9 @@ def settled(
 
 
 def _levelled(world: World, pose: Pose) -> Pose:
-    """Return poses (n,) a step nearer to standing level, with the rates that took them there.
+    """Return poses (n,) one step closer to level, with the body rates of that rotation.
 
-    A gyroscope has to feel the turn: an estimator that did not would keep the tilt of the touch.
+    The gyroscope must measure it; otherwise an estimator would keep the tilt at touch-down.
     """
     share, largest = 1.0 - math.exp(-world.time_step / LEVELLING_TIME), LEVELLING_RATE * world.time_step
 
@@ -109,9 +109,9 @@ def _levelled(world: World, pose: Pose) -> Pose:
         return jnp.where(jnp.abs(angle) < LEVEL, -angle, jnp.clip(-share * angle, -largest, largest))
 
     roll, pitch = step(pose.attitude.roll), step(pose.attitude.pitch)
-    found = replace(pose.attitude, roll=pose.attitude.roll + roll, pitch=pose.attitude.pitch + pitch)
-    rates = body_rates(found, Euler(roll / world.time_step, pitch / world.time_step, 0.0 * roll))
-    return replace(pose, attitude=found, rates_body=rates)
+    attitude = replace(pose.attitude, roll=pose.attitude.roll + roll, pitch=pose.attitude.pitch + pitch)
+    rates = body_rates(attitude, Euler(roll / world.time_step, pitch / world.time_step, 0.0 * roll))
+    return replace(pose, attitude=attitude, rates_body=rates)
 
 
 def _stopping_force(world: World, before: Pose, attitude: Euler, gravity: Array) -> Vec3:
@@ -147,9 +147,9 @@ def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:
 
 
 def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
-    """Return positions (n,) for the area to look at: a floor at z = 0 means the ground, which ``ground_checks`` has.
+    """Return positions (n,) for the check of the area, not below z = 0 if ``ground_checks`` checks the ground instead.
 
-    A floor above that, z_max below 0, stays one.
+    So a floor at z = 0 never ends such a flight; a floor above that, z_max below 0, does.
     """
     stands = "ground" in fleet.vehicle.reads or fleet.ground == "parked"
     if world.ground.at_zero and not stands:
@@ -158,7 +158,7 @@ def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
 
 
 def _depth(world: World, pose: Pose, low: Vec3 | None) -> Array:
-    """Return how far below the ground vehicles (n,) are [m]."""
+    """Return the depth of vehicles (n,) below the ground [m], negative above it."""
     position = pose.position_ned
     depth = position.z - world.ground_down(position)
     return depth if low is None else depth + low.z

@@ -115,7 +115,7 @@ def _sensed(
     tick: Array,
     before: FleetState | None,
 ) -> FleetState:
-    """Return a fleet at its start with the first readings of its sensors, and what is made of them."""
+    """Return a fleet at its start with the first readings of its sensors, delivered by fittings and faults."""
     like, firsts = state.vehicle.position_ned.x, []
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
         inputs = inputs_of(sensor, fleet.fitting(i), scene, None, world.time_step)
@@ -150,7 +150,7 @@ def vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
 
 
 def launched(world: World, fleet: Fleet, vehicle: VehicleState) -> VehicleState:
-    """Return vehicles (n,) at their start; who starts in flight does so in the mean wind there."""
+    """Return vehicles (n,) at their start; those that start in flight move with the mean wind there."""
     if not fleet.vehicle.launches:
         return vehicle
     position_ned = fleet.vehicle.pose(vehicle).position_ned

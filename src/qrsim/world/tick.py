@@ -34,7 +34,7 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
-from qrsim.world.radio import exchange, parted, start_radio
+from qrsim.world.radio import exchange, split_messages, start_radio
 from qrsim.world.sensing import sense, with_traffic
 from qrsim.world.standing import lying_force, settled
 from qrsim.world.starting import launched, start_fleet, vehicle_at
@@ -117,8 +117,8 @@ def step(
     if before is not None:
         tick, after = tick + before, after + before
     world = weather_at(world, tick)
-    actions, said = parted(actions)
-    state = replace(state, radio=exchange(world, state, said, tick, due - 1))
+    actions, messages = split_messages(actions)
+    state = replace(state, radio=exchange(world, state, messages, tick, due - 1))
     sky = _step_sky(world, state, due, after)
     noise = [draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     wakes = wakes_of(world, state.fleets)

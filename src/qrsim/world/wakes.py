@@ -1,4 +1,4 @@
-"""What the wakes of other vehicles add to the air at a fleet: its mean over each vehicle, and its rotation."""
+"""Air velocity and rotation at the vehicles of a fleet by the wakes of other vehicles."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from qrsim.models.vehicles.wake import (
 )
 from qrsim.world.state import Fleet, FleetState, World
 
-# Vehicles of a world from which on it is first found which wakes may reach anybody.
+# Number of vehicles from which on wakes that cannot reach another vehicle are sorted out first.
 FEW = 40
-# Farthest [m] that others are looked for; whose wake reaches farther may reach somebody.
+# Largest reach [m] of a wake in the choice of the search radius; a wake beyond that radius is always computed.
 _LOOKED = 100.0
-# Cosine of a lean below which nothing bounds a wake but its length.
+# Cosine of the tilt below which only its length bounds a wake.
 _UPRIGHT = 0.05
-# From a wake, a thrust, and the place along and beside its axis to the speed along it.
+# Speed along the axis of a wake, as a function of wake, thrust, distance along the axis and its squared radius.
 _Law = Callable[[Wake, Array, Array, Array], Array]
 
 
@@ -49,18 +49,18 @@ class Jets(NamedTuple):
 
 
 class _Reaching(NamedTuple):
-    """Vehicles of a fleet whose wakes may reach somebody: their numbers (m,), of which the first ``total`` count."""
+    """Vehicles of a fleet whose wakes may reach another: their numbers, the first ``total`` of (m,)."""
 
     numbers: Array
     total: Array
 
 
 class Wakes(NamedTuple):
-    """The wakes of a world at the beginning of a tick; of each fleet, None where it has none.
+    """The wakes of a world at the beginning of a tick.
 
     Attributes:
-        jets: the wakes.
-        reaching: None in a world of few, where all pairs are compared.
+        jets: wakes of each fleet, None for a fleet without.
+        reaching: vehicles of each fleet whose wakes may reach another; None in small worlds, which compare all pairs.
     """
 
     jets: tuple[Jets | None, ...]
@@ -70,8 +70,8 @@ class Wakes(NamedTuple):
 def wakes_of(world: World, before: tuple[FleetState, ...]) -> Wakes:
     """Return the wakes of all vehicles, from their states at the end of the tick before.
 
-    In a world of many, a vehicle whose wake cannot reach anybody costs no more than a search for the nearest other one;
-    the cost of each of the rest grows with the vehicles of the world.
+    In a world of ``FEW`` vehicles or more, a wake that cannot reach another vehicle costs one search for the nearest
+    neighbour. Each other wake is compared with all vehicles.
     """
     none = (None,) * len(world.fleets)
     if all(fleet.vehicle.downwash == "ignored" for fleet in world.fleets):
@@ -92,11 +92,11 @@ def wakes_on(world: World, wakes: Wakes, fleet: Fleet, pose: Pose, turned: Rotat
     Args:
         world: with all fleets.
         wakes: of all fleets.
-        fleet: whose air it is; its vehicles do not feel their own wake.
-        pose, turned: of its vehicles at the end of the tick before, and their attitude.
+        fleet: the fleet in the wakes; a vehicle does not feel its own.
+        pose, turned: its vehicles' pose at the end of the tick before, and the rotation of that attitude.
 
     Returns:
-        Both, None where no wake can be felt.
+        Velocity and rotation; None if no wake can reach the fleet.
     """
     if fleet.vehicle.downwash == "ignored":
         return None
@@ -124,7 +124,7 @@ def wakes_on(world: World, wakes: Wakes, fleet: Fleet, pose: Pose, turned: Rotat
 
 
 def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: Rotation) -> tuple[Vec3, Vec3]:
-    """Return what ``wakes_on`` returns, from all pairs of vehicles together."""
+    """Compute the result of ``wakes_on`` from all pairs of vehicles at once."""
     points = fleet.vehicle.wake_points()
     none = Vec3.zeros(pose.position_ned.x.shape, pose.position_ned.x.dtype)
     near = [_reached(jets, pose.position_ned, _extent(points)) & _others(jets, fleet, same) for jets, same in found]
@@ -143,7 +143,7 @@ def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: 
 def _one_by_one(
     felt: tuple[Vec3, Vec3], jets: Jets, reaching: _Reaching, same: bool, fleet: Fleet, pose: Pose, turned: Rotation
 ) -> tuple[Vec3, Vec3]:
-    """Return what is felt with the wakes that may reach somebody too, each compared with all vehicles of a fleet."""
+    """Add the wakes in ``reaching`` to velocity and rotation ``felt``, each compared with all vehicles of the fleet."""
     points, others = fleet.vehicle.wake_points(), jnp.arange(fleet.size, dtype=jnp.int32)
 
     def one_more(carry: tuple[Array, Vec3, Vec3]) -> tuple[Array, Vec3, Vec3]:
@@ -177,10 +177,10 @@ def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...],
 def _reaching(
     world: World, before: tuple[FleetState, ...], jets: tuple[Jets | None, ...], extent: Array
 ) -> tuple[_Reaching | None, ...]:
-    """Return whose wakes may reach others that fly, which extend so far [m] from their place."""
+    """Return the vehicles whose wakes may reach another flying vehicle with wake points up to ``extent`` [m] away."""
     flying = [state.violation.code == 0 for state in before]
     places = [fleet.vehicle.pose(state.vehicle).position_ned for fleet, state in zip(world.fleets, before, strict=True)]
-    # A place that is not a number is far from all others.
+    # NaN: infinitely far from all others.
     x, y, z = (
         jnp.concatenate([jnp.where(flies, axis, jnp.nan) for flies, axis in zip(flying, axes, strict=True)])
         for axes in zip(*(place.axes for place in places), strict=True)
@@ -194,21 +194,22 @@ def _reaching(
     found = []
     for fleet, radius in zip(world.fleets, radii, strict=True):
         own, nearest = nearest[: fleet.size], nearest[fleet.size :]
-        # Written so that a NaN is no proof that nobody is reached.
+        # Negated, so that a wake whose radius is NaN is kept.
         found.append(None if radius is None else _indices_of((radius > 0.0) & ~(radius * radius <= own)))
     return tuple(found)
 
 
 def _radius(jets: Jets, lowest: Array, extent: Array) -> Array:
-    """Return how far (m,) [m] on the map wakes are felt by vehicles down to the lowest; 0 where there is no wake.
+    """Return the horizontal reach (m,) [m] of wakes for vehicles down to the height of the lowest; 0 without a wake.
 
-    A wake is inside of a cone and of a cylinder about an axis that leans by t: of half widths b + k s at a distance s
-    along, and of B. At most h below its vehicle, s is at most (h + b sin t)/(cos t - k sin t), and (h + B sin t)/cos t.
+    A wake lies inside a cone of half width b + k s at a distance s along its axis, and inside a cylinder of half width
+    B. The axis is tilted by t. Down to a depth h below its vehicle, s is at most (h + b sin t)/(cos t - k sin t) in
+    the cone and (h + B sin t)/cos t in the cylinder.
     """
     wake, thrust, axis, position = jax.tree.map(lambda leaf: leaf[:, 0], jets)
     sine = jnp.sqrt(axis.x * axis.x + axis.y * axis.y)
     start = half_width(wake, 0.0 * thrust)
-    # Both with room for the vehicle that feels it, and for rounding.
+    # Both are wider by the size of the vehicle in the wake, twice, because of rounding.
     begins = jnp.maximum(edge(wake, thrust, 0.0 * thrust), 0.0) + 2.0 * extent
     most = widest(thrust) + 2.0 * extent
     spread = SPREAD * begins / start
@@ -230,12 +231,12 @@ def _indices_of(chosen: Array) -> _Reaching:
 
 
 def _extent(points: tuple[Point, ...]) -> Array:
-    """Return how far [m] points are from the middle at most, () or (n,)."""
+    """Return the largest distance [m] of points from the origin of the body axes, () or (n,)."""
     return functools.reduce(jnp.maximum, [jnp.sqrt(jnp.asarray(x * x + y * y + z * z)) for x, y, z in points])
 
 
 def _points_ned(points: tuple[Point, ...], middle: Vec3, turned: Rotation) -> list[Vec3]:
-    """Return where points in body axes are (n,) [m]."""
+    """Return the positions NED (n,) [m] of points that are given in body axes."""
     return [middle + turned.to_ned(_vector(point, middle.x)) for point in points]
 
 
@@ -256,9 +257,9 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
     turned = rotation(pose.attitude)
     thrust = fleet.vehicle.load(state.vehicle).thrust
     wind = state.mean_wind_ned + state.gust_ned - turned.to_ned(pose.velocity_body)
-    # Whose state is not a number ends its own flight, and nobody else's.
+    # A vehicle with a NaN in its state ends its own flight only: it has no wake.
     flies = (state.violation.code == 0) & jnp.isfinite(thrust + wind.dot(wind) + turned.down.dot(pose.position_ned))
-    # In thin air jets are faster: they are those of as much more thrust at sea level, for which the laws are.
+    # The laws hold at sea level. Thin air makes jets faster, as more thrust would there.
     thrust = jnp.where(flies, thrust * (AIR_DENSITY / world.air.density(pose.position_ned)), 0.0)
     high, push = Wake(upper(wake.size), upper(wake.disc_area)), upper(thrust)
     flow = high, push, turned.down.map(upper), wind.map(upper)
@@ -266,27 +267,27 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
 
 
 def _others(jets: Jets, fleet: Fleet, same: bool) -> Array:
-    """Return which pairs (m, n) are of a vehicle with a wake and another one."""
+    """Return (m, n) bool: the pair is a vehicle that has a wake, and another vehicle."""
     lower = jnp.arange(fleet.size)[None, :]
     return (jets.thrust > 0.0) & ((lower != lower.T) if same else (lower >= 0))
 
 
 def _cylindrical(jets: Jets, position_ned: Vec3) -> tuple[Array, Array]:
-    """Return the distance (m, n) [m] of places (n,) along the axes, and the squared one beside them."""
+    """Return the distance (m, n) [m] of positions (n,) along the axes, and the squared distance [m^2] from them."""
     offset = position_ned.map(lambda axis: axis[None, :]) - jets.position_ned
     along = offset.dot(jets.axis)
     return along, jnp.maximum(offset.dot(offset) - along * along, 0.0)
 
 
 def _reached(jets: Jets, position_ned: Vec3, extent: Array) -> Array:
-    """Return which wakes touch vehicles (m, n) that extend so far [m] from their place."""
+    """Return (m, n) bool: the wake reaches the vehicle, whose wake points are up to ``extent`` [m] away."""
     along, beside_squared = _cylindrical(jets, position_ned)
     reach = edge(jets.wake, jets.thrust, along) + extent
     return (along > -extent) & (reach > 0.0) & (beside_squared < reach * reach)
 
 
 def _sum_at(jets: Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:
-    """Return the sum of the wakes that count (m, n) at places (n,)."""
+    """Return the velocity NED (n,) [m/s] of all wakes at positions (n,), summed over the pairs in ``counts`` (m, n)."""
     speed = law(jets.wake, jets.thrust, *_cylindrical(jets, position_ned))
     return jets.axis.map(lambda axis: jnp.sum(jnp.where(counts, axis * speed, 0.0), axis=0))
 
@@ -298,7 +299,7 @@ def _vector(point: Point, like: Array) -> Vec3:
 def _rotation_of(points: tuple[Point, ...], downward: list[Array]) -> Vec3:
     """Return the rotation (n,) [rad/s] in body axes that fits downward velocities (n,) at points best.
 
-    Roll and pitch alone, of points that are placed evenly about the axes of the body.
+    Only roll and pitch are fitted; the points must be placed evenly about the body axes.
     """
     roll = _slope([y for _, y, _ in points], downward)
     pitch = _slope([-x for x, _, _ in points], downward)

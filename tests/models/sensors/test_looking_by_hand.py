@@ -98,14 +98,14 @@ def test_what_is_within_a_tenth_of_a_metre_of_the_other_hides_it_not(begins: flo
     ],
 )
 def test_two_small_angles_across(unit: Any, moved: Any) -> None:
-    found = uncompiled(neighbours._turned)(vector(*unit), jnp.array([0.1]), jnp.array([0.2]))
+    found = uncompiled(neighbours._deflected)(vector(*unit), jnp.array([0.1]), jnp.array([0.2]))
     expected = np.array(moved) / math.sqrt(1.05)
     np.testing.assert_allclose(np.ravel(found.stack()), expected, atol=2e-6)
 
 
 def test_false_alarms_are_even_over_the_cone_and_over_distances() -> None:
     """A quarter from cos 1 towards 1, at a quarter of a turn from the back, at half of the reach of 10 m."""
-    found = uncompiled(neighbours._anywhere)(jnp.array([[0.25], [0.25], [0.5]]), 2.0, jnp.array(10.0))
+    found = uncompiled(neighbours._random_places)(jnp.array([[0.25], [0.25], [0.5]]), 2.0, jnp.array(10.0))
     np.testing.assert_allclose(np.ravel(found.stack()), [3.276134, -3.777160, 0.0], atol=2e-5)
 
 

@@ -1,6 +1,6 @@
-"""Guidance of teams: what each vehicle does by what it knows of those near it (docs/explanation/models/teams.md).
+"""Guidance of teams: velocities from the neighbour list of each vehicle (docs/explanation/models/teams.md).
 
-``mates`` says what a vehicle knows of the others; each behaviour is one file with its literature.
+``mates`` makes the neighbour lists; each behaviour is one file with its literature.
 """
 
 from qrsim.control.teams.avoidance import AvoidanceGuidance

@@ -14,9 +14,9 @@ from qrsim.control.teams.mates import KNOWS, Mates, TeamGuidance, last_waypoint,
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 
-# Directions of the velocities that are tried where no velocity keeps all half-planes.
+# Number of directions that are tried if no velocity satisfies all half-planes.
 _TRIED = 16
-# Time [s] within which who are too near to each other are to part.
+# Time [s] within which vehicles that are too close must separate.
 _PARTING_S = 1.0
 # A velocity on the edge of a half-plane is in it, by this much [m/s].
 _EDGE = 1e-4
@@ -66,7 +66,7 @@ def half_planes(
     horizon = jnp.broadcast_to(horizon, position_ned.x.shape)[None]
     squared = north * north + east * east
     apart = squared > both * both
-    # The cone is cut off by a disc around the way within the horizon; who overlaps parts within dt.
+    # A disc around the displacement within the horizon truncates the cone; overlapping vehicles separate within dt.
     within = jnp.where(apart, horizon, dt)
     from_north, from_east = fast_north - north / within, fast_east - east / within
     length = length_of(from_north, from_east)
@@ -206,7 +206,7 @@ class AvoidanceGuidance(TeamGuidance):
         """Return the velocity [m/s] north and east (n,) that is wanted."""
         goal = last_waypoint(route)
         north, east = towards(goal, position_ned, self.speed, self.gain)
-        # All who meet in one point would stop around it: each keeps a little to the right.
+        # Vehicles that meet in one point would stop around it, so each keeps a little to the right.
         turn = jnp.where(jnp.any(mates.known, axis=0), self.keep_right_rad, 0.0)
         cosine, sine = jnp.cos(turn), jnp.sin(turn)
         north, east = cosine * north - sine * east, sine * north + cosine * east

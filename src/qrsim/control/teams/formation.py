@@ -67,7 +67,7 @@ class FormationGuidance(TeamGuidance):
         leads = (mates.number == 0) if self.leader else jnp.zeros(mates.number.shape, bool)
         led = jnp.any(leads, axis=0)
         rest = jnp.sum(mates.known & ~leads, axis=0).astype(position_ned.x.dtype)
-        # Whoever there is, the weights sum to one, so that the gain is one rate.
+        # The weights sum to one whichever neighbours are known, so that the gain is a rate.
         for_leader = jnp.where(rest > 0.0, self.leader_weight, 1.0)
         for_each = jnp.where(led, 1.0 - for_leader, 1.0) / jnp.maximum(rest, 1.0)
         weight = jnp.where(leads, for_leader[None], for_each[None])

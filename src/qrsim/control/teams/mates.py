@@ -83,7 +83,7 @@ def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, r
     place, fast = (Vec3(*(payload[:, first + axis] for axis in range(3))) for first in (0, 3))
     away = place - position_ned.map(lambda axis: axis[None])
     near = away.dot(away) <= jnp.broadcast_to(reach * reach, position_ned.x.shape)[None]
-    # Who has no fix says so with NaN.
+    # A sender without a fix sends NaN.
     known = (number >= 0) & near & jnp.isfinite(fast.dot(fast))
 
     def theirs(axis: Array) -> Array:
@@ -108,14 +108,17 @@ class TeamGuidance(Guidance, Protocol):
     sees_motion: ClassVar[bool] = True
 
     def init(self, route: Route) -> RouteState:
-        """Return the start of each route, where it stays."""
+        """Return the state at the start of each route; a team guidance never leaves its first waypoint.
+
+        ``overfull`` counts incomplete neighbour searches, so it is present only if a search can overflow.
+        """
         start, fleet = RouteState.start(route), route.count.shape[0]
         if self.knows == "heard" or always_room(fleet, mates_wanted(self.mates, fleet)):
             return start
         return replace(start, overfull=jnp.zeros_like(start.index))
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
-        """Return the set-point (n,) before anybody is known: stay at the height of the first waypoint."""
+        """Return the set-point (n,) before the first neighbour list: stay at the height of the first waypoint."""
         zero = jnp.zeros_like(route.yaw[0])
         return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])
 

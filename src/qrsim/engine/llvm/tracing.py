@@ -39,14 +39,14 @@ class Tracer(Indexing):
 
     Args:
         graph: to which nodes are added.
-        alone: the program is of one world, and has vectors.
+        alone: whether the program is of one world, and its arrays are vectors.
     """
 
     def __init__(self, graph: Graph, alone: bool):
         super().__init__(graph)
         self.alone = alone
-        # By functions, which are equal by identity.
-        self._read_once: dict[jex.Jaxpr, set[jex.Var]] = {}
+        # Jaxprs compare by identity.
+        self._variables_used_once: dict[jex.Jaxpr, set[jex.Var]] = {}
 
     def run(self, jaxpr: jex.Jaxpr, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
@@ -61,24 +61,28 @@ class Tracer(Indexing):
             return environment[atom]
 
         # For each function by itself: whether a product is rounded must not depend on who calls the function.
-        products = _Products(self._once(jaxpr))
+        products = _Products(self._used_once(jaxpr))
         for equation in jaxpr.eqns:
             inputs = [read(atom) for atom in equation.invars]
             try:
                 results = self._equation(equation, inputs, products)
-            # The innermost line is the one that says most.
+            # The innermost line of the program is the most specific.
             except UnsupportedError as error:
                 raise error.at(source_info_util.summarize(equation.source_info)) from None
             environment.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
-    def _once(self, jaxpr: jex.Jaxpr) -> set[jex.Var]:
-        """Return the variables that are looked at once in a function, which may be called several times."""
-        if jaxpr not in self._read_once:
-            read = chain(jaxpr.outvars, *(equation.invars for equation in jaxpr.eqns))
-            counts = Counter(atom for atom in read if not isinstance(atom, jex.Literal))
-            self._read_once[jaxpr] = {variable for variable, count in counts.items() if count == 1}
-        return self._read_once[jaxpr]
+    def _used_once(self, jaxpr: jex.Jaxpr) -> set[jex.Var]:
+        """Return the variables of a function that one equation or result uses, once.
+
+        A product among them may be fused with its sum (see ``_contracted``). The sets are kept, because a function may
+        be called many times.
+        """
+        if jaxpr not in self._variables_used_once:
+            uses = chain(jaxpr.outvars, *(equation.invars for equation in jaxpr.eqns))
+            counts = Counter(atom for atom in uses if not isinstance(atom, jex.Literal))
+            self._variables_used_once[jaxpr] = {variable for variable, count in counts.items() if count == 1}
+        return self._variables_used_once[jaxpr]
 
     def _equation(self, equation: Any, inputs: list[View], products: _Products) -> list[View]:
         rule = rule_of(equation)
@@ -95,12 +99,12 @@ class Tracer(Indexing):
     def _contracted(
         self, op: str, equation: jex.JaxprEqn, inputs: list[View], out: ShapedArray, products: _Products
     ) -> View:
-        """Return a sum, a difference or a product; in one rounding with a product that only goes into this sum.
+        """Return a sum, a difference or a product; a sum is fused with a product that is used nowhere else.
 
-        A compiler may do so where it sees both together, so that the last bit depends on the program around. Here it
-        depends on the function alone that both are in. A product that is looked at elsewhere too is rounded, so that it
-        is one number wherever it is compared, and where both are products both are rounded, so that a * b - c * d is
-        zero where they are equal.
+        Compilers fuse a product and a sum if they see both together, so the last bit depends on the surrounding
+        program. Here it depends only on the function that contains both. A product that is used elsewhere too is
+        rounded, so that it is the same number everywhere. If both terms are products, both are rounded, so that
+        a * b - c * d is zero for equal products.
         """
         shape = tuple(out.shape)
         plain = self.apply(op, shape, out.dtype, *inputs)
@@ -376,19 +380,19 @@ class Tracer(Indexing):
 
 
 class _Products:
-    """The products of one function, by their variables, and who looks at them."""
+    """The products of one function, by their variables, and which of them are used once."""
 
-    def __init__(self, once: set[jex.Var]):
+    def __init__(self, used_once: set[jex.Var]):
         self.made: dict[object, list[View]] = {}
-        self._once = once
+        self._used_once = used_once
 
     def of(self, atom: object) -> list[View] | None:
         """Return the factors, if it is a product."""
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
     def only_here(self, atom: object) -> bool:
-        """Return whether it is looked at once."""
-        return atom in self._once
+        """Return whether a variable is used once."""
+        return atom in self._used_once
 
 
 def trace(function: Callable[..., object], *arguments: object) -> jex.ClosedJaxpr:

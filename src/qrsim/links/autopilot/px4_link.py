@@ -247,7 +247,10 @@ class Px4Link:
         raise RunError(f"{self.name}: the program connected to TCP {self.port} {why} in {self._wait:g} s")
 
     def _receive(self, until: float) -> bool:
-        """Read once, until a time at the latest; return False once it has passed."""
+        """Read once, and wait for bytes until ``until`` of ``time.perf_counter`` [s] at most.
+
+        Return False if that time has passed, True if the caller may read again.
+        """
         peer = self._peer
         assert peer is not None
         try:
@@ -256,6 +259,7 @@ class Px4Link:
             left = until - time.perf_counter()
             if select.select([peer], [], [], min(max(left, 0.0), _QUIET_S))[0]:
                 return True
+            # Nothing came for a while: bytes that only look like the head of a frame may hold back whole frames.
             for found in self._reader.inside():
                 self._take(found)
             return left > 0.0
@@ -271,7 +275,7 @@ class Px4Link:
         self.harmed = self._reader.damaged
         if self._unframed > NO_FRAME_BYTES:
             self._hang_up(f"not a PX4: {NO_FRAME_BYTES // 1024} kB without a MAVLink frame")
-        # A peer that never pauses holds up no frame.
+        # A peer that sends without a pause does not delay the next frame of sensors.
         return time.perf_counter() < until
 
     def _take(self, found: Frame) -> None:

@@ -76,7 +76,7 @@ class Commands:
 
     def __init__(self, names: Sequence[str], dtype: np.dtype[Any]):
         self._names = names
-        self._made = {kind: _made(kind, len(names), dtype) for kind in KINDS}
+        self._made = {kind: _command_of_array(kind, len(names), dtype) for kind in KINDS}
         # By length, of which there is one at a time.
         self._known: dict[int, _Known] = {}
         self._last: bytes = b""
@@ -192,8 +192,11 @@ def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
     return MixedCommands(fleets, dtype)
 
 
-def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
-    """Return an array (n, width) for the vectors of a STEP, and the command of a fleet that has its numbers."""
+def _command_of_array(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
+    """Return an array (n, width) for the vectors of a STEP, and a fleet's command that changes when it is written.
+
+    The fields of the command are views of the array's columns.
+    """
     if KINDS[kind] == CONTROL:
         control = np.zeros((size, WIDTHS[kind]), dtype)
         return control, control
@@ -203,9 +206,9 @@ def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
 
 
 def _command(kind: int, rows: NumpyArray) -> object:
-    """Return the command of a fleet from the vectors (n, width) of a STEP."""
+    """Return the command of a fleet from the vectors (n, width) of a STEP of a kind in ``KINDS``."""
     if KINDS[kind] == CONTROL:
         return rows
-    numbers, command = _made(kind, len(rows), rows.dtype)
+    numbers, command = _command_of_array(kind, len(rows), rows.dtype)
     numbers[...] = rows
     return command

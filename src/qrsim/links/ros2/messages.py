@@ -1,4 +1,4 @@
-"""All that is published of a world at a tick: topics and messages as bytes; DDS is not known here."""
+"""Topics of a world and their messages as bytes at each tick, independent of DDS."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Messages:
         self._perceived = Perceived(types, simulation, self.namespaces, own.add)
         self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
         self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
-        self._told: list[tuple[object, float]] = [(None, -math.inf)] * simulation.size
+        self._sent_states: list[tuple[object, float]] = [(None, -math.inf)] * simulation.size
         clock = types["rosgraph_msgs/msg/Clock"](types["builtin_interfaces/msg/Time"](0, 0))
         self._clock = Template(types, clock)
         self._put_clock = self._clock.putter("clock.sec", "clock.nanosec")
@@ -82,14 +82,17 @@ class Messages:
                 yield self._heard[row], message
 
     def _state_messages(self, modes: list[str]) -> Iterator[tuple[int, bytes]]:
+        """Yield topic and message of each vehicle whose state is new, or was last sent STATE_EVERY_S ago."""
         simulation = self._simulation
+        # The whole numbers of the packed state contain the reason of each vehicle that has stopped, else 0.
         stopped = np.asarray(simulation.packed[1][1])[self._sight.codes] != 0
         reasons = simulation.reasons if stopped.any() else [""] * simulation.size
         for row, topic in enumerate(self._states):
             now = not stopped[row].item(), reasons[row], modes[row]
-            before, at = self._told[row]
+            before, at = self._sent_states[row]
+            # Half a tick, because times are multiples of the time step; the time is negative after a reset.
             if now != before or not 0.0 <= simulation.time - at < STATE_EVERY_S - 0.5 * simulation.world.time_step:
-                self._told[row] = now, simulation.time
+                self._sent_states[row] = now, simulation.time
                 text = json.dumps(dict(zip(("valid", "reason", "mode"), now, strict=True)))
                 yield topic, text_message(self._types, text)
 

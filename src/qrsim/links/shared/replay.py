@@ -84,22 +84,22 @@ def replay(run: Run, out: Path) -> Path:
 def _flights(
     run: Run, simulation: Simulation, beginning: History, schedule: Schedule
 ) -> Iterator[tuple[History, Values]]:
-    """Yield some ticks after the other, with the orders that they were flown by."""
+    """Fly the recorded orders again; yield each part of the flight with its orders."""
     latches = Latches(simulation.world.fleets, simulation.dtype)
-    # Recordings of before there were radios have no such columns.
+    # Recordings of versions without radio lack these columns.
     spoken = Spoken(simulation) if simulation.world.radio is not None and TICK in run[STREAM].columns() else None
     for batch in run[STREAM].batches():
         first = 0
         if batch.tick[0] == 0:
             yield beginning, {name: array[:1] for name, array in batch.arrays.items()}
             first = 1
-        for begin, end in _alike(batch.arrays, first, len(batch.tick)):
+        for begin, end in _same_orders(batch.arrays, first, len(batch.tick)):
             if batch.tick[begin] != simulation.tick + 1:
                 raise RunError(f"{run.folder}: tick {simulation.tick + 1} is missing in its stream '{STREAM}'")
             latches.codes[...] = batch.arrays["kind"][begin]
             if latches.codes.max(initial=0) > len(NAMES):
                 raise RunError(f"{run.folder}: its orders are of a kind that this qrsim does not know")
-            # Recordings of before there were lines and circles have fewer numbers.
+            # Recordings of versions without lines and circles have fewer numbers.
             latches.numbers[...] = np.nan
             for i in range(latches.numbers.shape[1]):
                 if f"number_{i}" in batch.arrays:
@@ -116,8 +116,16 @@ def _flights(
                 begin = until
 
 
-def _alike(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of ticks with the same orders, in which nothing is said but before the first."""
+def _same_orders(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:
+    """Yield begin and end of runs of ticks with equal orders, so that each run is flown by one call.
+
+    A radio message is only sent ahead of the first tick of a run.
+
+    Args:
+        arrays: columns (T, ...) of the recorded orders.
+        first, count: rows ``first`` to ``count`` - 1 are divided, into at most ``MOST_AT_ONCE`` each.
+    """
+    # NaN marks numbers that an order lacks. A new message has a new tick in the column TICK.
     names = ["kind", *(name for name in arrays if name.startswith("number_") or name == TICK)]
     rows = np.concatenate([np.asarray(arrays[name], np.float64) for name in names], axis=1)
     same = np.zeros(count, bool)

@@ -21,7 +21,7 @@ from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import Bounds, Footprint, Updraft, Wind
 from qrsim.models.atmosphere.wind import mean_wind_at
 
-# Every vehicle looks at every building: of more, the cost of a tick is theirs.
+# Every vehicle is compared with every building; beyond this number, that would dominate the cost of a tick.
 MOST_BUILDINGS = 200
 # Between these L/H, and up to this W/H, the length of the cavity was measured.
 FLATTEST, DEEPEST, WIDEST = 0.3, 3.0, 10.0
@@ -86,7 +86,7 @@ class BuildingWakes(Updraft):
         wind: Wind,
         **reads: object,
     ) -> Vec3:
-        """Return what the wakes take from the wind (n,) [m/s]; of several the one that takes most.
+        """Return the change of the wind NED (n,) [m/s] by the wakes; of several wakes the largest change counts.
 
         Args:
             position_ned, height_agl: (n,) [m].

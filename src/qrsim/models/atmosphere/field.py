@@ -128,12 +128,12 @@ class DrydenField(Turbulence):
 
     @computed
     def normals(self) -> int:
-        """Of the residual alone."""
+        """Standard normals of a vehicle in a tick, for the residual."""
         return 3 if self.residual == "filter" else 0
 
     @computed
     def field_ids(self) -> int:
-        """One for each chain."""
+        """Random numbers an episode: one for each chain."""
         return SEGMENTS * self.chains
 
     def convection_velocity_ned(self, wind: Wind) -> Vec3:
@@ -249,7 +249,7 @@ class DrydenField(Turbulence):
         return dryden_scales(height_agl, self.speed_20ft, self.severity, high, self.near_ground)
 
     def _size(self, lengths: Vec3, sigma: Vec3, field: FieldWaves) -> Vec3:
-        """Return what does not depend on the wave in its amplitude [m/s], each (n,)."""
+        """Return the factor of the waves' amplitudes that is the same for all waves [m/s], each (n,)."""
         energy, scale = DRYDEN_ENERGY, field.dilation
         if self.spectrum == "von_karman":
             energy, scale = VON_KARMAN_ENERGY, VON_KARMAN_SCALE * field.dilation

@@ -141,7 +141,7 @@ def _directions(numbers: _Numbers, chains: int) -> Floats:
 
 
 def _anisotropy(directions: Floats) -> float:
-    """Return how far the second moments of windows of directions (C, 3), a ring, are from I/3."""
+    """Return the squared distance from I/3 of the second moments of windows in a ring of directions (C, 3)."""
     count = len(directions)
     ring = np.concatenate([directions, directions])
     sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(ring[:, :, None] * ring[:, None, :], axis=0)])

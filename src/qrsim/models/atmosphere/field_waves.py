@@ -1,4 +1,4 @@
-"""What a world draws for its turbulent field: phases, frequencies and lifetimes of its chains of waves.
+"""Random draws of a world's turbulent field: phases, frequencies and lifetimes of its chains of waves.
 
 A sum of a few hundred waves that last for ever is a set of tones for a vehicle that hovers. With a lifetime T the
 amplitude of each chain goes with sin^2 of half a turn in T. At each zero the chain's phase is replaced by a hash of its
@@ -34,7 +34,7 @@ _AMPLITUDE = math.sqrt(2.0 / 3.0)
 
 @record
 class Ages:
-    """How far the lifetimes of a world are at time 0, and how fast they go."""
+    """Ages of the lifetimes of a world at time 0, and the rate at which they grow."""
 
     start: Array = quantity(unit="1", doc="() uint32: lifetimes times 2^20")
     rate: Array = quantity(unit="1/s", doc="() uint32: lifetimes a second times 2^20")
@@ -42,7 +42,7 @@ class Ages:
 
 @record
 class FieldWaves:
-    """What a world draws for its field, once an episode: K chains of waves, and how the set of waves lies."""
+    """Random draws of a world's field, once an episode: K chains of waves, and the rotation of all waves."""
 
     phase: Array = quantity(unit="1", doc="(K,) uint32: first of each chain at the origin at time 0, turns times 2^32")
     advance: Array = quantity(unit="1", doc="(K,) uint32: frequency, turns per second times 2^32, whole turns left out")

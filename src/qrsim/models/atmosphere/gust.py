@@ -75,7 +75,7 @@ class DiscreteGust(Gust):
 
     @computed
     def reads(self) -> tuple[str, ...]:
-        """What carries the turbulence, where speed or bearing are those of it."""
+        """Name of the velocity that carries the turbulence, if the gust takes its speed or bearing from it."""
         return ("convection_ned",) if self.speed is None or self.wind_from_rad is None else ()
 
     def velocity_ned(

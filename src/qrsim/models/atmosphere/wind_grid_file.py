@@ -49,11 +49,11 @@ FASTEST = 150.0
 
 
 class Layout(NamedTuple):
-    """What a file is read as.
+    """Layout of a file.
 
     Attributes:
         names: of the velocities to the east, to the north and upwards.
-        calm: what is missing stands still.
+        calm: whether missing values are calm air.
     """
 
     names: tuple[str, str, str]

@@ -39,7 +39,7 @@ class BaseState:
 
 @record
 class BaseSeen:
-    """What receivers know of a base station, or suffer from it; its multipath is of the satellites in K slots."""
+    """Corrections of a base station as receivers have them, and its errors; multipath is (K,), by slot."""
 
     position_ned: Vec3 = quantity(unit="m", doc="() position")
     coordinates: Vec3 = quantity(unit="m", doc="(1,) error of its stated position")
@@ -96,7 +96,7 @@ class BaseStation:
         return replace(state, carrier=carrier_step(state.carrier, draw.alone(BASE).normals(3), dt))
 
     def seen(self, now: BaseState, later: BaseState) -> BaseSeen:
-        """Return what receivers see from a knot on, with the multipath (S,) of all satellites."""
+        """Return the base station as receivers have it from a knot on, with the multipath (S,) of all satellites."""
         north, east, down = self.position_ned[0], self.position_ned[1], self.position_ned[2]
         tilt = [state.error for state in now.tilt]
         zero = jnp.zeros((), now.carrier.x.dtype)

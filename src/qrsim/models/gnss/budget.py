@@ -79,14 +79,16 @@ class ErrorBudget(RangeErrors):
     def init(self, draw: Draw) -> BudgetState:
         """Return a stationary first state of S satellites."""
         each, together = draw.normals(8), one_for_all(draw).normals(8)
-        return BudgetState(*_started(self._each(), each), *_started(self._together(), together))
+        return BudgetState(*_started(self._per_satellite(), each), *_started(self._for_all(), together))
 
     def step(self, state: BudgetState, draw: Draw, dt: float) -> BudgetState:
         """Advance the errors exactly by dt [s]."""
         each, together = draw.normals(8), one_for_all(draw).normals(8)
         before = (state.signal, state.local, state.slope_north, state.slope_east)
         rest = (state.vertical, state.gradient_north, state.gradient_east, state.troposphere)
-        return BudgetState(*_stepped(self._each(), before, each, dt), *_stepped(self._together(), rest, together, dt))
+        return BudgetState(
+            *_stepped(self._per_satellite(), before, each, dt), *_stepped(self._for_all(), rest, together, dt)
+        )
 
     def value(self, state: BudgetState) -> Array:
         """Return the range errors (S,) [m] of GPS satellites at the zenith, received with one frequency."""
@@ -126,15 +128,15 @@ class ErrorBudget(RangeErrors):
 
     def processes(self) -> tuple[tuple[GaussMarkov2, ...], tuple[GaussMarkov2, ...]]:
         """Return the processes, of unit variance, that each satellite has, and those that there is one of."""
-        return self._each(), self._together()
+        return self._per_satellite(), self._for_all()
 
-    def _each(self) -> tuple[GaussMarkov2, ...]:
-        """Return the processes that each satellite has."""
+    def _per_satellite(self) -> tuple[GaussMarkov2, ...]:
+        """Return the processes of which each satellite has its own."""
         local = _unit(self.local_time, self.local_drive_time)
         return (_unit(self.signal_time, self.signal_drive_time), local, local, local)
 
-    def _together(self) -> tuple[GaussMarkov2, ...]:
-        """Return the processes that there is one of."""
+    def _for_all(self) -> tuple[GaussMarkov2, ...]:
+        """Return the processes that all satellites share."""
         gradient = _unit(self.gradient_time, self.gradient_drive_time)
         vertical = _unit(self.ionosphere_time, self.ionosphere_drive_time)
         return (vertical, gradient, gradient, _unit(self.troposphere_time, self.troposphere_drive_time))

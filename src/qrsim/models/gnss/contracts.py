@@ -67,7 +67,7 @@ class Sky(Protocol):
 
     @property
     def steps_by_parts(self) -> bool:
-        """Whether ``step_by_parts`` is to be called at every tick."""
+        """True if ``step_by_parts`` is to be called at every tick."""
         return False
 
     def step_by_parts(self, state: Any, draw: Draw, tick: Array) -> Any:

@@ -1,4 +1,4 @@
-"""What the sensor ``gnss`` says, and what it remembers."""
+"""Reading and state of the sensor ``gnss``."""
 
 from __future__ import annotations
 

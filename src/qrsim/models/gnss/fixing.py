@@ -2,7 +2,7 @@
 
 See docs/howto/corrections.md.
 
-All errors here are relative to the base until ``said`` puts its own on top.
+All errors here are relative to the base station; ``_reported_error`` adds the error of the base itself last.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ NONE, SINGLE, CORRECTED, FLOAT, FIXED = 0.0, 3.0, 4.0, 5.0, 6.0
 # Ages of corrections [s] up to which carrier phase stays fixed, and after which they are of no use.
 _FIXED_AGE, LAST_AGE = 10.0, 60.0
 _OLDEST = 1e4
-# Carrier phase is fixed in so many stages, each as long on average: their sum is Gamma distributed.
+# Fixing the carrier phase takes this number of stages of equal mean duration, so the time has a gamma distribution.
 _STAGES = 4
-# It needs so many satellites; with so many more it goes as quickly as it can; over so long a baseline [m] it takes e
-# times as long.
+# Satellites that it needs, number of further satellites from which on it is fastest, and length [m] of a baseline over
+# which it takes e times as long.
 _FEWEST, _MORE, _BASELINE = 5.0, 12.0, 25e3
 # Wrong fixes: their errors [m], horizontal per axis and vertical, and the rate [1/s] at which they are noticed.
 _WRONG, _NOTICED = (0.3, 0.6), 1.0 / 30.0
@@ -46,7 +46,7 @@ _UNIFORM_PAIR, _NORMAL_PAIR = 40, 48
 
 @record
 class Link:
-    """What n receivers remember of a base station's corrections."""
+    """State of n receivers that take the corrections of a base station."""
 
     age: Array = quantity(unit="s", doc="age of the corrections in use")
     on: Array = quantity(doc="bool: they are used")
@@ -55,7 +55,7 @@ class Link:
     carrier: Vec3 = quantity(unit="1", doc="error of carrier phase, of unit variance")
     wrong: Vec3 = quantity(unit="m", doc="error of a wrong fix, else zero")
     drift: Vec3 = quantity(unit="m", doc="change of the common errors since the last corrections")
-    said: Vec3 = quantity(unit="m", doc="error of the last fix")
+    said: Vec3 = quantity(unit="m", doc="error of the last reported position")
 
 
 @record
@@ -73,7 +73,7 @@ class Received:
 
 @record
 class Quality:
-    """What receivers (n,) or all of them alike (m,) say about their fixes."""
+    """Quality that receivers report for their fixes; (n,), or (m,) if it is the same for all."""
 
     fix_type: Array | float = quantity(unit="1", doc="as GPS_FIX_TYPE of MAVLink has them")
     horizontal: Array = quantity(unit="m", doc="accuracy, both axes together")
@@ -82,7 +82,7 @@ class Quality:
 
 
 def _picked(value: Array, base: Array) -> Array:
-    """Return () the value of the vehicle that is the base, (n,) bool."""
+    """Return the value () of the vehicle that is the base, where the mask ``base`` (n,) is true."""
     return jnp.sum(jnp.where(base, value, 0.0))
 
 
@@ -97,17 +97,21 @@ def received(
     moved_on: Vec3,
     effect: Effect | None = None,
 ) -> Received:
-    """Return the corrections of an epoch.
+    """Return which receivers (n,) use corrections at this epoch, and the errors of their code solutions.
+
+    The base is one of the vehicles (``moving_base``) or the fixed station in ``slots``. Corrections are in use until
+    they are ``LAST_AGE`` old; ``drift`` sums up how the common errors have changed since they were received.
 
     Args:
-        receiver: a ``Gnss`` that takes them.
-        slots: with the base station.
-        link: what is remembered; None at the start.
-        position_ned: of the receivers (n,).
-        now: their solution.
-        own, error: of the code solution [m], without and with the common errors.
-        moved_on: change of the latter by the carrier's common errors.
-        effect: of interference: the signals of spoofers fit no corrections.
+        receiver: a ``Gnss`` that takes corrections.
+        slots: satellites in view, and the fixed base station.
+        link: state of the receivers after the last epoch; None at the start.
+        position_ned: true positions of the receivers (n,) [m].
+        now: geometry of the solution, and how corrections change its errors.
+        own: error (n,) [m] of the code solution by the errors of each receiver: bias, multipath, noise.
+        error: ``own`` with the common errors of satellites and atmosphere (n,) [m].
+        moved_on: change of the common errors since the last epoch, as the carrier phase has it (n,) or (1,) [m].
+        effect: interference; receivers that are spoofed use no corrections.
     """
     nothing = jnp.zeros_like(position_ned.x)
     enough = jnp.broadcast_to(now.enough, nothing.shape)
@@ -120,13 +124,14 @@ def received(
     else:
         seen, part = slots.base, now.differential
         way = position_ned - seen.position_ned
+        # The common errors cancel. The base adds the error of its own code; the slope of the ionosphere counts from it.
         of_base = part.before + (part.after - part.before) * slots.part
         relative = own + of_base - now.slope_north * seen.position_ned.x - now.slope_east * seen.position_ned.y
         live = jnp.broadcast_to(seen.sends & (distance(way) <= seen.reach), nothing.shape)
         fresh = nothing + seen.age
     before = nothing + _OLDEST if link is None else link.age
     age = jnp.where(live, fresh, jnp.minimum(before + receiver.period, _OLDEST))
-    # Against a base that moves, only corrections of this very epoch are of use.
+    # Corrections of a moving base are valid only at the epoch at which they were sent.
     on = enough & (live if receiver.moving_base else age <= LAST_AGE)
     if effect is not None and effect.misled is not None:
         on = on & ~effect.misled
@@ -146,7 +151,7 @@ def started(
     fixed = got.on & (receiver.corrections == "rtk" and receiver.first_fix == "fixed")
     link = Link(got.age, got.on, fixed, nothing, carrier, zero, zero, got.error)
     settled = nothing + receiver.smoothing_time / receiver.period
-    said = _said(receiver, link, slots, got, got.error, zero)
+    said = _reported_error(receiver, link, slots, got, got.error, zero)
     return replace(link, said=said), _quality(receiver, link, now, got, settled)
 
 
@@ -189,12 +194,14 @@ def stepped(
         stage = jnp.where(new, 0.0, stage)
         wrong = wrong.map(lambda axis: jnp.where(fixed, axis, 0.0))
     after = Link(got.age, got.on, fixed, stage, carrier, wrong, got.drift, outer)
-    said = _said(receiver, after, slots, got, outer, white)
+    said = _reported_error(receiver, after, slots, got, outer, white)
     return replace(after, said=said), _quality(receiver, after, now, got, fixes)
 
 
-def _said(receiver: ReceiverParameters, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3) -> Vec3:
-    """Return the errors (n,) of positions: that of the base, and those against it."""
+def _reported_error(
+    receiver: ReceiverParameters, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3
+) -> Vec3:
+    """Return the errors (n,) [m] of reported positions: those relative to the base, and that of the base itself."""
     if receiver.moving_base:
         base = receiver.base_vehicle
         origin, other = (part.map(lambda axis: _picked(axis, base)) for part in (outer, link.carrier))
@@ -218,7 +225,7 @@ def _said(receiver: ReceiverParameters, link: Link, slots: Slots, got: Received,
 
 
 def _quality(receiver: ReceiverParameters, link: Link, now: Geometry, got: Received, fixes: Array) -> Quality:
-    """Return what receivers say about their fixes. Of wrong fixes and of the base's own error they know nothing."""
+    """Return the quality that receivers report. It does not include wrong fixes and the error of the base."""
     part = now.differential
     horizontal, vertical = part.horizontal, part.vertical
     fix_type: Array | float = CORRECTED

@@ -1,9 +1,9 @@
-"""What the satellites in view are to receivers: weights, solution, and what it makes of each error.
+"""Geometry of the satellites in view: weights, solution, and its error by each cause.
 
 See docs/explanation/models/gnss.md.
 
-Between two knots of the sky all of it stays as it is. Where receivers see the same satellites it is computed once for
-all of them; a last axis m is 1 there, and n where each sees its own.
+It is constant between two knots of the sky. If all receivers see the same satellites it is computed once for all of
+them, and the last axis m is 1; it is n if each receiver sees its own.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _STRONG_CN0, _LOCKED_S = 35.0, 3.0
 # Satellites are lost below the one and found again above the other [dB-Hz]; what that is in weakness, 1 at 45 dB-Hz.
 _LOST_CN0, _FOUND_CN0 = 25.0, 33.0
 LOST, FOUND = (10.0 ** (0.1 * (_CN0_STRONG - cn0)) for cn0 in (_LOST_CN0, _FOUND_CN0))
-# Ages below this are of satellites that are not seen, which count on downwards from there. After so long [s] they have
-# to be found anew.
+# Ages below this are of satellites that are not tracked, and decrease with the time since. After _COLD_S [s] they must
+# be acquired again.
 AWAY = -1000.0
 _COLD_S, _OLDEST_S = 60.0, 1e6
 # Rate [1/s] of a base station's multipath, as an accuracy takes it.
@@ -47,7 +47,7 @@ _BASE_RATE = 0.01
 
 @record
 class Differential:
-    """What a solution makes of the corrections of a base station; m is 1 or n."""
+    """Errors and accuracies of a solution with the corrections of a base station; m is 1 or n."""
 
     before: Any = quantity(unit="m", doc="(m,) error by the base's code at the last knot; None for a base that moves")
     after: Any = quantity(unit="m", doc="(m,) at the next")
@@ -60,7 +60,7 @@ class Differential:
 
 @record
 class Own:
-    """What receivers among obstacles make of errors of ranges, each by itself."""
+    """Solutions of receivers among obstacles, for each receiver by itself."""
 
     gains: Gains = quantity(doc="their solutions")
     clear: Array = quantity(doc="(n,) bool: it is that of the open sky")
@@ -74,7 +74,7 @@ class Own:
 
 @record
 class Geometry:
-    """A solution of receivers, and what it makes of errors."""
+    """A solution of receivers: its errors by each cause, its accuracy and its satellites."""
 
     knot: Array = quantity(doc="() int32 number of the knot since which it holds")
     age: Any = quantity(unit="s", doc="(K, m) time for which a satellite has been seen, 0 where it is not")
@@ -269,7 +269,7 @@ def geometry_of(
     found = solution.of([*(entry[:, None] for entry in columns), *apart])
     horizontal, vertical, speed = _accuracies(receiver, slots, solution, rows, multipath, weaker, found[5:])
     half = math.sqrt(0.5) * multipath
-    # Among obstacles there is less to remember; hidden.py says for whom the open sky's solution holds.
+    # Receivers among obstacles keep less: hidden.py decides which use the solution of the open sky.
     own = None if view is None else Own(Gains(solution.weight, solution.mean, solution.inverse), solution.enough)
     # Carrier phase is not fixed with reflections, which are all that is weaker for obstacles.
     direct = used if view is None else used & ~(view.loss > 0.0)
@@ -300,12 +300,12 @@ def geometry_of(
 
 
 def left_signal(receiver: ReceiverParameters) -> float:
-    """Return what corrections of satellites leave of errors that know no ionosphere."""
+    """Return the share of satellite errors, without the ionosphere, that remains after corrections by SBAS."""
     return _left(receiver)[0]
 
 
 def _left(receiver: ReceiverParameters) -> tuple[float, float]:
-    """Return what corrections of satellites leave of clocks and ephemerides, and of the ionosphere."""
+    """Return the shares of clock and ephemeris errors, and of the ionosphere, that remain after SBAS corrections."""
     return (SBAS_SIGNAL, SBAS_DELAY) if receiver.corrections == "sbas" else (1.0, 1.0)
 
 
@@ -329,7 +329,7 @@ def _differential(
     weaker: Array,
     systems: list[Vec3],
 ) -> Differential | None:
-    """Return what the solution makes of corrections of a base station, if the receiver takes any."""
+    """Return errors and accuracies with the corrections of a base station; None if the receiver takes none."""
     if not receiver.takes_base:
         return None
     before = after = None

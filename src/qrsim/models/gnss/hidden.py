@@ -38,7 +38,7 @@ from qrsim.models.gnss.slots import Slots
 _ENVELOPE, _LONGEST, _TURNS = 0.3, 0.05 * CHIP_M, 5.0
 # A reflection alone is so much weaker, with this spread [dB], and tracked above this C/N0 [dB-Hz].
 _WEAKER, _SPREAD, _WEAKEST = 8.0, 2.0, 28.0
-# After so long [s] a satellite has to be found anew.
+# After this time [s] without its signal a satellite must be acquired again.
 _LOST = 60.0
 # Times [s] that are for ever.
 _LONG = 1e6
@@ -46,7 +46,7 @@ _LONG = 1e6
 
 @record
 class Tracking:
-    """What n receivers remember of the signals in each slot, and of when they last looked at them."""
+    """State of n receivers among obstacles: the signals in each slot, and the time at which they were last updated."""
 
     since: Array = quantity(
         unit="s", doc="(K, n) time that counts for the weight since it came back, long: never away; below AWAY: blocked"
@@ -66,13 +66,13 @@ class Tracking:
         return jnp.where(self.since < AWAY, AWAY - self.since, 0.0)
 
     def placed(self, chosen: Array, fresh: Tracking) -> Tracking:
-        """Return it with that of chosen receivers (n,) made anew; what all of them share stays."""
+        """Return the state with that of the ``chosen`` receivers (n,) from ``fresh``; shared parts are unchanged."""
         own, new = (
             replace(each, knot=None, part=None, solution=replace(each.solution, knot=None)) for each in (self, fresh)
         )
-        found = select(chosen, new, own)
-        solution = replace(found.solution, knot=self.solution.knot)
-        return replace(found, knot=self.knot, part=self.part, solution=solution)
+        mixed = select(chosen, new, own)
+        solution = replace(mixed.solution, knot=self.solution.knot)
+        return replace(mixed, knot=self.knot, part=self.part, solution=solution)
 
 
 def solved(
@@ -153,7 +153,7 @@ def _looked(
         counted=there,
     )
     now = geometry_of(receiver, slots, seen, age, view, None if effect is None else effect.jam)
-    # Those for whom no signal is hidden, reflected or coming back.
+    # Receivers with no signal that is hidden, reflected or being acquired again.
     settled = held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
     clear = jnp.all(~there | (settled & ~hides & ~mirrored), axis=0)
     count = up.dtype

@@ -1,4 +1,4 @@
-"""What keeps satellites from receivers or lies to them: jammers, discs, spoofers, outages, storms.
+"""Interference with receivers: jammers, discs without satellites, spoofers, outages, ionospheric storms.
 
 See docs/howto/jam_and_spoof.md.
 """
@@ -117,7 +117,7 @@ class Emitter:
 
 @record
 class Circle:
-    """What is within a radius at an epoch."""
+    """A disc at an epoch."""
 
     position_ned: Vec3 = quantity(unit="m", doc="() centre")
     radius: Array = quantity(unit="m", doc="() negative while it is off")
@@ -135,7 +135,7 @@ class Lie:
 
 @record
 class Interfering:
-    """What interferes with receivers at an epoch."""
+    """Interference at an epoch: jammers, discs, spoofers and silent satellites."""
 
     emitters: tuple[Emitter, ...] = quantity(doc="jammers")
     discs: tuple[Circle, ...] = quantity(doc="places without satellites")
@@ -145,7 +145,7 @@ class Interfering:
 
 @record
 class Effect:
-    """What interference does to receivers (n,) at an epoch."""
+    """Effect of interference on receivers (n,) at an epoch."""
 
     jam: Array = quantity(unit="1", doc="increase of the inverse of C/N0, relative to 45 dB-Hz")
     misled: Array | None = quantity(doc="bool: the receiver is spoofed; None without spoofers")
@@ -167,11 +167,11 @@ class Interference:
 
     @property
     def local(self) -> bool:
-        """Whether receivers see other satellites for it."""
+        """True if it affects receivers by their position or by satellite, not only through common errors."""
         return bool(self.jammers or self.discs or self.spoofers or self.outages)
 
     def at(self, places: Array, seconds: Array, fraction: Array) -> Interfering | None:
-        """Return what interferes at an epoch with the satellites ``places`` (K,) of all; None if nothing can."""
+        """Return the interference at an epoch, for the satellites of numbers ``places`` (K,); None if there is none."""
         if not self.local:
             return None
 
@@ -208,7 +208,7 @@ class Interference:
 
 
 def strength(power_w: object, band: str) -> Array:
-    """Return what a jammer adds at 1 m to the inverse of C/N0, which is 1 at 45 dB-Hz (Kaplan and Hegarty).
+    """Return the increase of the inverse of C/N0 by a jammer at 1 m, relative to 45 dB-Hz (Kaplan and Hegarty).
 
     1/(c/n0) = 1/(c/n0 without it) + (j/s)/(Q R_c), j by the power, free space and an antenna of no gain.
     """
@@ -223,14 +223,14 @@ def jammed(
     ground: Ground | None,
     skyline: Skyline | None = None,
 ) -> Array:
-    """Return what is added to the inverse of C/N0, 1 at 45 dB-Hz, of receivers (n,).
+    """Return the increase of the inverse of C/N0 of receivers (n,), relative to 45 dB-Hz.
 
     Args:
-        now: what interferes.
-        affected: for each spoofer which receivers (n,) it is for.
-        position_ned: of the receivers (n,).
-        ground: asked by ``line_of_sight(position_ned, point_ned)`` for what is hidden from whom; None: nothing is.
-        skyline: asked by ``sees`` for the same; None: nothing is.
+        now: the interference.
+        affected: for each spoofer the receivers (n,) bool that it affects.
+        position_ned: of the receivers (n,) [m].
+        ground: terrain that can hide jammers; None: it hides none.
+        skyline: obstacles that can hide jammers; None: they hide none.
     """
     total = jnp.zeros_like(position_ned.x)
     for item in now.emitters:
@@ -264,7 +264,7 @@ def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> 
 
 def _inside(circle: Circle, position_ned: Vec3) -> Array:
     way = position_ned - circle.position_ned
-    # Negative while it is off, so that nobody is inside.
+    # The radius is negative while the disc is off, so that no receiver is inside.
     return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
 
 

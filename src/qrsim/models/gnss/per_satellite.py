@@ -1,4 +1,4 @@
-"""What a reading of the sensor ``gnss`` has of each satellite, for those who ask for it."""
+"""Optional fields of a reading of the sensor ``gnss`` for each satellite."""
 
 from __future__ import annotations
 

@@ -94,11 +94,11 @@ def misled(effect: Effect | None, error: Vec3, velocity: Vec3) -> tuple[Vec3, Ve
 
 
 def moved(position_ned: Vec3, low: Vec3 | None, state: GnssState) -> Vec3:
-    """Return by how much receivers (n,) have truly moved since the last fix."""
+    """Return the true displacement (n,) [m] of receivers since the last fix."""
     way = position_ned - state.true_ned
     return way if low is None else way + (low - state.true_low_ned)
 
 
 def placed_at(position_ned: Vec3, low: Vec3 | None, error: Vec3) -> Vec3:
-    """Return where receivers (n,) say they are."""
+    """Return the reported positions (n,) [m]: true position plus error."""
     return position_ned + error if low is None else added(position_ned, error + low)[0]

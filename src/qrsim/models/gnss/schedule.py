@@ -1,4 +1,4 @@
-"""What begins and ends at times of a run."""
+"""Times at which events of a run begin and end."""
 
 from __future__ import annotations
 

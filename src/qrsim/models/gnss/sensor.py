@@ -114,7 +114,7 @@ class Gnss(ReceiverParameters, Sensor):
         same = slots.ids == state.ids
         age, effect = None, None
         if state.geometry is None:
-            seen, effect = self._seen(slots, position_ned, ground, skyline, state.age)
+            seen, effect = self._tracked(slots, position_ned, ground, skyline, state.age)
             age = aged(self, seen, same[:, None], state.age)
             now = geometry_of(self, slots, seen, age, None, None if effect is None else effect.jam)
         else:
@@ -141,7 +141,7 @@ class Gnss(ReceiverParameters, Sensor):
             said = outer
         else:
             got = fixing.received(self, slots, link, position_ned, now, own, error, moved_on, effect)
-            # Whose kind of solution is another than before starts anew.
+            # The filter restarts if the receiver begins or ends to use corrections.
             fixes = jnp.where(enough & (got.on != link.on), 1.0, fixes)
             inner, outer = lagged(self, state, got.error, got.moved_on, fixes, got)
             before = link.said
@@ -208,7 +208,7 @@ class Gnss(ReceiverParameters, Sensor):
         if now is None:
             old = jnp.full((*slots.ids.shape, *(() if alike else position_ned.x.shape)), _LONG_S, slots.part.dtype)
             old = old[:, None] if alike else old
-            seen, effect = self._seen(slots, position_ned, ground, skyline, old)
+            seen, effect = self._tracked(slots, position_ned, ground, skyline, old)
             age = None if alike else jnp.where(seen, old, 2.0 * AWAY)
             now = geometry_of(self, slots, seen, old, None, None if effect is None else effect.jam)
         normals = draw.normals(6)
@@ -263,10 +263,13 @@ class Gnss(ReceiverParameters, Sensor):
         )
         return state, reading
 
-    def _seen(
+    def _tracked(
         self, slots: Slots, position_ned: Vec3, ground: Ground | None, skyline: Skyline | None, age: Array
     ) -> tuple[Array, Effect | None]:
-        """Return which satellites (K, m) receivers track, tracked for ages (K, m) [s] so far, and what interferes."""
+        """Return the satellites (K, m) bool that receivers track, and the effect of interference, None without any.
+
+        ``age``: time (K, m) [s] for which each satellite has been tracked.
+        """
         seen, present = sights(self, slots, position_ned, ground), slots.interference
         if present is None:
             return seen, None

@@ -1,4 +1,4 @@
-"""How satellites are seen from a site, and the errors that ranges to them share (docs/explanation/models/gnss.md).
+"""Directions of satellites from a site, and the common errors of ranges (docs/explanation/models/gnss.md).
 
 Directions and mappings hold for a whole world: 10 km from the site they change a fix by less than a millimetre.
 """
@@ -63,7 +63,7 @@ class Scales:
 
 
 def sight_of(satellites_ned: Vec3) -> Sight:
-    """Return how satellites (S,) at positions [m] are seen; NaN where a position is."""
+    """Return directions and mappings of satellites (S,) at positions NED [m]; NaN if a position is NaN."""
     ray = satellites_ned * (1.0 / satellites_ned.norm())
     sine = jnp.maximum(-ray.z, LOWEST_SINE)
     cosine = jnp.sqrt(jnp.maximum(1.0 - sine * sine, 0.0))

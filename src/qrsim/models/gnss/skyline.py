@@ -1,4 +1,4 @@
-"""What obstacles do to signals of satellites, by place, as a table made at load (docs/explanation/models/gnss.md).
+"""Blockage and reflection of satellite signals by obstacles, tabulated at load (docs/explanation/models/gnss.md).
 
 By cells, levels of height and azimuths, the table has the horizon that walls make, and the nearest reflection that a
 satellite in this direction has: a signal from a wall on the other side.

@@ -51,7 +51,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a table has its entries: first cell [m], cells, levels [m] and directions."""
+    """Grid of a table: first corner [m], pitch of cells [m], rows, columns, levels of height [m] and azimuths."""
 
     corner: tuple[float, float]
     pitch: float
@@ -82,14 +82,14 @@ def walls_of(solids: Sequence[tuple[Sequence[npt.ArrayLike], float, float]]) -> 
 def frame_of(
     walls: Walls, bounds: tuple[float, float, float, float] | None, lowest: float, pitch: float, azimuths: int
 ) -> Frame | None:
-    """Return where a table needs entries: where a wall can hide a satellite; None where that is nowhere.
+    """Return the grid over all positions at which a wall can hide a satellite; None if no wall can.
 
     Args:
         walls: of the obstacles.
-        bounds: south, north, west, east [m] of where receivers can be, None where they can be anywhere.
+        bounds: south, north, west, east [m] of the area in which receivers can be; None: unbounded.
         lowest: elevation [rad] below which no receiver uses satellites.
         pitch: side of a cell [m].
-        azimuths: directions.
+        azimuths: number of directions.
     """
     tallest = float(walls.top.max())
     reach = (tallest - walls.bottom) / math.tan(lowest)

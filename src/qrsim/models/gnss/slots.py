@@ -25,10 +25,10 @@ from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, Sight, sight_of
 from qrsim.models.site import Site
 
-# Time between knots [s], and the number of nobody, in a slot that is free.
+# Time between knots [s], and the number of a free slot.
 KNOT_S = 5.0
 NOBODY = 0xFFFFFFFF
-# Slots are made for the satellites of a day, looked at so often [s], and so many more; there are no more than these.
+# Slots: for the satellites in view over a day [s], sampled at this interval [s]; spare ones; and the largest number.
 DAY_S, LOOK_S, SPARE_SLOTS, MOST_SLOTS = 86400.0, 120.0, 1, 48
 
 
@@ -57,7 +57,7 @@ class Slots:
 
 @record
 class Ends:
-    """What receivers of the older kind see at the knots before and after, of all S satellites."""
+    """Positions and range errors of all S satellites at the last and next knot, for receivers of the older kind."""
 
     before_ned: Vec3 = quantity(unit="m", doc="(S,) positions at the last knot")
     error_before: Array = quantity(unit="m", doc="(S,) range errors at the last knot")
@@ -66,7 +66,7 @@ class Ends:
 
 @record
 class SlottedMemory:
-    """What a slotted sky remembers, of all S satellites."""
+    """State of a slotted sky, for all S satellites."""
 
     errors: Any = quantity(doc="state of the range errors, at the next knot or at the epoch")
     after_ned: Vec3 = quantity(unit="m", doc="positions at the next knot")
@@ -116,7 +116,7 @@ class SlottedSky(Sky):
         if self.base is not None:
             base = self.base.init(draw)
             memory, slots = self._with_base(memory, slots, base, self.base.step(base, ahead, self.knot_s))
-        slots = self._told(memory, slots, jnp.int32(0), zero)
+        slots = self._with_base_and_interference(memory, slots, jnp.int32(0), zero)
         return SkyState(here, error, jnp.zeros_like(error), memory, jnp.asarray(self.ids), slots)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
@@ -124,14 +124,14 @@ class SlottedSky(Sky):
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[object, ...]:
-            # What interferes is of the epoch, and told below.
+            # Interference changes at every epoch and is set below.
             return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
         memory, slots, satellites, error = lax.cond(tick % self.knot_ticks == 0, lambda: self._knot(state, draw), held)
         part = (tick % self.knot_ticks).astype(fraction.dtype) * (1.0 / self.knot_ticks)
         if self.base is not None:
             memory = replace(memory, base=self.base.carried(memory.base, draw, self.period))
-        slots = self._told(memory, slots, seconds, fraction)
+        slots = self._with_base_and_interference(memory, slots, seconds, fraction)
         if self.each_epoch:
             satellites = map_tree(lambda a, b: _between(a, b, part), memory.ends.before_ned, memory.after_ned)
             error = _between(memory.ends.error_before, memory.ends.error_after, part)
@@ -144,7 +144,7 @@ class SlottedSky(Sky):
 
     @property
     def steps_by_parts(self) -> bool:
-        """Whether nothing but the part of the way changes from knot to knot."""
+        """True if only the interpolation between knots changes from epoch to epoch."""
         plain = self.base is None and self.interference is None
         return plain and self.errors.needs_sight and not self.each_epoch
 
@@ -191,8 +191,10 @@ class SlottedSky(Sky):
         seen = replace(seen, code_before=seen.code_before[taken], code_after=seen.code_after[taken])
         return replace(memory, base=later), replace(slots, base=seen)
 
-    def _told(self, memory: SlottedMemory, slots: Slots, seconds: Array, fraction: Array) -> Slots:
-        """Return slots with what is heard of the base station at an epoch, and what interferes."""
+    def _with_base_and_interference(
+        self, memory: SlottedMemory, slots: Slots, seconds: Array, fraction: Array
+    ) -> Slots:
+        """Return slots with the corrections of the base station and the interference at an epoch."""
         if self.base is not None:
             slots = replace(slots, base=self.base.heard(slots.base, memory.base.carrier, seconds, fraction))
         if self.interference is not None:
@@ -279,7 +281,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
 
 
 def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: float, lowest_sine: float) -> int:
-    """Return how many slots the satellites of an ephemeris need that are in view at once, over a day or the run."""
+    """Return the number of slots for the satellites of an ephemeris in view at once, over a day or the run."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)
     end = min(last, begin + (DAY_S if math.isinf(last) else min(duration_s, DAY_S)))

@@ -70,7 +70,7 @@ class Gains:
 
 
 def _times(inverse: Symmetric, x: Array, y: Array, z: Array) -> Vec3:
-    """Return what sums over the gain are to a position: the inverse times these, with minus."""
+    """Return minus the product of the inverse normal matrix and a vector: the position error for sums over ranges."""
     xx, xy, xz, yy, yz, zz = inverse
     return Vec3(-(xx * x + xy * y + xz * z), -(xy * x + yy * y + yz * z), -(xz * x + yz * y + zz * z))
 

@@ -11,14 +11,14 @@ from qrsim.models.scene.uniform import uniform
 
 
 def starts(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return when vehicles (n,) begin to send, in seconds of the period, and who sends at all.
+    """Return the start (n,) [s] of each vehicle's packet in the period, and whether it is sent.
 
     Args:
-        mac: what says so.
+        mac: the access to the channel.
         air: time of a packet on the air [s].
         draw: of the period, for each vehicle.
-        wants: (n,) who has something to say.
-        audible: (K, n) numbers of those whom each vehicle hears well enough to wait, and which of them count.
+        wants: (n,) bool: the vehicle has a packet to send.
+        audible: (K, n) numbers of neighbours, and (K, n) bool: the vehicle defers to this one.
     """
     like = draw.like
     if mac.type == "tdma":
@@ -32,10 +32,10 @@ def starts(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array,
 
 
 def _listened(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the same for who listens first, and tries again some time after who was heard has ended.
+    """Return the start (n,) [s] of each packet in the period and whether it is sent, with carrier sensing (CSMA).
 
-    All choose a time. Whoever hears somebody who has begun earlier and not ended yet chooses a later one, at random in
-    what is left of the period, and so on. Who finds no free time in the end waits for the next period.
+    Every vehicle draws a start. One that hears a transmission then draws a later one in the rest of the period. After
+    ``mac.attempts`` draws it waits for the next period.
     """
     neighbour, hears = audible
     last = max(mac.period - air, 0.0)
@@ -45,7 +45,7 @@ def _listened(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Arr
     def busy(begin: Array) -> Array:
         theirs = begin.at[neighbour].get(mode="promise_in_bounds")
         sends = hears & wants.at[neighbour].get(mode="promise_in_bounds")
-        # Of two at the very same time, the one of the lower number is heard by the other.
+        # Of two that start at the same time, the lower number is first.
         before = (theirs < begin[None]) | ((theirs == begin[None]) & (neighbour < number[None]))
         return jnp.any(sends & before & (theirs + air > begin[None]), axis=0)
 

@@ -23,7 +23,7 @@ JITTER_SIGMA = 0.5
 
 @record
 class FleetRadios:
-    """What the radios of fleets have of their own, each (n,); NaN: that of the network."""
+    """Parameters of the radios of fleets that differ from the network's, each (n,); NaN: as in the network."""
 
     power_dbm: Array = quantity(unit="dBm", doc="transmitted power")
     gain_db: Array = quantity(unit="dB", doc="gain of the antenna")
@@ -31,19 +31,20 @@ class FleetRadios:
     works: Array = quantity(doc="bool: there is a radio")
 
     def power(self, usual: Array) -> Array:
-        """Return what each sends [dBm]."""
-        return _own(self.power_dbm, usual)
+        """Return the transmitted power of each radio [dBm]."""
+        return _or_usual(self.power_dbm, usual)
 
     def gain(self, usual: Array) -> Array:
         """Return the gain of each antenna [dB]."""
-        return _own(self.gain_db, usual)
+        return _or_usual(self.gain_db, usual)
 
     def noise(self, usual: Array) -> Array:
         """Return the noise figure of each receiver [dB]."""
-        return _own(self.noise_figure_db, usual)
+        return _or_usual(self.noise_figure_db, usual)
 
 
-def _own(own: Array, usual: Array) -> Array:
+def _or_usual(own: Array, usual: Array) -> Array:
+    """Return the value of each radio (n,), the usual one in place of NaN."""
     return jnp.where(jnp.isnan(own), usual, own)
 
 
@@ -89,7 +90,7 @@ class Channel:
 
     @property
     def asks_height(self) -> bool:
-        """Whether it matters how high the ends of links are above the ground."""
+        """True if the path loss depends on the height of radios above the ground."""
         return self.path_loss.air_to_ground != "none" or self.path_loss.ground == "two_ray"
 
     @property

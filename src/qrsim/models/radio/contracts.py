@@ -100,7 +100,7 @@ class Radio(Protocol):
 
     @property
     def asks_height(self) -> bool:
-        """Whether the height of the ends of links above the ground matters."""
+        """True if ``exchange`` needs the height of radios above the ground."""
         return False
 
     @property
@@ -114,11 +114,11 @@ class Radio(Protocol):
 
     @abstractmethod
     def exchange(self, state: Any, now: Exchange) -> object:
-        """Take what is said at a tick, and send what is due; heard at the next tick at the earliest."""
+        """Queue the messages of a tick, and send those that are due; they arrive at the next tick at the earliest."""
 
     @abstractmethod
     def received(self, state: Any, tick: Array, time_step: float) -> Inbox:
-        """Return what each vehicle has heard by a tick."""
+        """Return the messages that each vehicle has received by a tick."""
 
     @abstractmethod
     def heard(self, state: Any, tick: Array, time_step: float) -> Heard:
@@ -132,7 +132,7 @@ class Radio(Protocol):
 
     @abstractmethod
     def counted(self, state: Any) -> dict[str, Array]:
-        """Return what has become of packets since the start, by name, (n,) each; columns of metrics and logs."""
+        """Return the counts of packets since the start by name, (n,) each: sent, received and lost."""
 
     @abstractmethod
     def links(self, state: Any) -> object:

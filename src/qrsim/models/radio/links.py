@@ -25,14 +25,14 @@ from qrsim.models.scene.rays import walls_between
 
 # As many obstacles in the way count as one has to go around.
 _MOST_WALLS = 2
-# Above this chance of loss without others, a packet is out of range.
+# A packet that would be lost with more than this probability without interference is out of range.
 OUT_OF_RANGE = 0.9
-# What a power of nothing is [mW]: far below all noise, and a number that both compilers know.
+# Power in place of zero [mW]: far below all noise, and a normal number for both compilers.
 _NOTHING = 1e-30
 
 
 class Outcome:
-    """What becomes of a packet at a receiver."""
+    """Outcome of a packet at a receiver."""
 
     NOTHING, HEARD, WEAK, NOISE, COLLISION = range(5)
 

@@ -87,14 +87,14 @@ class Network(Channel, Radio):
         )
 
     def exchange(self, state: NetworkState, now: Exchange) -> NetworkState:
-        """Take what is said at a tick, and send what is due, once a period."""
+        """Queue the messages of a tick, and send those that are due, once a period."""
         if now.said is not None:
             state = self._queued(state, now.said, now)
         ticks = max(1, round(self.mac.period / now.time_step))
         return lax.cond(now.due % ticks == 0, lambda: self._sent(state, now, ticks), lambda: state)
 
     def received(self, state: NetworkState, tick: Array, time_step: float) -> Inbox:
-        """Return what each vehicle has heard by a tick."""
+        """Return the messages that each vehicle has received by a tick."""
         heard = self.heard(state, tick, time_step)
         library = library_of(heard.sender)
         mask = heard.sender != NOBODY
@@ -120,7 +120,7 @@ class Network(Channel, Radio):
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
 
     def counted(self, state: NetworkState) -> dict[str, Array]:
-        """Return what has become of packets since the start, by name, (n,) each."""
+        """Return the counts of packets since the start by name, (n,) each: sent, received and lost."""
         return dict(vars(state.counts))
 
     def links(self, state: NetworkState) -> Links:
@@ -209,7 +209,10 @@ class Network(Channel, Radio):
         return payload, to, since, queued, queued | now.beacons.send
 
     def _audible(self, near: Neighbours, power: Array) -> tuple[Array, Array]:
-        """Return whom each vehicle hears well enough to wait for, at its own place; others are hidden from it."""
+        """Return the candidates (K, n) of carrier sensing, and whether each is audible at the vehicle itself.
+
+        A vehicle defers to audible senders; the others are hidden from it.
+        """
         above = power - jnp.broadcast_to(self.noise_dbm, power.shape)
         if self.mac.sense == "noise":
             hears = above > 0.0
@@ -251,7 +254,7 @@ class Network(Channel, Radio):
             jnp.ceil(late / now.time_step - _ROUNDING).astype(jnp.int32), 1
         )
         sent = since.at[there].get(mode="promise_in_bounds")
-        # Payloads are looked up for those only that are heard.
+        # Only the payloads of received packets are gathered.
         nothing = jnp.zeros((heard.shape[0], 0, heard.shape[1]), payload.dtype)
         found = taken(Heard(nothing, links.sender, sent, arrives, links.rssi), first_of(heard, self.inbox.size))
         speaker = jnp.maximum(found.sender, 0)
@@ -259,7 +262,7 @@ class Network(Channel, Radio):
         return replace(found, payload=jnp.where((found.sender != NOBODY)[:, None], words, 0.0))
 
     def _late(self, keys: StreamKeys, near: Neighbours, begin: Array, now: Exchange, frame: Array) -> Array:
-        """Return how long (K, n) after the beginning of a period packets are known [s]."""
+        """Return the time (K, n) [s] from the beginning of a period until packets are received."""
         stream, sender = self._pair(keys, JITTER, near, now.ids, frame)
         (normal,) = stream.normals(sender, 1, near.squared.dtype)
         distance = jnp.sqrt(jnp.where(near.index >= 0, near.squared, 0.0))
@@ -268,13 +271,13 @@ class Network(Channel, Radio):
 
 
 def _shifted(rows: Array, where: Array) -> Array:
-    """Return rows without the first one, and the last one twice, for the vehicles that are named."""
+    """Return rows without the first one, and with the last one twice, for vehicles in the mask ``where`` (n,)."""
     moved = jnp.concatenate([rows[1:], rows[-1:]])
     return jnp.where(where[(None,) * (rows.ndim - 1)], moved, rows)
 
 
 def _without_first(waiting: Waiting, gone: Array) -> Waiting:
-    """Return what waits without the first of the vehicles that are named."""
+    """Return the queues without the first message of vehicles in the mask ``gone`` (n,)."""
     since = jnp.concatenate([waiting.since[1:], jnp.full_like(waiting.since[:1], NOBODY)])
     return Waiting(
         _shifted(waiting.payload, gone), _shifted(waiting.to, gone), jnp.where(gone[None], since, waiting.since)
@@ -282,7 +285,7 @@ def _without_first(waiting: Waiting, gone: Array) -> Waiting:
 
 
 def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants: Array) -> Counts:
-    """Add what has become of a period's packets."""
+    """Return the counts with the outcomes of a period's packets added."""
 
     def of(outcome: int) -> Array:
         return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0, dtype=jnp.int32)

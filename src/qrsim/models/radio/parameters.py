@@ -1,4 +1,4 @@
-"""What a scenario says of the radio between vehicles, and presets (docs/explanation/models/radio.md)."""
+"""Parameters of the radio between vehicles, and presets (docs/explanation/models/radio.md)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PresetName = Literal["sik_915", "xbee_pro_900", "wifi_2g4", "lora_sf7", "lora_sf
 
 @record
 class PathLoss:
-    """What a signal loses on its way."""
+    """Path loss of a signal."""
 
     exponent: Array = parameter(default=2.2, unit="", doc="exponent of the path loss; 2: free space", above=0.0)
     shadowing_db: Array = parameter(
@@ -86,7 +86,7 @@ class Packet:
 
 @record
 class Mac:
-    """Who may send when. Every vehicle sends at most one packet in a period."""
+    """Access to the channel. Every vehicle sends at most one packet in a period."""
 
     type: Literal["ideal", "tdma", "aloha", "csma"] = setting(
         default="ideal",
@@ -108,7 +108,7 @@ class Mac:
 
 @record
 class Delay:
-    """What is added to the time on the air."""
+    """Latency in addition to the time on the air."""
 
     fixed: float = setting(default=0.005, unit="s", doc="processing time at both ends", minimum=0.0)
     jitter: float = setting(
@@ -118,7 +118,7 @@ class Delay:
 
 @record
 class InboxSize:
-    """What a vehicle keeps of what it has heard, and how far is looked for who could be heard."""
+    """Messages that a vehicle keeps, and the search for vehicles that it could receive."""
 
     size: int = setting(
         default=8, doc="number of senders for which the newest message is kept (K)", minimum=1, maximum=64
@@ -132,7 +132,7 @@ class InboxSize:
     )
 
 
-# What a preset says is a default; its sources are in docs/explanation/models/radio.md.
+# A preset gives defaults; its sources are in docs/explanation/models/radio.md.
 PRESETS: Presets = {
     "sik_915": {
         "frequency_mhz": 915.0, "power_dbm": 20.0, "bandwidth_khz": 250.0, "rate_kbps": 64.0, "noise_figure_db": 6.0,

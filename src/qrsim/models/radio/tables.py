@@ -1,4 +1,4 @@
-"""What vehicles have heard: packets of the last periods on their way, and tables of who was heard last.
+"""Received packets: those of the last periods in transit, and tables of the newest message of each sender.
 
 Arrays have vehicles along the last axis. Works on arrays of JAX and on NumPy's.
 """

@@ -35,7 +35,7 @@ class Contents:
 
     @property
     def random(self) -> bool:
-        """Whether anything of it is drawn for each episode, which is whether there is anything."""
+        """True if a component is drawn for each episode, as all but empty ones are."""
         return bool(self.plume.random or self.terrain.random or self.persons.random)
 
 

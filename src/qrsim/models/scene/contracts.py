@@ -18,7 +18,7 @@ from qrsim.core.noise import Draw
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 
-# Places along a ray at which the ground is asked whether it is there, and halvings of the part where it begins.
+# Samples of the ground along a ray, and bisections of the interval with the first crossing.
 LOOKS, HALVINGS = 32, 6
 
 
@@ -102,15 +102,15 @@ class Ground(Protocol):
         """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return how far [m] rays (...) go until they meet the ground, 0 from below it, infinite beyond their reach.
+        """Return the distance [m] along rays (...) to the ground, 0 from below it, infinite beyond their reach.
 
-        By default the ground is sampled every ``reach``/32, and the first crossing found there is narrowed down: a
-        ridge that a ray passes between two looks is overlooked.
+        By default the ground is sampled every ``reach``/32, and the first crossing found there is narrowed down. A
+        ridge between two samples can be missed.
 
         Args:
-            origin_ned: where they begin (...) [m].
+            origin_ned: origin of the rays (...) [m].
             direction: unit vectors (...).
-            reach: how far they are followed [m].
+            reach: largest distance [m].
         """
         return crossing(self.down, origin_ned, direction, reach)
 
@@ -127,7 +127,7 @@ class Ground(Protocol):
 
 
 def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-    """Return how far [m] rays (...) go until they are below a surface with this down coordinate; see ``Ground``."""
+    """Return the distance [m] along rays (...) to a surface with this down coordinate; see ``Ground.ray_distance``."""
     shape = jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
     origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)) for end in (origin_ned, direction))
 

@@ -147,7 +147,7 @@ def landscape(
 def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, float], box: Bounds) -> None:
     """Refuse a file that ends inside a box."""
     south, north, west, east = box
-    # The sides of a box are not quite those of a grid by latitude, so points along them are looked at.
+    # A box in metres is not a box by latitude and longitude, so points along its sides are checked.
     along = np.linspace(0.0, 1.0, 9)
     norths = south + (north - south) * np.concatenate([along, along, along * 0.0, along * 0.0 + 1.0])
     easts = west + (east - west) * np.concatenate([along * 0.0, along * 0.0 + 1.0, along, along])
@@ -297,7 +297,7 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
         line, word = _first_text(data.decode("latin-1"), 2 * len(header))
         raise UsageError(f"{file}: line {line}: the height {word[:40]!r} is not a number") from None
     heights = np.where((heights == header.get("nodata_value", -9999.0)) | ~np.isfinite(heights), np.nan, heights)
-    # A corner is that of a cell, whose height is that of its middle.
+    # The header gives the corner of a cell; its height is that of its centre.
     west = needed["xllcorner"] + (0.5 * dx if "xllcorner" in header else 0.0)
     south = needed["yllcorner"] + (0.5 * dy if "yllcorner" in header else 0.0)
     own: Frame = "geodetic" if max(dx, dy) < LARGEST_DEGREES else "local"

@@ -25,7 +25,7 @@ FARTHEST, STEP = 50_000.0, 0.005
 # Parts of a way between two points, at whose ends the ground is asked whether it is in between: of the whole way, and
 # at least and at most of that over the grid, which it meets cell by cell as long as there are no more.
 _LOOKS, _FEWEST_LOOKS, _MOST_LOOKS = 32, 16, 512
-# Who stands on the ground is not hidden by a rounding error [m].
+# Tolerance [m], so that rounding does not hide a vehicle on the ground.
 _SLACK = 0.1
 
 
@@ -38,7 +38,7 @@ class FlatGround(Ground):
 
     @computed
     def at_zero(self) -> bool:
-        """Whether the ground is the plane z = 0."""
+        """True if the ground is the plane z = 0."""
         return self.height == 0.0
 
     def down(self, position_ned: Vec3) -> Array:
@@ -46,7 +46,7 @@ class FlatGround(Ground):
         return jnp.full_like(position_ned.z, 0.0 - self.height)
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return how far [m] rays (...) go until they meet the plane, infinite where they do not within their reach."""
+        """Return the distance [m] along rays (...) to the plane, infinite beyond their reach."""
         above = -self.height - origin_ned.z
         falls = direction.z > 0.0
         met = above / jnp.where(falls, direction.z, 1.0)
@@ -111,12 +111,12 @@ class GridGround(Ground):
         return upward(north, east)
 
     def _cell(self, position_ned: Vec3) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], tuple[Array, Array]]]:
-        """Return where positions are in their cells, 0 to 1, and the corners of these: south, north of west, east."""
+        """Return the position in each cell, 0 to 1 north and east, and the cell's corners: ((sw, se), (nw, ne))."""
         grid, parts, numbers = jnp.asarray(self.grid), [], []
         for axis, value in enumerate((position_ned.x, position_ned.y)):
             last = grid.shape[axis] - 1
             place = jnp.clip((value - self.corner[axis]) / self.spacing[axis], 0.0, float(last))
-            # What is not finite is nowhere, and stays so.
+            # NaN has no cell, and stays NaN in the position.
             number = jnp.clip(jnp.floor(jnp.where(jnp.isfinite(place), place, 0.0)), 0.0, float(last - 1))
             parts.append(place - number)
             numbers.append(number.astype(jnp.int32))

@@ -74,12 +74,12 @@ class Obstacles:
             return self._nearest_plain(position_ned)
         distance, number = self._nearest_plain(position_ned)
         other, its_number = self.prisms.nearest(position_ned)
-        # What is not a number stays so.
+        # NaN stays NaN.
         closer = ~(other >= distance)
         return jnp.where(closer, other, distance), jnp.where(closer, its_number, number)
 
     def _nearest_plain(self, position_ned: Vec3) -> tuple[Array, Array]:
-        """Return the same of boxes and cylinders alone."""
+        """Return distance and number of the nearest box or cylinder, as ``nearest`` does for all obstacles."""
         row = position_ned.map(lambda axis: axis[None, :])
         rows = [
             kind.distance(row) for kind in (_as_columns(self.boxes), _as_columns(self.cylinders)) if kind.z_min.shape[0]
@@ -88,7 +88,7 @@ class Obstacles:
             return jnp.full_like(position_ned.x, jnp.inf), jnp.full_like(position_ned.x, -1.0)
         distance = jnp.concatenate(rows, axis=0)
         place = jnp.arange(distance.shape[0])[:, None]
-        # Chosen by a sum of one, which is faster than looking it up.
+        # A sum with one non-zero term is faster than an indexed read.
         chosen = jnp.where(place == jnp.argmin(distance, axis=0)[None, :], self.numbers[:, None], 0.0)
         return jnp.min(distance, axis=0), jnp.sum(chosen, axis=0)
 
@@ -98,7 +98,7 @@ def _as_columns(item: T) -> T:
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
-    """Return how far a coordinate is outside an interval."""
+    """Return the distance of a coordinate from an interval, 0 inside."""
     lib = library_of(value)
     return lib.maximum(lib.maximum(low - value, value - high), 0.0)
 

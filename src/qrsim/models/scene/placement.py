@@ -89,8 +89,8 @@ class RingPlaces(Placement):
         return _unplaced(size, self.apart, self.tries)
 
     def most_vehicles(self) -> int:
-        """Return how many vehicles fit on the outer circle: an upper bound for random placement."""
-        # Of distances next to nothing any number fits, and an angle too small to divide by.
+        """Return the number of vehicles that fit on the outer circle, an upper bound for random placement."""
+        # At distances near zero any number fits, and the angle would be too small to divide by.
         if self.apart <= 1e-9 * self.farthest:
             return 10**9
         half = float(self.apart) / (2.0 * max(float(self.farthest), 1e-300))

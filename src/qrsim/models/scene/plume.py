@@ -313,5 +313,5 @@ class PuffPlume(Plume):
 
 
 def trail(factor: Array | float, exponent: Array | float, flown: Array) -> Array:
-    """Return how far [m] behind its centre a puff matters after a distance flown [m]."""
+    """Return the distance [m] behind its centre within which a puff matters, after a distance flown [m]."""
     return jnp.sqrt(-2.0 * math.log(NEGLIGIBLE) * factor * exp(exponent * log(jnp.maximum(flown, 1e-3))))

@@ -23,11 +23,12 @@ from qrsim.core.tree import parameter, quantity, record, record_of, setting
 from qrsim.core.vectors import Vec3
 
 Float64 = npt.NDArray[np.float64]
-# Pieces that are all looked at by every vehicle; of more, those near its cell, whose side is this [m] if they are few.
+# Up to FEW_PIECES, every vehicle is compared with all pieces; beyond, with those near its cell of this side [m], larger
+# where that would be more than MOST_CELLS.
 FEW_PIECES, CELL, MOST_CELLS = 16, 4.0, 250_000
 # Beyond this distance [m] a world's prisms need not be noticed.
 LEAST_REACH = 5.0
-# Where nobody comes to [m].
+# A coordinate beyond all vehicles [m].
 _FAR = 1e7
 
 
@@ -76,7 +77,7 @@ class PrismObstacle:
 
 
 def edges_of(rings: Sequence[npt.ArrayLike]) -> tuple[Float64, Float64]:
-    """Return where the edges of rings of corners (V, 2) begin and end, (E, 2) each."""
+    """Return the first and last points (E, 2) of the edges of rings of corners (V, 2)."""
     corners = [np.asarray(ring, np.float64).reshape(-1, 2) for ring in rings]
     return np.concatenate(corners), np.concatenate([np.roll(ring, -1, axis=0) for ring in corners])
 

@@ -1,8 +1,8 @@
-"""Where rays meet obstacles: for radio, scans and whatever else a wall is in the way of.
+"""Intersections of rays with obstacles, for radio, scans and cameras.
 
 See docs/explanation/models/scene.md.
 
-All shapes of rays are allowed; every obstacle is looked at for every ray, exactly.
+Rays have any shape. Every ray is compared with every obstacle; intersections are exact.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 
 Span = tuple[Array, Array]
-# Slower than this part of its length per unit, a ray goes along a plane.
+# A ray is parallel to a plane if its component across it is smaller than this.
 _ALONG = 1e-12
 
 
 def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Array:
-    """Return how far rays (...) go until they meet an obstacle, in lengths of their direction.
+    """Return the distance along rays (...) to the first obstacle, in lengths of ``direction``.
 
-    0 where a ray begins inside one, infinite where it meets none.
+    It is 0 for a ray that begins inside an obstacle, and infinite for one that hits none.
 
     Args:
         obstacles: of the world, ``world.obstacles``.
-        origin_ned: where they begin (...) [m].
-        direction: of any length (...).
+        origin_ned: origin of the rays (...) [m].
+        direction: vectors of any length (...).
     """
     distance = jnp.full(_shape(origin_ned, direction), jnp.inf, direction.x.dtype)
     for low, high, _ in _crossings(obstacles, origin_ned, direction):
@@ -40,13 +40,13 @@ def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Arr
 
 
 def first_hit(obstacles: Obstacles, ground: Ground, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-    """Return how far [m] rays (...) go until they meet an obstacle or the ground; infinite beyond their reach.
+    """Return the distance [m] along rays (...) to the first obstacle or the ground; infinite beyond their reach.
 
     Args:
         obstacles, ground: of the world.
-        origin_ned: where they begin (...) [m].
+        origin_ned: origin of the rays (...) [m].
         direction: unit vectors (...).
-        reach: how far they are followed [m].
+        reach: largest distance [m].
     """
     solid = ray_distance(obstacles, origin_ned, direction)
     nearest = jnp.minimum(solid, ground.ray_distance(origin_ned, direction, reach))
@@ -60,7 +60,7 @@ def any_of(obstacles: Obstacles) -> bool:
 
 
 def can_hide(obstacles: Obstacles, ground: Ground) -> bool:
-    """Return whether anything in a world can stand between two who are above its ground; known as ``any_of`` is."""
+    """Return whether anything can block the line between two points above the ground; known while compiling."""
     return any_of(obstacles) or not ground.flat
 
 
@@ -69,10 +69,10 @@ def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
 
 
 def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Iterator[tuple[Array, Array, Array | None]]:
-    """Yield, for each kind of solid, where rays (...) enter and leave its T solids, and the buildings of these.
+    """Yield, for each kind of solid, the distances at which rays (...) enter and leave its T solids, and their owners.
 
-    Enter and leave are (T, ...), in lengths of the direction; a ray that misses enters after it leaves. Buildings are
-    (T,) numbers, None for kinds whose solids are whole obstacles.
+    Distances are (T, ...), in lengths of the direction; a ray that misses a solid enters after it leaves. Owners are
+    the numbers (T,) of the buildings that the solids belong to, None if each solid is a whole obstacle.
     """
     shape = _shape(origin_ned, direction)
     origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)[None]) for end in (origin_ned, direction))
@@ -85,16 +85,16 @@ def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Itera
         if solids is None or not solids.z_min.shape[0]:
             continue
         column = (-1,) + (1,) * len(shape)
-        yield *meets(_each(solids, column), origin, ray), owner
+        yield *meets(_as_columns(solids, column), origin, ray), owner
 
 
 def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
-    """Return whether nothing (...) stands between places (...) [m]; inside an obstacle nothing is seen."""
+    """Return (...) bool: no obstacle is between two points (...) [m]; False if one of them is inside one."""
     return ray_distance(obstacles, from_ned, to_ned - from_ned) > 1.0
 
 
 def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
-    """Return how many obstacles (...) stand between places (...) [m], a building counted once."""
+    """Return the number of obstacles (...) between two points (...) [m]; a building counts once."""
     direction = to_ned - from_ned
     count = jnp.zeros(_shape(from_ned, direction), jnp.int32)
     for low, high, owner in _crossings(obstacles, from_ned, direction):
@@ -106,7 +106,7 @@ def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
 
 
 def _met_before(met: Array, owner: Array) -> Array:
-    """Return for pieces (T, ...) whether one before it of the same prism (T,) is met; its pieces lie together."""
+    """Return (T, ...) bool: an earlier piece of the same prism is hit; the pieces of a prism are consecutive rows."""
     place = jnp.arange(owner.shape[0], dtype=jnp.int32)
     begins = jnp.concatenate([jnp.ones(1, bool), owner[1:] != owner[:-1]])
     first = lax.cummax(jnp.where(begins, place, 0))
@@ -115,14 +115,14 @@ def _met_before(met: Array, owner: Array) -> Array:
     return before > jnp.take_along_axis(before, row, axis=0, mode="promise_in_bounds")
 
 
-def _each(solids: object, column: tuple[int, ...]) -> object:
+def _as_columns(solids: object, column: tuple[int, ...]) -> object:
     import jax
 
     return jax.tree.map(lambda leaf: jnp.reshape(jnp.asarray(leaf), column), solids)
 
 
 def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
-    """Return from when to when ``start`` + t ``rate`` is between two values; the first is the larger where never."""
+    """Return the first and last t at which ``start`` + t ``rate`` is between two values; first > last if never."""
     still = jnp.abs(rate) <= _ALONG
     inverse = 1.0 / jnp.where(still, 1.0, rate)
     first, last = (low - start) * inverse, (high - start) * inverse
@@ -134,7 +134,7 @@ def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
 
 
 def _above(start: Array, rate: Array) -> Span:
-    """Return from when to when ``start`` + t ``rate`` is not negative."""
+    """Return the first and last t at which ``start`` + t ``rate`` is not negative."""
     still = jnp.abs(rate) <= _ALONG
     root = -start / jnp.where(still, 1.0, rate)
     begin = jnp.where(rate > 0.0, root, -jnp.inf)

@@ -78,7 +78,7 @@ class PatchyGround(GroundCover):
 
     def init(self, draw: Draw) -> TerrainState:
         """Return the ground of an episode; the draw is for one id."""
-        # Whole numbers have no slope in anything, and a loop of unknown length would refuse to be asked for one.
+        # Classes have no derivatives, and JAX cannot differentiate a loop of unknown length in reverse.
         return jax.tree.map(lax.stop_gradient, self)._grown(draw)
 
     def _grown(self, draw: Draw) -> TerrainState:
@@ -126,7 +126,7 @@ class PatchyGround(GroundCover):
         return found[0], found[1], found[2]
 
     def _jumped(self, centre: Array, chance: tuple[Array, Array, Array]) -> Array:
-        """Return where a jump from a cell leads; beyond an edge it goes on from the opposite one."""
+        """Return the cell after a random jump; a jump beyond an edge continues from the opposite one."""
         length = -self.jump * log(chance[0])
         sine, cosine = sincos(2.0 * math.pi * chance[1])
         steps = jnp.round(jnp.stack([length * cosine, length * sine])).astype(jnp.int32)

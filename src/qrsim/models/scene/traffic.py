@@ -1,4 +1,4 @@
-"""Where all vehicles of a world are, for sensors that look at others."""
+"""Positions and velocities of all vehicles of a world, for sensors that measure others."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def _number(name: str, unit: str, doc: str) -> Array:
 
 @record
 class AirspeedReading(Explained):
-    """What a pitot tube says of the air."""
+    """Reading of a pitot tube: pressure and airspeeds."""
 
     differential_pressure: Array = quantity(unit="Pa", doc="measured pressure in the tube above the static pressure")
     indicated_airspeed: Array = quantity(

@@ -28,7 +28,7 @@ _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
 
 
 class TakesPictures(Protocol):
-    """What a sensor that ``takes_pictures`` has beside its contract."""
+    """Method of sensors with ``takes_pictures``, in addition to their contract."""
 
     def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
         """Return the last picture of each vehicle (n,), see ``Camera.develop``."""
@@ -225,7 +225,7 @@ class Camera(Sensor):
         )
 
     def _view(self, reading: CameraReading, size: Array) -> _View:
-        """Return how a camera looks at the ground, and its grid of windows."""
+        """Return the projection of a camera onto the ground, and its grid of windows."""
         position, direction = reading.taken_at_ned, rotation(reading.taken_attitude)
         axis = position + direction.down * (-position.z / direction.down.z)
         pixels = [

@@ -70,7 +70,7 @@ class Sensor(Protocol):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether a sensor that reads ``traffic`` looks at it; where none does, it is handed None."""
+        """True if a sensor with ``traffic`` in ``reads`` uses it; the world passes None if no sensor does."""
         return True
 
     @abstractmethod

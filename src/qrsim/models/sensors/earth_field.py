@@ -67,13 +67,13 @@ def _within_half_turn(degrees: float) -> float:
 
 
 def declination(field_ned: npt.ArrayLike) -> float:
-    """Return how far east of true north a field (3,) in NED points [rad]; add it to a magnetic heading."""
+    """Return the declination [rad] of a field (3,) in NED, positive to the east; add it to a magnetic heading."""
     north, east, _ = np.asarray(field_ned, np.float64)
     return float(np.arctan2(east, north))
 
 
 def inclination(field_ned: npt.ArrayLike) -> float:
-    """Return how far below the horizon a field (3,) in NED points [rad]."""
+    """Return the inclination [rad] of a field (3,) in NED, positive below the horizon."""
     north, east, down = np.asarray(field_ned, np.float64)
     return float(np.arctan2(down, np.hypot(north, east)))
 

@@ -14,12 +14,12 @@ from qrsim.models.sensors.faults import LAST_TICK, OLD_NAMES, FaultNumbers, Faul
 
 
 class _Takes(NamedTuple):
-    """What a kind takes.
+    """The numbers of a kind of fault.
 
     Attributes:
         needed: numbers that must be given.
-        optional: numbers that may be.
-        field: whether it is of a field.
+        optional: numbers that may be given.
+        field: whether the fault is of one field of the reading.
     """
 
     needed: tuple[str, ...] = ()
@@ -141,7 +141,7 @@ def fault_numbers(
         spreads = {name: more * (_white(name, white or {}) or 0.0) for name in chosen}
     amounts = tuple(spreads.get(name, 0.0) for name in fields)
     scales = tuple(scale if name in chosen else 1.0 for name in fields)
-    # A delay is a whole number of readings, and at least as long as asked for; so are the parts of a turn.
+    # Delays are rounded up to whole readings; the on and off times of intermittent faults to whole ticks.
     counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
     every, late, on, off = (np.array(min(math.ceil(count - 1e-6), 2**30 - 1), np.int32) for count in counts)
     parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]

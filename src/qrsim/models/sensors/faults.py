@@ -1,8 +1,8 @@
-"""What can go wrong with a sensor, at given times or by an injection in flight.
+"""Faults of sensors, at given times or by an injection in flight.
 
-A ``Fault`` stands in a scenario: its kind is compiled. A ``FaultSlot`` is compiled without one: kind, times and numbers
-of each vehicle are data, so that faults come and go in flight without another compilation. Both make the same of a
-reading, to the bit.
+A ``Fault`` is part of a scenario: its kind is compiled. A ``FaultSlot`` is compiled without a kind: kind, times and
+numbers of each vehicle are data, so that faults begin and end in flight without another compilation. Both change a
+reading in the same way, to the bit.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from qrsim.models.sensors.uniforms import uniforms
 T = TypeVar("T")
 Kind = Literal["off", "stuck", "wrong", "drift", "noisy", "garbage", "slow", "delayed", "intermittent"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-# What they were called before, which scenarios may still say.
+# Earlier names, which scenarios may still use.
 OLD_NAMES: dict[str, Kind] = {"lost": "off", "frozen": "stuck", "biased": "wrong"}
 RANDOM = ("noisy", "garbage", "intermittent")
-# Kinds that need what was passed on before.
+# Kinds that deliver their last output again.
 _REPEATING = ("stuck", "slow")
 LAST_TICK = 2**31 - 1
 
 
 @record
 class FaultNumbers:
-    """How large a fault is; each number is one for all vehicles or (n,), those of fields are a tuple with one each."""
+    """Numbers of a fault, each () for all vehicles or (n,); tuples have an entry for each field of the reading."""
 
     amounts: tuple[Array, ...] = quantity(
         doc="of each field: offset (wrong), its rate [1/s] (drift), standard deviation (noisy), range of "
@@ -50,7 +50,7 @@ class FaultNumbers:
 
 @record
 class FaultMemory:
-    """What a fault remembers."""
+    """State of a fault."""
 
     passed_on: Any = quantity(doc="its output at the tick before; None where its kind needs none")
     came_in: Any = quantity(default=None, doc="the reading that came in last; None where no delay needs it")
@@ -71,15 +71,15 @@ class Late(NamedTuple):
 
 @record
 class _Fault:
-    """What scenario faults and slots have in common; those they concern are n vehicles of a fleet.
+    """Base of scenario faults and slots, for the n vehicles of a fleet.
 
     Attributes:
-        remembered: readings that it keeps, for delays.
+        remembered: number of readings that it keeps, for delays.
     """
 
     start_tick: Array = quantity(doc="() or (n,) int32 first tick of the fault")
     end_tick: Array = quantity(doc="() or (n,) int32 first tick after it")
-    affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
+    affected: Array = quantity(doc="(n,) bool: vehicles with the fault")
     numbers: FaultNumbers = quantity(doc="how large it is")
     sensor: str = setting(doc="name of the sensor")
     fields: tuple[str, ...] = setting(doc="dotted fields of the reading that amounts and scales are of")
@@ -89,11 +89,11 @@ class _Fault:
     only: tuple[str, ...] | None = setting(default=None, doc="fields that it changes; None: those with amounts")
 
     def active(self, tick: Array) -> Array:
-        """Return whether the fault concerns each vehicle (n,) at a tick."""
+        """Return (n,) bool: the vehicle has the fault at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
 
     def begin(self, reading: T) -> FaultMemory | None:
-        """Return the memory at a start: what is stuck then is the first reading."""
+        """Return the state at the start, from the first reading, which a sensor that is stuck then keeps."""
         if not (self._repeats or self.remembered):
             return None
         return FaultMemory(
@@ -112,7 +112,7 @@ class _Fault:
         late: Late | None,
         choose: Callable[[FaultMemory | None], T],
     ) -> tuple[T, FaultMemory | None]:
-        """Return what ``choose`` makes of a reading and the memory, and the memory after it."""
+        """Return the output that ``choose`` computes from the state with past readings shifted, and the next state."""
         if memory is None:
             return choose(None), None
         if memory.past:
@@ -121,7 +121,7 @@ class _Fault:
             memory = replace(memory, past=tuple(select(comes, *pair) for pair in zip(older, memory.past, strict=True)))
         delivered, came_in = choose(memory), None
         if memory.past:
-            # What is late now was delivered in time, as the fault before this one, if there was one, had it.
+            # A delayed output is one of the past readings already, so the new reading is kept in its place.
             came_in = select(self.active(tick) & self._is("delayed"), reading, delivered)
         return delivered, FaultMemory(delivered if self._repeats else None, came_in, memory.past)
 
@@ -129,33 +129,33 @@ class _Fault:
     def _order(self) -> int:
         return 0
 
-    # ---- what it delivers while it is active ----
+    # ---- output while it is active ----
 
     def _is(self, kind: Kind) -> bool | Array:
-        """Return whether it is of a kind; (n,) where that is data."""
+        """Return whether the fault is of a kind; (n,) in a slot, whose kind is data."""
         raise NotImplementedError
 
-    def _told(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
-        """Return what it delivers of a reading that was taken at a tick: changed, late, held or lost, by its kind."""
-        numbers, told = self.numbers, reading
+    def _output(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
+        """Return the output of an active fault of a reading that was taken at a tick: changed, late, held or lost (NaN), by its kind."""
+        numbers, output = self.numbers, reading
         if memory is not None and self._is("delayed") is not False:
             for number, old in enumerate(memory.past, 1):
-                told = select(self._is("delayed") & (numbers.readings >= number), old, told)
-        told = self._changed(told, tick, draw)
+                output = select(self._is("delayed") & (numbers.readings >= number), old, output)
+        output = self._changed(output, tick, draw)
         if memory is not None and memory.passed_on is not None:
             first = (self.start_tick + (self.ticks - 1)) // self.ticks
             skipped = (tick // self.ticks - first) % jnp.maximum(numbers.every, 1) != 0
-            told = select(self._is("stuck") | (self._is("slow") & skipped), memory.passed_on, told)
+            output = select(self._is("stuck") | (self._is("slow") & skipped), memory.passed_on, output)
         lost: Any = self._is("off")
         if self._is("intermittent") is not False:
             whole = numbers.on_ticks + numbers.off_ticks
             timed = (tick - self.start_tick) % jnp.maximum(whole, 1) >= numbers.on_ticks
             chance = uniforms(self._of_reading(draw, tick), 1)[0]
             lost = lost | (self._is("intermittent") & jnp.where(whole > 0, timed, chance < numbers.share))
-        return told if lost is False else map_tree(lambda x: jnp.where(lost, jnp.nan, x), told)
+        return output if lost is False else map_tree(lambda x: jnp.where(lost, jnp.nan, x), output)
 
     def _changed(self, reading: T, tick: Array, draw: Draw | None) -> T:
-        """Return a reading whose fields are multiplied and added to, which wrong, drift, noisy and garbage do."""
+        """Return the reading with scaled and offset fields: the kinds wrong, drift, noisy and garbage."""
         drift, noisy, garbage = (self._is(kind) for kind in ("drift", "noisy", "garbage"))
         if all(kind is False for kind in (drift, noisy, garbage, self._is("wrong"))):
             return reading
@@ -173,7 +173,7 @@ class _Fault:
                 times = _pick(noisy, normals[i], times)
             if chances is not None:
                 times = _pick(garbage, 2.0 * chances[i] - 1.0, times)
-            # Each product is rounded on its own, so that faults and slots make the same bits in every program.
+            # Each product is rounded on its own, so that faults and slots agree to the bit in every program.
             added = rounded(self.numbers.amounts[i] * times)
             limit = self.numbers.limit
             added = _pick(drift, jnp.clip(added, -limit, limit), added)
@@ -183,7 +183,7 @@ class _Fault:
         return _at_fields(reading, "", places, change)
 
     def _of_reading(self, draw: Draw | None, tick: Array) -> Draw:
-        """Return a draw by the tick that a reading is of: what is drawn stays while the reading is held.
+        """Return a draw by the tick of the reading, so that its numbers stay the same while the reading is held.
 
         Faults that begin at different times draw independently, so do scenario faults of different ``order``.
         """
@@ -212,7 +212,7 @@ class Fault(_Fault):
 
     @property
     def random(self) -> bool:
-        """Whether it draws."""
+        """True for kinds that draw random numbers."""
         return self.kind in RANDOM
 
     def _is(self, kind: Kind) -> bool | Array:
@@ -233,16 +233,20 @@ class Fault(_Fault):
         """Return its output, for the next fault of the sensor or for the user, and its memory.
 
         Args:
-            reading: what the sensor says at ``tick``, or what the fault before this one passes on.
-            memory: what it remembers, of ``begin`` or the tick before.
-            tick: () int32.
-            draw: of the sensor's faults, where it is ``random``.
-            late: of a sensor that delivers its readings later; None: it delivers at once.
+            reading: of the sensor at ``tick``, or the output of the fault before this one.
+            memory: state by ``begin`` or of the tick before.
+            tick: () int32 at which the reading is delivered or held.
+            draw: random stream of the sensor's faults, if the kind is ``random``.
+            late: of a sensor with a delay; None: it delivers at once.
         """
         active = self.active(tick)
         of = tick if late is None else late.taken
         return self._delivered(
-            reading, memory, tick, late, lambda known: select(active, self._told(reading, known, of, draw), reading)
+            reading,
+            memory,
+            tick,
+            late,
+            lambda known: select(active, self._output(reading, known, of, draw), reading),
         )
 
 
@@ -272,12 +276,12 @@ class FaultSlot(_Fault):
         draw: Draw | None = None,
         late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
-        """Return its output and its memory, see ``Fault.apply``; nearly for nothing where no vehicle has a fault."""
+        """Return its output and its memory, see ``Fault.apply``. Without any fault it costs almost nothing."""
         active, of = self.active(tick), tick if late is None else late.taken
 
         def choose(known: FaultMemory | None) -> T:
-            told = lambda: select(active, self._told(reading, known, of, draw), reading)  # noqa: E731
-            chosen: T = lax.cond(jnp.any(active), told, lambda: reading)
+            output = lambda: select(active, self._output(reading, known, of, draw), reading)  # noqa: E731
+            chosen: T = lax.cond(jnp.any(active), output, lambda: reading)
             return chosen
 
         return self._delivered(reading, memory, tick, late, choose)

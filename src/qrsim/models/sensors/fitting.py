@@ -1,7 +1,7 @@
-"""How a sensor is fitted to its vehicle: where it sits, how it is turned, and how late its readings come.
+"""Fitting of a sensor to its vehicle: mounting position, orientation, and delay of its readings.
 
-This is the same for every sensor, so no model has it: the world hands a sensor what is true where it sits, and holds
-its readings back until they are delivered (world/sensing.py).
+It is the same for all sensors, so no sensor model contains it. The world passes a sensor the true state at its
+mounting, and holds its readings back until they are delivered (world/sensing.py).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LONGEST_DELAY, LATEST = 50, 6.0
 
 @record
 class Fitting:
-    """Where a sensor is mounted, and how its readings are delivered.
+    """Mounting of a sensor, and the delay of its readings.
 
     Delays have a gamma distribution of the mean and the spread that are given (Wilson and Hilferty's approximation, at
     most six spreads above the mean), because none can be negative. Readings arrive in the order in which they were
@@ -37,15 +37,15 @@ class Fitting:
 
     @property
     def is_late(self) -> bool:
-        """Whether readings are held back at all."""
+        """True if readings are delayed."""
         return self.delay > 0.0
 
     def slots(self, period: float) -> int:
-        """Return how many readings are kept: those on their way, and the one delivered last."""
+        """Return the number of readings kept: those in transit, and the one delivered last."""
         return math.ceil(round(self.delay + LATEST * self.jitter / period, 9)) + 1
 
     def ticks(self, period: float, time_step: float, draw: Any, shape: tuple[int, ...]) -> Array:
-        """Return for how many ticks (n,) int32 readings taken now are on their way."""
+        """Return the delay (n,) int32 [ticks] of readings that are taken now."""
         mean = self.delay * period
         if self.jitter == 0.0:
             return jnp.full(shape, round(mean / time_step), jnp.int32)
@@ -57,7 +57,7 @@ class Fitting:
 
 @record
 class Transit:
-    """Readings of n vehicles on their way, oldest first."""
+    """Readings of n vehicles in transit from sensor to user, oldest first."""
 
     readings: tuple[Record, ...] = quantity(doc="the first has always been delivered")
     taken: tuple[Array, ...] = quantity(doc="(n,) int32 tick at which each was true")
@@ -65,43 +65,43 @@ class Transit:
 
     @staticmethod
     def starting(reading: Record, slots: int, tick: Array, like: Array) -> Transit:
-        """Return what is on its way at a start: the first reading, which is there at once."""
+        """Return the readings in transit at the start: the first reading, delivered at once."""
         now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), like.shape)
         return Transit((reading,) * slots, (now,) * slots, (now,) * slots)
 
     def sent(self, reading: Record, tick: Array, ticks: Array) -> Transit:
-        """Return it with a reading that is sent at a tick and takes so many ticks (n,), but overtakes none."""
+        """Return the transit with a reading sent at ``tick``, due ``ticks`` (n,) later and not before earlier ones."""
         now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), ticks.shape)
         due = jnp.maximum(now + ticks, self.due[-1])
         return Transit((*self.readings[1:], reading), (*self.taken[1:], now), (*self.due[1:], due))
 
     def delivered(self, tick: Array) -> Record:
-        """Return the newest reading (n,) that is there at a tick."""
-        found = self.readings[0]
+        """Return the newest reading (n,) that has been delivered by a tick."""
+        newest = self.readings[0]
         for reading, due in zip(self.readings[1:], self.due[1:], strict=True):
-            found = select(due <= tick, reading, found)
-        return found
+            newest = select(due <= tick, reading, newest)
+        return newest
 
     def time_of_reading(self, tick: Array) -> Array:
-        """Return the tick (n,) at which the reading that is there at a tick was true."""
-        found = self.taken[0]
+        """Return the tick (n,) at which the reading that ``delivered`` returns was true."""
+        newest = self.taken[0]
         for taken, due in zip(self.taken[1:], self.due[1:], strict=True):
-            found = jnp.where(due <= tick, taken, found)
-        return found
+            newest = jnp.where(due <= tick, taken, newest)
+        return newest
 
     def fresh(self, tick: Array) -> Array:
-        """Return (n,) bool whether a reading arrives at a tick."""
-        found = self.due[0] == tick
+        """Return (n,) bool: a reading is delivered at this tick."""
+        arrives = self.due[0] == tick
         for due in self.due[1:]:
-            found = found | (due == tick)
-        return found
+            arrives = arrives | (due == tick)
+        return arrives
 
 
 @record
 class Fitted:
-    """What a world remembers of a sensor's fitting."""
+    """State of a sensor's fitting."""
 
-    transit: Transit | None = quantity(default=None, doc="readings on their way; None where they are there at once")
+    transit: Transit | None = quantity(default=None, doc="readings in transit; None without a delay")
     rates_body: Vec3 | None = quantity(
         default=None, unit="rad/s", doc="true rates at the last tick; None where the mounting does not need them"
     )
@@ -110,7 +110,7 @@ class Fitted:
 def start_fitted(
     fitting: Fitting, reads: tuple[str, ...], reading: Record, period: float, tick: Array, rates_body: Vec3
 ) -> Fitted:
-    """Return the memory of a fitting at a start, from the first reading and the true rates (n,) [rad/s]."""
+    """Return the state of a fitting at the start, from the first reading and the true rates (n,) [rad/s]."""
     transit = None
     if fitting.is_late:
         transit = Transit.starting(reading, fitting.slots(period), tick, rates_body.x)
@@ -121,7 +121,7 @@ def start_fitted(
 def mounted(
     fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float
 ) -> object:
-    """Return what is true at a sensor, by its name in ``reads``, in the sensor's axes where those of the body stand.
+    """Return the true inputs of a sensor at its mounting, by name (``reads``), with its axes in place of the body's.
 
     With r from the centre of mass: position + D^T r, velocity + omega x r, and for the mean specific force of a step
     + omega' x r + omega x (omega x r), with the mean rates of the step and omega' their change over it.

@@ -160,7 +160,7 @@ class Imu(Sensor):
         return Vec3(*found[:3]), Vec3(*found[3:])
 
     def biases(self, state: ImuState) -> dict[str, Vec3]:
-        """Return what the reading of a level vehicle at rest is wrong by: bias, and what 1 g does by E and G."""
+        """Return the error of the readings of a level vehicle at rest: bias, and the effect of 1 g by E and G."""
         gyroscope, accelerometer = self.bias(state)
         return {
             "rates_body": gyroscope + Vec3(*(row.z * AT_REST for row in state.g_sensitivity)),

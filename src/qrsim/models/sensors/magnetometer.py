@@ -57,7 +57,7 @@ class Steel:
     radius: Array = quantity(unit="m", doc="(m,) radii")
 
     def field_ned(self, earth: Vec3, position_ned: Vec3) -> Vec3:
-        """Return what it adds (n,) to Earth's field at positions (n,) [m], in the field's unit.
+        """Return the field that the source adds (n,) to Earth's at positions (n,) [m], in the unit of ``earth``.
 
         Outside of a sphere that conducts a magnetic field far better than air that is the field of a dipole,
         (a/r)^3 (3 (B r) r/r^2 - B) (Jackson, Classical Electrodynamics, 3rd ed., 5.11). Inside it is held.

@@ -159,7 +159,7 @@ class NeighbourSensor(Looking):
         direction = rotation(attitude)
         reach = jnp.asarray(self.range_max)
         who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
-        seen = _seen(
+        seen = _in_view(
             self.field_of_view_rad, along_rows(reach), who, there, direction, position_ned, obstacles, ground, traffic
         )
         inside, unit, distance = seen
@@ -170,19 +170,19 @@ class NeighbourSensor(Looking):
         spread = along_rows(self.range_noise) + along_rows(self.range_noise_share) * distance
         measured = jnp.maximum(distance + spread * normals[:k], 0.0)
         across = along_rows(self.bearing_noise)
-        moved = _turned(unit, across * normals[k : 2 * k], across * normals[2 * k : 3 * k])
+        moved = _deflected(unit, across * normals[k : 2 * k], across * normals[2 * k : 3 * k])
         place = moved * measured
         number = who.astype(distance.dtype) if self.identity else jnp.full_like(distance, UNKNOWN)
         alarm = chances[k] < jnp.asarray(self.false_alarms)
-        false = _anywhere(chances[k + 1 :], self.field_of_view_rad, reach)
+        false = _random_places(chances[k + 1 :], self.field_of_view_rad, reach)
         fast = None
         if self.velocity:
             noise = along_rows(self.velocity_noise)
             parts = Vec3(*(noise * normals[i * k : (i + 1) * k] for i in (3, 4, 5)))
             own = _own_velocity(position_ned, traffic)
-            # What is not there stands still.
+            # A false alarm is at rest.
             still = _in_axes(direction, own.map(lambda axis: -axis[None, :]))
-            fast = _joined(_against(who, direction, own, traffic) + parts, still)
+            fast = _joined(_relative_velocities(who, direction, own, traffic) + parts, still)
         both = _joined(place, false.map(lambda axis: axis[None, :]))
         away = jnp.where(inside, measured, jnp.inf)
         away = jnp.concatenate([away, jnp.where(alarm, root(false.dot(false)), jnp.inf)[None, :]])
@@ -208,10 +208,14 @@ class IdealNeighbours(Looking):
         """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
         reach, direction = jnp.asarray(self.range_max), rotation(attitude)
         who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
-        apart = _apart(who, direction, position_ned, traffic)
+        apart = _relative_positions(who, direction, position_ned, traffic)
         distance = root(apart.dot(apart))
         away = jnp.where(there & (distance <= along_rows(reach)), distance, jnp.inf)
-        fast = _against(who, direction, _own_velocity(position_ned, traffic), traffic) if self.velocity else None
+        fast = (
+            _relative_velocities(who, direction, _own_velocity(position_ned, traffic), traffic)
+            if self.velocity
+            else None
+        )
         return _in_order(self.slots, away, apart, who.astype(distance.dtype), fast), crowded
 
 
@@ -240,13 +244,13 @@ def _own_velocity(position_ned: Vec3, traffic: Traffic) -> Vec3:
     return traffic.velocity_ned.map(lambda axis: jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
 
-def _apart(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic) -> Vec3:
+def _relative_positions(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic) -> Vec3:
     """Return positions of others (K, n) relative to the sensor, in its axes [m]."""
     pairs = zip(traffic.position_ned.axes, position_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
 
 
-def _against(who: Array, direction: Rotation, velocity_ned: Vec3, traffic: Traffic) -> Vec3:
+def _relative_velocities(who: Array, direction: Rotation, velocity_ned: Vec3, traffic: Traffic) -> Vec3:
     """Return velocities of others (K, n) relative to the observing vehicles, in the sensor's axes [m/s]."""
     pairs = zip(traffic.velocity_ned.axes, velocity_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
@@ -266,7 +270,7 @@ def _for_rows(direction: Rotation) -> Rotation:
     return map_tree(lambda part: part[None, :], direction)
 
 
-def _seen(
+def _in_view(
     field_of_view_rad: float,
     reach: Array,
     who: Array,
@@ -278,7 +282,7 @@ def _seen(
     traffic: Traffic,
 ) -> tuple[Array, Vec3, Array]:
     """Return which of others (K, n) are in view, the unit vectors to them in the sensor's axes, and distances [m]."""
-    apart = _apart(who, direction, position_ned, traffic)
+    apart = _relative_positions(who, direction, position_ned, traffic)
     distance = root(apart.dot(apart))
     unit = apart * (1.0 / jnp.where(distance > 0.0, distance, 1.0))
     inside = there & (distance <= reach) & (unit.x >= math.cos(0.5 * field_of_view_rad) - 1e-6)
@@ -288,7 +292,7 @@ def _seen(
     return inside, unit, distance
 
 
-def _turned(unit: Vec3, first: Array, second: Array) -> Vec3:
+def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
     """Return unit vectors moved by two small angles across them."""
     # Any direction across: of forward, unless it is about along that, then of right.
     ahead = jnp.abs(unit.x) < 0.9
@@ -300,7 +304,7 @@ def _turned(unit: Vec3, first: Array, second: Array) -> Vec3:
     return moved * (1.0 / root(moved.dot(moved)))
 
 
-def _anywhere(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
+def _random_places(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
     """Return places (n,) [m] in the sensor's axes, even over the directions of its cone and over distances."""
     lowest = math.cos(0.5 * field_of_view_rad)
     ahead = lowest + (1.0 - lowest) * chances[0]
@@ -309,24 +313,33 @@ def _anywhere(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
     return Vec3(ahead, side * sine, side * cosine) * (reach * chances[2])
 
 
-def _in_order(slots: int, away: Array, place: Vec3, number: Array, fast: Vec3 | None) -> NeighboursReading:
-    """Return others (M, n) in the order of measured distance, infinite if not in view."""
-    row = jnp.arange(away.shape[0], dtype=jnp.int32)[:, None]
-    places, distances, numbers, velocities = [], [], [], []
-    taken = jnp.zeros_like(away[0])
-    for _ in range(slots):
-        nearest = jnp.min(away, axis=0)
-        first = jnp.min(jnp.where(away == nearest[None, :], row, away.shape[0]), axis=0)
-        mine, found = row == first[None, :], nearest < jnp.inf
+def _in_order(slots: int, distance: Array, place: Vec3, number: Array, velocity: Vec3 | None) -> NeighboursReading:
+    """Return the reading of vehicles (n,): the nearest of M candidates, sorted by measured distance.
 
-        def chosen(rows: Array, mine: Array = mine, found: Array = found) -> Array:
-            return jnp.where(found, jnp.sum(jnp.where(mine, rows, 0.0), axis=0), jnp.nan)
+    The loop takes the minimum once a slot; of equal distances the lower row comes first.
+
+    Args:
+        slots: number of neighbours in the reading; unused ones are NaN.
+        distance: measured distance (M, n) [m], infinite for candidates that are not in view.
+        place, velocity: measured position and velocity (M, n) in the sensor's axes [m], [m/s].
+        number: identity of each candidate (M, n).
+    """
+    row = jnp.arange(distance.shape[0], dtype=jnp.int32)[:, None]
+    places, distances, numbers, velocities = [], [], [], []
+    count = jnp.zeros_like(distance[0])
+    for _ in range(slots):
+        nearest = jnp.min(distance, axis=0)
+        first = jnp.min(jnp.where(distance == nearest[None, :], row, distance.shape[0]), axis=0)
+        selected, valid = row == first[None, :], nearest < jnp.inf
+
+        def chosen(rows: Array, selected: Array = selected, valid: Array = valid) -> Array:
+            return jnp.where(valid, jnp.sum(jnp.where(selected, rows, 0.0), axis=0), jnp.nan)
 
         places.append(place.map(chosen))
-        distances.append(jnp.where(found, nearest, jnp.nan))
+        distances.append(jnp.where(valid, nearest, jnp.nan))
         numbers.append(chosen(number))
-        if fast is not None:
-            velocities.append(fast.map(chosen))
-        taken = taken + found.astype(taken.dtype)
-        away = jnp.where(mine, jnp.inf, away)
-    return NeighboursReading(tuple(places), tuple(distances), tuple(numbers), taken, tuple(velocities))
+        if velocity is not None:
+            velocities.append(velocity.map(chosen))
+        count = count + valid.astype(count.dtype)
+        distance = jnp.where(selected, jnp.inf, distance)
+    return NeighboursReading(tuple(places), tuple(distances), tuple(numbers), count, tuple(velocities))

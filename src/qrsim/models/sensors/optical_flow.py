@@ -59,7 +59,7 @@ class OpticalFlowReading(Explained):
 
 @record
 class OpticalFlowState:
-    """What was true at the last reading."""
+    """True flow and rates at the last reading."""
 
     flow: tuple[Array, Array] = quantity(unit="rad/s", doc="rate of the flow about x and y, NaN where nothing was seen")
     rates: Vec3 = quantity(unit="rad/s", doc="rates of the sensor")
@@ -134,7 +134,7 @@ class OpticalFlow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return what has moved since the last reading."""
+        """Return the flow and the rotation (n,) integrated since the last reading."""
         normals = draw.normals(5)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
         seen = jnp.isfinite(distance)
@@ -204,7 +204,7 @@ class IdealOpticalFlow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return what has moved since the last reading."""
+        """Return the flow and the rotation (n,) integrated since the last reading."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
         now = flow_rates(distance, velocity_body, rates_body)

@@ -1,4 +1,4 @@
-"""What a chip's converter does to numbers: the range and the steps of a sensor."""
+"""Range and resolution of a sensor's converter: saturation and rounding."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def axes_along(direction: Rotation, axis: str) -> tuple[Vec3, Vec3, Vec3]:
 def met_by(
     obstacles: Obstacles, ground: Ground, origin_ned: Vec3, beam: Vec3, others: list[Vec3], reach: Array
 ) -> tuple[Array, Array]:
-    """Return how far [m] beams (n,) go, and the cosine of the angle at which they meet what they do.
+    """Return the length [m] of beams (n,) to the first surface, and the cosine of the angle of incidence there.
 
     The slant of an obstacle is that between the beam and two beside it; an edge between them is a wall along the beam.
 

@@ -25,7 +25,7 @@ from qrsim.models.sensors.contracts import Explained, Memoryless, Sensor
 from qrsim.models.sensors.ranging_presets import PRESETS, default
 from qrsim.models.sensors.uniforms import along_rows, uniforms
 
-# Antennas are this much [m] above the place of what they belong to, so that the ground there is in nobody's way.
+# Height [m] of antennas above the position of a beacon or vehicle, so that the ground there does not block paths.
 ANTENNA = 0.1
 # In place of the names of all beacons.
 EVERY = "all"
@@ -50,7 +50,7 @@ class RangingReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return how many ranges a vehicle lacks."""
+        """Return the number of ranges that a vehicle lacks, as text."""
         ranges = [*(self.beacon_range or ()), *(self.vehicle_range or ())]
         lacking = sum(not math.isfinite(float(found[vehicle])) for found in ranges)
         # To itself it needs none.
@@ -59,7 +59,7 @@ class RangingReading(Explained):
 
 @record
 class RangingState:
-    """What the sensor remembers of the paths to each partner."""
+    """State of the sensor: the next exchange, and a random process for the path to each partner."""
 
     turn: Array = quantity(doc="(n,) int32 number of the exchange that is next, of all of a round")
     paths: tuple[tuple[Array, ...], tuple[Array, ...]] | None = quantity(
@@ -108,13 +108,13 @@ class Ranging(Sensor):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether it looks at other vehicles."""
+        """True if the sensor measures other vehicles."""
         return self.vehicles != "none"
 
     def init(
         self, draw: Draw, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[RangingState, RangingReading]:
-        """Return the first ranges of vehicles (n,), whose paths have long been there."""
+        """Return the first ranges of vehicles (n,), with the processes of the paths in their steady state."""
         rows = len(_partners(self, position_ned, traffic))
         paths = None
         if can_hide(obstacles, ground):
@@ -154,6 +154,11 @@ class Ranging(Sensor):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[RangingState, RangingReading]:
+        """Return the state with the next turn, and the ranges of vehicles (n,) to their P partners, NaN if missing.
+
+        All arrays are (P, n): beacons first, then vehicles. ``heard`` is the probability that an exchange succeeds. On
+        a shared channel, only the ``exchanges`` from ``turn`` on take place in a period.
+        """
         partners = _partners(self, position_ned, traffic)
         distance, there, itself = partners.distance, partners.there, partners.itself
         rows = len(partners)
@@ -193,7 +198,7 @@ class IdealRanging(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether it looks at other vehicles."""
+        """True if the sensor measures other vehicles."""
         return self.vehicles != "none"
 
     def init(
@@ -212,7 +217,7 @@ def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
 
 @record
 class Partners:
-    """Whom n vehicles range to: B beacons, then V vehicles."""
+    """Partners to which n vehicles measure ranges: B beacons, then V vehicles."""
 
     place_ned: Vec3 = quantity(unit="m", doc="(P,) where they are")
     distance: Array = quantity(unit="m", doc="(P, n) true distance, 0 to itself")
@@ -225,12 +230,12 @@ class Partners:
         return int(self.distance.shape[0])
 
     def exchange(self) -> tuple[Array, int]:
-        """Return the number (P, n) of each exchange in a round, and how many a round has; itself has none."""
+        """Return the number (P, n) of each exchange in a round, and the length of a round; to itself there is none."""
         rows, vehicles = self.distance.shape
         others = rows - self.beacons
         each = self.beacons + max(others - 1, 0)
         row = jnp.arange(rows, dtype=jnp.int32)[:, None]
-        # Of vehicles the next one is first.
+        # Each vehicle begins with the vehicle that follows it.
         ahead = jnp.mod(row - self.beacons - self.own[None, :], max(others, 1))
         number = jnp.where(row < self.beacons, row, self.beacons + ahead - 1)
         return number + each * jnp.arange(vehicles, dtype=jnp.int32)[None, :], each * vehicles
@@ -271,12 +276,12 @@ def _partners(sensor: Ranging | IdealRanging, position_ned: Vec3, traffic: Traff
 
 
 def behind(obstacles: Obstacles, ground: Ground, position_ned: Vec3, partners: Partners) -> Array:
-    """Return (P, n) bool: an obstacle or the ground stands between the antennas."""
+    """Return (P, n) bool: an obstacle or the ground is between the antennas."""
     up = record_of(Vec3, 0.0, 0.0, -ANTENNA)
     origin = (position_ned + up).map(lambda axis: axis[None, :])
     way = partners.place_ned.map(lambda axis: axis[:, None]) + up - origin
     inverse = 1.0 / jnp.where(partners.distance > 0.0, partners.distance, 1.0)
-    # What it stands on or is fixed to is not in its way.
+    # The surface on which the partner is mounted does not block the path.
     length = jnp.maximum(partners.distance - ANTENNA, 0.0)
     return jnp.isfinite(first_hit(obstacles, ground, origin, way * inverse, length))
 

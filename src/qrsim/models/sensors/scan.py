@@ -59,7 +59,7 @@ class ScanReading(Explained):
     range: tuple[Array, ...] = quantity(unit="m", doc="distance along a ray, NaN where nothing comes back")
 
     def reason(self, vehicle: int) -> str:
-        """Return how much is lacking of a scan."""
+        """Return the number of rays without an echo, as text."""
         lacking = sum(not math.isfinite(float(ray[vehicle])) for ray in self.range)
         return f"nothing came back along {lacking} of {len(self.range)} rays"
 
@@ -88,7 +88,7 @@ class Scan(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether it looks at other vehicles."""
+        """True if the sensor measures other vehicles."""
         return self.sees_vehicles
 
     def init(
@@ -127,7 +127,7 @@ class IdealScan(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """Whether it looks at other vehicles."""
+        """True if the sensor measures other vehicles."""
         return self.sees_vehicles
 
     def init(
@@ -163,7 +163,7 @@ def beams(attitude: Euler, rays: int, field_of_view_rad: float) -> Vec3:
 def met_by(
     obstacles: Obstacles, ground: Ground, traffic: Traffic | None, position_ned: Vec3, beam: Vec3, reach: Array
 ) -> Array:
-    """Return how far [m] rays (R, n) of vehicles go until they meet something; infinite beyond their reach."""
+    """Return the distance [m] to the first hit along rays (R, n) of vehicles; infinite beyond their reach."""
     limit = jnp.broadcast_to(jnp.asarray(reach, beam.x.dtype), position_ned.x.shape)[None, :]
     origin = position_ned.map(lambda axis: axis[None, :])
     distance = first_hit(obstacles, ground, origin, beam, limit)
@@ -174,7 +174,7 @@ def met_by(
 
 
 def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
-    """Return how far [m] rays (R, n) of the vehicles that look go until they meet the sphere of another."""
+    """Return the distance [m] along rays (R, n) of the observing vehicles to the sphere of another vehicle."""
     to_centre = Vec3(
         *(
             (other[:, None] - own[None, :])[:, None, :]

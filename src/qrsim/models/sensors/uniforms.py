@@ -1,4 +1,4 @@
-"""What sensors with several rows of numbers for each vehicle share: uniform numbers, parameters beside rows."""
+"""Helpers of sensors with several rows of numbers for each vehicle: uniform numbers, and parameters along rows."""
 
 from __future__ import annotations
 

@@ -18,10 +18,10 @@ _WEIGHT = 1.0 / math.sqrt(sum(1.0 / h**2 for h in range(1, HARMONICS + 1)))
 
 @record
 class Vibration:
-    """How strongly a sensor shakes in hover, and how; the amplitude is proportional to the thrust.
+    """Vibration of a sensor in hover; the amplitude is proportional to the thrust.
 
-    The frequency goes with the root of the thrust, as that of a rotor. What is above half the rate of the readings is
-    seen at another frequency, as by a chip without a filter.
+    The frequency is proportional to the root of the thrust, as that of a rotor. Frequencies above half the rate of the
+    readings are aliased, as by a chip without a filter.
     """
 
     rotor_frequency: Array = parameter(default=90.0, unit="Hz", doc="frequency of the rotors in hover", above=0.0)
@@ -55,7 +55,7 @@ class Vibration:
         scale = jnp.sqrt(2.0 * (1.0 - jnp.asarray(self.broadband))) * (_WEIGHT * thrust)
         # The axes are a third of a turn apart, so that they do not peak together.
         waves = Vec3(*(scale * _summed(phase + third / 3.0) for third in range(3)))
-        both = (_each(level, waves) for level in (self.gyroscope, self.accelerometer))
+        both = (_by_axes(level, waves) for level in (self.gyroscope, self.accelerometer))
         gyroscope, accelerometer = both
         return gyroscope, accelerometer
 
@@ -76,7 +76,8 @@ def measured() -> Vibration:
     return record_of(Vibration, broadband=1.0, **MEASURED, **still)
 
 
-def _each(level: Vec3, wave: Vec3) -> Vec3:
+def _by_axes(level: Vec3, wave: Vec3) -> Vec3:
+    """Return the product of two vectors, axis by axis."""
     return Vec3(level.x * wave.x, level.y * wave.y, level.z * wave.z)
 
 

@@ -65,7 +65,7 @@ class CarriedPoint(Uncommanded):
         around: Around | None = None,
     ) -> tuple[CarriedPointState, Vec3]:
         """Advance along the path; the specific force is the mean acceleration minus gravity."""
-        # Who has stopped has stopped counting; the path goes on for the others.
+        # The counter of a stopped vehicle no longer advances, so the time on the path is that of the others.
         tick, dtype = jnp.max(state.ticks), state.heading.dtype
         old, new = (self.path.at(*split_time(each, dt, dtype)) for each in (tick, tick + 1))
         begun = self.path.at(jnp.int32(0), jnp.zeros((), dtype)).heading

@@ -26,7 +26,7 @@ from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.commands import clipped
 from qrsim.models.vehicles.wake import Wake
 
-# A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
+# A check of vehicles: the code of a reason (scene/area.py), the checked value (n,), and whether the limit is broken.
 Check = tuple[int, Array, Array]
 # What a vehicle may declare in ``reads``.
 AROUND = ("ground", "air_rates", "air_density")
@@ -225,7 +225,7 @@ class Vehicle(Protocol):
         return command
 
     def handling(self) -> Handling | None:
-        """Return what a controller of tilt and throttle knows of it, None if it takes no such commands."""
+        """Return the numbers that a controller of tilt and throttle uses, None if it takes no such commands."""
         return None
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> object:
@@ -244,7 +244,7 @@ class Vehicle(Protocol):
         return None
 
     def wake(self) -> Wake | None:
-        """Return what its wake depends on, None if it leaves none; the thrust is that of its ``load``."""
+        """Return the parameters of its wake, None without a wake; the thrust is that of its ``load``."""
         return None
 
     def wake_points(self) -> tuple[Point, ...]:
@@ -327,7 +327,7 @@ class Vehicle(Protocol):
         return found
 
     def outline(self) -> Outline | None:
-        """Return what it looks like; None: a quadrotor with a rotor ahead."""
+        """Return the outline that pictures show; None: a quadrotor with a rotor ahead."""
         return None
 
     def own_checks(self, state: Any) -> list[Check]:

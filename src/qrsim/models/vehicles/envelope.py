@@ -24,13 +24,13 @@ HALVINGS, SECANTS = 25, 4
 
 @dataclass(frozen=True)
 class Envelope:
-    """What vehicles (n,) hold steadily, gusts not counted.
+    """Largest steady airspeed of vehicles (n,), without gusts.
 
     Attributes:
-        airspeed: largest [m/s]; infinite without drag.
-        tilt: lean that it takes [rad].
-        thrust: and thrust [N].
-        by_thrust: bool, whether the thrust is what ends it, else the tilt.
+        airspeed: largest airspeed [m/s]; infinite without drag.
+        tilt: tilt at this airspeed [rad].
+        thrust: thrust at this airspeed [N].
+        by_thrust: bool: the thrust limits the airspeed, else the tilt does.
     """
 
     airspeed: Floats
@@ -40,7 +40,7 @@ class Envelope:
 
 
 def envelope(vehicle: Vehicle, tilt_limit: npt.ArrayLike, thrust_limit: npt.ArrayLike | None = None) -> Envelope | None:
-    """Return what vehicles (n,) hold at a tilt of at most ``tilt_limit`` (n,) [rad].
+    """Return the largest steady airspeed of vehicles (n,) at a tilt of at most ``tilt_limit`` (n,) [rad].
 
     Args:
         vehicle: with numbers, or arrays (n,).
@@ -66,7 +66,7 @@ def envelope(vehicle: Vehicle, tilt_limit: npt.ArrayLike, thrust_limit: npt.Arra
             low, high = np.where(too_much, low, middle), np.where(too_much, middle, high)
         tilt = np.where(by_thrust, low, tilt)
         airspeed, thrust = balance(tilt)
-    # Who weighs more than that cannot stay in the air at all, and holds no wind.
+    # A vehicle whose weight exceeds the limit cannot hover, and so has an airspeed of zero.
     return Envelope(airspeed, tilt, np.minimum(thrust, most), by_thrust)
 
 

@@ -38,7 +38,7 @@ def move(
     """
 
     def step(position_ned: Vec3) -> tuple[VehicleState, Vec3]:
-        # A vehicle that looks at nothing around it need not take it.
+        # Vehicles without ``reads`` have no argument for their surroundings.
         more = () if around is None else (around,)
         return vehicle.step(replace(state, position_ned=position_ned), command, air_velocity, noise, dt, *more)
 
@@ -51,15 +51,15 @@ def move(
         change = moved.position_ned
     else:
         moved, force = step(state.position_ned)
-        change = position_low_ned + _way(vehicle, state, moved, dt)
+        change = position_low_ned + _displacement(vehicle, state, moved, dt)
     high, low = added(state.position_ned, change)
     return replace(moved, position_ned=high), low, force
 
 
-def _way(vehicle: Vehicle, before: VehicleState, after: VehicleState, dt: float) -> Vec3:
+def _displacement(vehicle: Vehicle, before: VehicleState, after: VehicleState, dt: float) -> Vec3:
     """Return the displacement (n,) [m] in a step of vehicles whose model uses their position.
 
-    The difference of the two positions is known to their rounding only; within that the mean velocity decides.
+    It is the mean velocity times the step, clipped to the difference of the two positions give or take their rounding.
     """
     first, last = velocity_of(vehicle.pose(before)), velocity_of(vehicle.pose(after))
     parts = []

@@ -1,4 +1,4 @@
-"""What takes no command: points that stand, or are carried."""
+"""Vehicles without commands: points at rest, or carried along a path."""
 
 from __future__ import annotations
 

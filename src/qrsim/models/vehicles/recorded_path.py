@@ -78,17 +78,25 @@ class RecordedPath:
     turn_rate: Array = quantity(unit="rad/s", doc="(K,) its slope")
 
     def carried(self, position_ned: list[float]) -> Iterator[tuple[float, list[float], float]]:
-        """Yield time [s], position [m] and speed [m/s] at each row of a point that starts somewhere (3,) [m]."""
+        """Yield the motion of a point that is rigidly carried along the path, at each row from time 0 on.
+
+        Args:
+            position_ned: of the point at time 0 (3,) [m]; its offset from the path turns with the heading.
+
+        Yields:
+            Time [s], position NED (3,) [m] and speed [m/s].
+        """
         times = self.seconds + np.asarray(self.fraction)
         values = np.stack([*jax.tree.leaves(self.position_ned), self.heading])
         slopes = np.stack([*jax.tree.leaves(self.velocity_ned), self.turn_rate])
-        begun = np.array([np.interp(0.0, times, row) for row in values])
-        lever = np.asarray(position_ned, np.float64) - begun[:3]
-        cosine, sine = np.cos(values[3] - begun[3]), np.sin(values[3] - begun[3])
-        turned = np.stack([cosine * lever[0] - sine * lever[1], sine * lever[0] + cosine * lever[1]])
-        across = np.stack([slopes[0] - slopes[3] * turned[1], slopes[1] + slopes[3] * turned[0], slopes[2]])
-        place = values[:3] + np.stack([*turned, np.full_like(times, lever[2])])
-        speeds = np.linalg.norm(across, axis=0)
+        start = np.array([np.interp(0.0, times, row) for row in values])
+        offset = np.asarray(position_ned, np.float64) - start[:3]
+        cosine, sine = np.cos(values[3] - start[3]), np.sin(values[3] - start[3])
+        turned = np.stack([cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1]])
+        # v + ω × r, with ω along the down axis.
+        velocity = np.stack([slopes[0] - slopes[3] * turned[1], slopes[1] + slopes[3] * turned[0], slopes[2]])
+        place = values[:3] + np.stack([*turned, np.full_like(times, offset[2])])
+        speeds = np.linalg.norm(velocity, axis=0)
         for i in np.flatnonzero(times >= 0.0):
             yield float(times[i]), place[:, i].tolist(), float(speeds[i])
 

@@ -30,7 +30,7 @@ SLOWEST = 0.1
 
 @record
 class Wake:
-    """What a wake depends on; each (n,), or one number for all."""
+    """Parameters of a wake; each (n,), or one number for all."""
 
     size: Array = quantity(unit="m", doc="distance between the rotors that are farthest apart")
     disc_area: Array = quantity(unit="m^2", doc="area of all rotor discs")
@@ -83,7 +83,7 @@ def half_width(wake: Wake, along: Array) -> Array:
 
 
 def edge(wake: Wake, thrust: Array, along: Array) -> Array:
-    """Return how far beside its axis [m] a wake ends; minus infinity where all of it is slower than that."""
+    """Return the radius [m] at which a wake falls to ``SLOWEST``; minus infinity if its axis is slower than that."""
     width = half_width(wake, along)
     faster = jnp.sqrt(jet_strength(thrust) / (SLOWEST * width)) - 1.0
     return jnp.where(faster > 0.0, width * jnp.sqrt(jnp.maximum(faster, 0.0) * (1.0 / _PROFILE)), -jnp.inf)
@@ -95,7 +95,7 @@ def widest(thrust: Array) -> Array:
 
 
 def length(thrust: Array) -> Array:
-    """Return how far along its axis [m] a wake ends."""
+    """Return the distance along its axis [m] at which a wake falls to ``SLOWEST``."""
     return jet_strength(thrust) * (1.0 / (SLOWEST * SPREAD))
 
 

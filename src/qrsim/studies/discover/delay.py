@@ -40,7 +40,11 @@ def rough_delay(log: FlightLog, train: float, given: Collection[str] = ()) -> fl
 
 
 def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
-    """Return the logarithm of the share of the variance that polynomials leave, summed over samples."""
+    """Return the misfit of polynomials in the inputs of each law: the sum over samples of log(residual/variance).
+
+    Drag has no part in it. Thrust is fitted in flight, because its rate of change is limited and would look like delay.
+    Without enough rows the misfit is infinite.
+    """
     try:
         flight = windows_of(log, 0.0, train, STEPS, WINDOWS)
     except UsageError:

@@ -108,7 +108,7 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
     commands = piece.commands[piece.windows]
     for c, name in enumerate(piece.channels):
         r = np.where(piece.used, residuals[:, :, c] - residuals[:, :, c][piece.used].mean(), 0.0)
-        correlations = _correlations(r, r, piece)
+        correlations = _correlations(r, r)
         count, lags = int(piece.used.sum()), np.arange(1, len(correlations))
         box = count * (count + 2) * float(np.sum(correlations[1:] ** 2 / np.maximum(count - lags, 1)))
         below = np.flatnonzero(correlations < 1.0 / math.e)
@@ -116,7 +116,7 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
         for k in range(commands.shape[2]):
             u = commands[:, :, k] - commands[:, :, k][piece.used].mean()
             if np.std(u[piece.used]) > 1e-9:
-                largest = max(largest, float(np.abs(_correlations(np.where(piece.used, u, 0.0), r, piece)).max()))
+                largest = max(largest, float(np.abs(_correlations(np.where(piece.used, u, 0.0), r)).max()))
         result[name] = {
             "lag_1": float(correlations[1]) if len(correlations) > 1 else 0.0,
             "correlated_s": float(below[0] if len(below) else len(correlations)) * piece.log.dt,
@@ -126,8 +126,12 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
     return result
 
 
-def _correlations(first: Floats, second: Floats, piece: Piece) -> Floats:
-    """Return the correlations of (W, n) with what comes 0 to 20 rows later, within windows; rows unused are 0."""
+def _correlations(first: Floats, second: Floats) -> Floats:
+    """Return the correlation of ``first`` with ``second`` 0 to ``LAGS`` rows later, (L,), 1 for equal series.
+
+    Both are (W, n), of mean zero, with 0 in unused rows. The lag runs along W, so that no window is compared with
+    another.
+    """
     length = max(min(LAGS, len(first) - 2), 0)
     scale = math.sqrt(float(np.sum(first**2)) * float(np.sum(second**2))) or 1.0
     sums = [float(np.sum(first[: len(first) - lag] * second[lag:])) for lag in range(length + 1)]

@@ -13,13 +13,13 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane, Longitudinal
 from qrsim.models.vehicles.fixed_wing.state import Surfaces
 
-# There is no angle of a flow that is slower [m/s].
+# Below this airspeed [m/s] angles of attack and sideslip are undefined.
 SLOWEST = 0.1
 
 
 @record
 class AirData:
-    """How the air comes; each array of shape (n,)."""
+    """Airspeed and flow angles; each array of shape (n,)."""
 
     airspeed: Array = quantity(unit="m/s", doc="speed through the air, at least SLOWEST")
     alpha: Array = quantity(unit="rad", doc="angle of attack")

@@ -1,4 +1,4 @@
-"""What an aeroplane's surfaces do: follow commands with a lag, or hold roll and pitch (W8)."""
+"""Control surfaces of an aeroplane: they follow commands with a lag, or hold roll and pitch (W8)."""
 
 from __future__ import annotations
 
@@ -61,13 +61,13 @@ def wanted_surfaces(
 
 
 def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> Surfaces:
-    """Return where the surfaces (n,) are after dt [s] on the way to where they are to go."""
+    """Return the surfaces (n,) after dt [s]: they follow ``wanted`` with a first-order lag and a largest rate."""
     lag = jnp.asarray(model.surface_lag)
     share = jnp.where(lag > 0.0, 1.0 - exp(-dt / jnp.where(lag > 0.0, lag, 1.0)), 1.0)
     most = jnp.where(jnp.asarray(model.surface_rate_max) > 0.0, model.surface_rate_max * dt, 10.0)
 
     def followed(now: Array, goal: Array) -> Array:
-        # Without a lag it is there, and not there but for a rounding.
+        # Without a lag the goal itself is returned, so that it is exact.
         way = jnp.where(share < 1.0, share * (goal - now), goal - now)
         there = (share >= 1.0) & (jnp.abs(way) <= most)
         return jnp.where(there, goal, now + jnp.clip(way, -most, most))

@@ -1,4 +1,4 @@
-"""What changes in a fixed wing."""
+"""State of a fixed wing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Surfaces:
 
 @record
 class Stabiliser:
-    """What the stabiliser remembers; each array of shape (n,)."""
+    """State of the stabiliser; each array of shape (n,)."""
 
     roll_integral: Array = quantity(unit="rad", doc="aileron by the integrated roll error")
     pitch_integral: Array = quantity(unit="rad", doc="elevator by the integrated pitch error")

@@ -112,7 +112,7 @@ def trim(model: Aeroplane, airspeed: float, climb_angle: float = 0.0, radius: fl
 
 
 def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
-    """Return what is not 0 in steady flight (8,): accelerations, the error of the climb, and the sideslip."""
+    """Return the residual (8,), 0 in steady flight: accelerations, the error of the climb, and the sideslip."""
     airspeed, turn, climb = flight
     motion, surfaces = _steady(y, airspeed, turn)
     slope, _ = slope_of(model, motion, surfaces, y[6], _still(), _still())

@@ -18,7 +18,7 @@ from qrsim.models.vehicles.multirotor.state import Brush, Ground, Motion
 
 # Time in which the bristles of a point that is off the ground straighten [s].
 STRAIGHTENING_S = 0.05
-# As a vehicle that has landed: so long all feet bear, at less than this speed.
+# A vehicle has landed when all feet have touched for this long [s] at less than this speed.
 LANDED_S, LANDED_M_S = 0.5, 0.1
 # A start with every foot this near to the ground [m] is one on the ground.
 START_M = 0.01
@@ -26,7 +26,7 @@ START_M = 0.01
 
 @record
 class Contact:
-    """How feet, rotor hubs and top meet the ground; a number, or one for each vehicle (n,)."""
+    """Parameters of the contact of feet, rotor hubs and top with the ground; a number, or one for each vehicle (n,)."""
 
     sink: Array = parameter(default=0.003, unit="m", doc="depth to which the feet sink under the weight", above=0.0)
     damping: Array = parameter(default=0.7, unit="1", doc="damping ratio of the bounce", minimum=0.0)
@@ -39,7 +39,7 @@ class Contact:
 
 @record
 class Touch:
-    """What the ground does to vehicles (n,)."""
+    """Contact of vehicles (n,) with the ground."""
 
     force: Vec3 = quantity(unit="N", doc="in body axes")
     moment: Vec3 = quantity(unit="N m", doc="in body axes")
@@ -74,7 +74,7 @@ def touch(
     ground: Ground,
     quickest: float,
 ) -> Touch:
-    """Return what the ground does to vehicles in motion (V23 and V24).
+    """Return the contact forces on vehicles in motion (V23 and V24).
 
     Args:
         contact: parameters.

@@ -1,4 +1,4 @@
-"""What follows from the parameters of a multirotor: hover and reserves."""
+"""Quantities derived from the parameters of a multirotor: hover and reserves."""
 
 from __future__ import annotations
 

@@ -31,14 +31,14 @@ CLEAR_M = 0.1
 
 @record
 class Loops:
-    """What the stabiliser carries from substep to substep; each (n,)."""
+    """State of the stabiliser from substep to substep; each (n,)."""
 
     cosine: Array = quantity(unit="1", doc="of half the heading that is held")
     sine: Array = quantity(unit="1", doc="of half the heading that is held")
     integral: Vec3 = quantity(unit="rad/s^2", doc="of the rate loop")
 
 
-# From motion and loops to the speeds that motors are told, and the loops after it.
+# Returns the commanded motor speeds [rad/s] and the next loops, from motion and loops.
 Motors = Callable[[Motion, Loops], tuple[tuple[Array, ...], Loops]]
 
 
@@ -94,7 +94,7 @@ def fly(
             outside.ground,
             model.longest_substep,
         )
-        # What a vehicle far above would get from the bristles does not depend on whom it flies with.
+        # Zero for vehicles far above the ground, so that their state does not depend on the others in the fleet.
         straight = jax.tree.map(jnp.zeros_like, motion.brush)
         return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
 
@@ -135,7 +135,7 @@ def at_an_instant(
 
 
 def motion_of(state: MultirotorState) -> Motion:
-    """Return what is integrated of a state, from where it is."""
+    """Return the integrated part of a state; the displacement begins at zero."""
     zero = jnp.zeros_like(state.standing)
     return Motion(
         Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body, state.rotor_speed, state.brush
@@ -149,7 +149,7 @@ def surroundings(
     noise: ProcessNoise,
     around: Around | None,
 ) -> Surroundings:
-    """Return what acts on vehicles (n,) during a step: the air, and the plane below, are those where it begins."""
+    """Return air, ground and noise of vehicles (n,) for a step, taken at its beginning."""
     position = state.position_ned
     zero = jnp.zeros_like(state.standing)
     still, one = Vec3(zero, zero, zero), jnp.ones_like(zero)
@@ -222,12 +222,12 @@ def stabilised(
         rates = Vec3(command.roll_rate, command.pitch_rate, command.yaw_rate)
         return None, loops, lambda motion, loops: speeds_for(motion, rates, loops)
 
-    # Who cannot hold a heading leans as seen from the heading it has.
+    # A vehicle that cannot hold its heading applies the commanded tilt at its present heading.
     heading, yaw_rate = state.yaw_setpoint, command.yaw_rate
     if known:
         heading = jnp.where(mixer.holds_yaw > 0.0, heading, state.quaternion.euler().yaw)
         yaw_rate = yaw_rate * mixer.holds_yaw
-    # Motors that are off hold no heading: who is turned meanwhile, or asked to turn, goes on from where it looks.
+    # With motors off no heading is held: the set-point follows the present heading, whatever yaw rate is commanded.
     heading = jnp.where(runs, heading, state.quaternion.euler().yaw)
     yaw_rate = jnp.where(runs, yaw_rate, 0.0)
     sine, cosine = sincos(0.5 * heading)

@@ -1,4 +1,4 @@
-"""Where the rotors and the contact points of a vehicle are; all of it is part of the compiled program."""
+"""Positions of rotors and contact points of a vehicle; they are constants of the compiled program."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def allocation(
 
 
 def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
-    """Return how well rotors command thrust and three torques: the least singular value over the largest."""
+    """Return how well rotors control thrust and three torques: the least singular value over the largest."""
     sizes = reach([rotor.position for rotor in rotors]) or 1.0
     table = np.array([effects(rotor, torque_ratio) for rotor in rotors], float).T
     with np.errstate(all="ignore"):

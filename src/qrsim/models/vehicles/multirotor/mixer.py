@@ -21,11 +21,11 @@ TYPICAL_TORQUE_RATIO = 0.02
 
 @dataclass(frozen=True)
 class Mixer:
-    """How thrust and torque are shared out in one step.
+    """Allocation of thrust and torque to the rotors in one step.
 
     Attributes:
-        rows: for each rotor its thrust [N] for each N of thrust and N m of torque, four numbers or arrays (n,).
-        effects: for each rotor thrust and torques for each N of its own.
+        rows: for each rotor its thrust [N] per N of thrust and N m of torque, four numbers or arrays (n,).
+        effects: for each rotor the thrust and torques per N of its own thrust.
         most: largest thrust of a rotor [N], a number or (n,).
         holds_yaw: 1, or 0 where the rotors that are left cannot hold the heading; a number or (n,).
     """
@@ -98,7 +98,7 @@ def mixer_of(rotors: Sequence[Rotor], torque_ratio: Array, most: Array, lost: Se
 
 
 def _room(thrust: Array, turning: Array, most: Array) -> Array:
-    """Return how many times its share of a yaw torque a rotor can give."""
+    """Return the largest multiple of its share of a yaw torque that a rotor can produce."""
     gap = jnp.where(turning > 0.0, most - thrust, thrust)
     size = jnp.abs(turning)
     return jnp.where(size > LEAST_YAW_N, gap / jnp.maximum(size, LEAST_YAW_N), jnp.inf)

@@ -147,7 +147,7 @@ class MotorTable:
         }
 
     def oddities(self, radius: float) -> Iterator[str]:
-        """Yield what no motor with a propeller of a radius [m] does, though the table may have it.
+        """Yield a message for each row that is implausible for a propeller of this radius [m].
 
         The radius may be a guess, so the ranges are wide.
         """

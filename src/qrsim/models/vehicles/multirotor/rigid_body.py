@@ -18,7 +18,7 @@ from qrsim.models.vehicles.multirotor.state import Ground, Motion
 
 @record
 class Outcome:
-    """What is found on the way of a substep; each (n,)."""
+    """Quantities of a substep other than the state; each (n,)."""
 
     force: Vec3 = quantity(unit="m/s^2", doc="specific force in body axes, averaged")
     impact_speed: Array = quantity(unit="m/s", doc="largest speed into the ground at a point that touches")
@@ -27,7 +27,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What acts on vehicles (n,) during a step.
+    """Air, ground and process noise that act on vehicles (n,) during a step.
 
     Attributes:
         air_ned: velocity of the air [m/s].

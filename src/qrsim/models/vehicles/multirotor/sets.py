@@ -18,7 +18,7 @@ def x500() -> Multirotor:
 def hummingbird() -> Multirotor:
     """Return the AscTec Hummingbird: rotorpy 3.0.0; the time constants of its rotors are those of RotorS."""
     c = 0.17 / math.sqrt(2.0)
-    return _made(
+    return _multirotor(
         mass=0.5,
         inertia_x=3.65e-3,
         inertia_y=3.68e-3,
@@ -47,7 +47,7 @@ def hexa4() -> Multirotor:
 
     Its figure of merit in hover is 0.65, and its motors with their controllers give 0.8 of the power of the battery.
     """
-    return _made(
+    return _multirotor(
         mass=4.0,
         inertia_x=0.12,
         inertia_y=0.12,
@@ -77,7 +77,7 @@ def pelican() -> Multirotor:
 
     It weighs 1 kg there; the identified one (``type: pelican``) weighs 1.68 kg and has its own autopilot in it.
     """
-    return _made(
+    return _multirotor(
         mass=1.0,
         inertia_x=0.01,
         inertia_y=0.01,
@@ -107,7 +107,7 @@ def crazyflie() -> Multirotor:
     identification of the Crazyflie 2.0 nano quadrocopter", ETH Zurich, 2015.
     """
     c = 0.046 / math.sqrt(2.0)
-    return _made(
+    return _multirotor(
         mass=0.0319,
         inertia_x=1.68e-5,
         inertia_y=1.68e-5,
@@ -141,8 +141,8 @@ def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
     return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
 
 
-def _made(**values: Any) -> Multirotor:
-    """Return a vehicle of numbers that are turned into arrays where a world is built."""
+def _multirotor(**values: Any) -> Multirotor:
+    """Return a vehicle with plain numbers; building a world turns them into arrays."""
     return Multirotor(**values)
 
 

@@ -97,8 +97,8 @@ def rotor_thrusts(
     error = wanted - rates
     rate, yaw_rate = gains.rate_gain, gains.yaw_rate_gain
     loop = Vec3(rate * error.x, rate * error.y, yaw_rate * error.z) + integral
-    gyro = rates.cross(_each(inertia, rates))
-    torque = _each(inertia, loop) + gyro
+    gyro = rates.cross(_by_axes(inertia, rates))
+    torque = _by_axes(inertia, loop) + gyro
     torque = Vec3(torque.x, torque.y, torque.z * mixer.holds_yaw)
     thrusts = mixer.share(thrust, torque, gains.yaw_share)
     got = mixer.torque(thrusts)
@@ -123,7 +123,8 @@ def _integrated(now: Array, error: Array, missing: Array, slack: Array, gain: Ar
     return jnp.clip(jnp.where(held, now, now + gain * error), -limit, limit)
 
 
-def _each(inertia: Vec3, vector: Vec3) -> Vec3:
+def _by_axes(inertia: Vec3, vector: Vec3) -> Vec3:
+    """Return the product of two vectors, axis by axis."""
     return Vec3(inertia.x * vector.x, inertia.y * vector.y, inertia.z * vector.z)
 
 

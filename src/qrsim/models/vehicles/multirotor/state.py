@@ -1,4 +1,4 @@
-"""What changes in a multirotor."""
+"""State of a multirotor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from qrsim.core.vectors import Vec3
 
 @record
 class Brush:
-    """How far the bristles of one contact point are bent, as fractions of where they slide; each of shape (n,)."""
+    """Deflection of the bristles of one contact point, 1 where they slide; each of shape (n,)."""
 
     north: Array = quantity(unit="1", doc="along the ground, northwards")
     east: Array = quantity(unit="1", doc="along the ground, eastwards")

@@ -114,11 +114,11 @@ class Multirotor(Airframe, Vehicle):
         return command if voltage is None else Powered(command, voltage)
 
     def shown(self, command: object) -> AttitudeCommand:
-        """Return a command as a world's state keeps it; NaN in the fields that it has not."""
+        """Return a command as a world's state keeps it; NaN in fields that the command lacks."""
         return shown(command)
 
     def handling(self) -> Handling:
-        """Return what a controller of tilt and throttle knows of it: the thrust is that in the air of the site."""
+        """Return the numbers that a controller of tilt and throttle uses, with the thrust in the air of the site."""
         a, most = self.throttle_curve, self.thrust_max * self.site_share
         one = jnp.ones_like(jnp.asarray(most))
         curve = (jnp.zeros_like(one), (1.0 - a) * most, a * most)
@@ -131,7 +131,7 @@ class Multirotor(Airframe, Vehicle):
         return AttitudeCommand(pitch, roll, throttle, yaw_rate)
 
     def wake(self) -> Wake:
-        """Return what its wake depends on."""
+        """Return the parameters of its wake."""
         hubs = [rotor.position for rotor in self.rotors]
         radius = jnp.asarray(self.rotor_radius)
         size = 2.0 * max(math.hypot(x, y) for x, y, _ in hubs)
@@ -166,7 +166,9 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def load(self, state: MultirotorState) -> Load:
-        """Return thrust, weight and electrical power (V25)."""
+        """Return thrust [N], weight [N], electrical power [W] (V25) and air density over that at sea level, each (n,)
+        or one number for all; the last is None if ``thin_air`` is ignored.
+        """
         square = sum(rate * rate for rate in state.rotor_speed)
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
         coefficient = self.thrust_coefficient * self.share(state.position_ned)

@@ -10,7 +10,7 @@ STEERING_MAX_RAD, SPEED_MAX_M_S = 0.8, 20.0
 
 
 class DriveCommand:
-    """What a rover is commanded with, of whatever kind; ``Drives.drive`` makes one of a speed and a curvature."""
+    """Base of the commands of rovers; ``Drives.drive`` makes one of a speed and a curvature."""
 
 
 @record

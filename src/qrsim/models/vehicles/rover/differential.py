@@ -61,7 +61,7 @@ class DifferentialRover(Vehicle):
 
     def drive(self, speed: Array, curvature: Array) -> WheelCommand:
         """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
-        # Whoever turns as sharply as its track allows goes slower, so that the outer wheels can follow.
+        # In a tight turn the rover is slower, so that the outer wheels stay below their largest speed.
         half = 0.5 * self.track / (1.0 - self.slip) * curvature
         most = self.speed_max / (1.0 + jnp.abs(half))
         speed = jnp.clip(speed, -most, most)

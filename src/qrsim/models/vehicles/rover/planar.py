@@ -1,4 +1,4 @@
-"""What rovers have in common: they stay on the ground, which tilts them, and weigh on it."""
+"""Base of rovers: they stay on the ground, which tilts them and carries their weight."""
 
 from __future__ import annotations
 
