@@ -136,7 +136,7 @@ class _Fault:
         raise NotImplementedError
 
     def _output(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
-        """Return the output of an active fault of a reading that was taken at a tick: changed, late, held or lost (NaN), by its kind."""
+        """Return the output for a reading taken at a tick: changed, late, held or lost (NaN), by the kind."""
         numbers, output = self.numbers, reading
         if memory is not None and self._is("delayed") is not False:
             for number, old in enumerate(memory.past, 1):
