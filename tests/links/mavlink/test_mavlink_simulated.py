@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from tests.links.mavlink.test_mavlink_failures import Field
 
-from qrsim.links.autopilot.fleet import FRAMES
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Reader
 from qrsim.links.mavlink.link import Link
-from qrsim.links.mavlink.simulated import ANGLES, motor_order
+from qrsim.links.mavlink.simulated import motor_order
 from qrsim.links.mavlink.stack.parameters import Outcome
 from qrsim.links.mavlink.stack.sim_parameters import SIM_TABLE
 from qrsim.links.mavlink.streams import Streams
+from qrsim.links.shared.motor_frames import FRAMES
 from qrsim.scenarios.scenario import load_scenario
 
 SET, REFUSED, CLAMPED, UNKNOWN = Outcome.SET, Outcome.REFUSED, Outcome.CLAMPED, Outcome.UNKNOWN
@@ -211,7 +211,11 @@ def test_what_is_not_injectable_is_refused_and_what_changes_nothing_is_not() -> 
 
 
 def test_motors_are_those_of_ardupilot() -> None:
-    assert {count: tuple(angle for angle, _ in frame) for count, frame in FRAMES.items()} == ANGLES
+    assert {count: tuple(angle for angle, _ in frame) for count, frame in FRAMES.items()} == {
+        4: (45.0, -135.0, -45.0, 135.0),
+        6: (90.0, -90.0, -30.0, 150.0, 30.0, -150.0),
+        8: (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5),
+    }
     fleet = load_scenario("mavlink_field").world().fleets[0]
     assert sorted(motor_order(fleet)) == [0, 1, 2, 3]
 

@@ -7,19 +7,12 @@ from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.links.shared.grounding import put_down, standing
+from qrsim.links.shared.motor_frames import FRAMES
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.scenarios.catalogue import VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
 
-# For each frame of the type X, degrees clockwise from the nose of each motor's arm in the order of the firmware's
-# channels, and how it turns: +1 clockwise from above, -1 the other way. Source: ArduPilot, AP_MotorsMatrix.cpp; of four
-# motors Betaflight and PX4 (airframe none_iris) have the same.
-FRAMES: dict[int, tuple[tuple[float, int], ...]] = {
-    4: ((45.0, -1), (-135.0, -1), (-45.0, 1), (135.0, 1)),
-    6: ((90.0, 1), (-90.0, -1), (-30.0, 1), (150.0, -1), (30.0, -1), (-150.0, 1)),
-    8: ((22.5, 1), (-157.5, 1), (67.5, -1), (157.5, -1), (-22.5, -1), (-112.5, -1), (-67.5, 1), (112.5, 1)),
-}
 # An arm may be this far from that of the frame [deg]: anywhere in its corner, or near it.
 CORNER_DEG, NEAR_DEG = 45.0, 12.0
 INERTIAL = ("imu", "gyroscope", "accelerometer")

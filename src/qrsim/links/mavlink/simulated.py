@@ -16,6 +16,7 @@ from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.sim_parameters import AXES
+from qrsim.links.shared.motor_frames import FRAMES
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.atmosphere.wind_series import VeeringShear
 from qrsim.models.vehicles.lithium_cells import LithiumCells
@@ -31,12 +32,7 @@ GYRO, ACCEL, MAG, BARO, GPS, SONAR, AIRSPEED = 0, 1, 2, 3, 4, 7, 8
 LEAST_SATELLITES, JAM_RANGE_M, UT_PER_MGAUSS = 4, 200.0, 0.1
 # While a wind changes, it is set so often [s]; nearer than this [m/s, degrees] it is there. Least time constant [s].
 EVERY_S, NEAR_SPEED, NEAR_BEARING, LEAST_TC_S = 0.2, 1e-3, 1e-2, 0.1
-# AP_MotorsMatrix.cpp, frames of type X: degrees clockwise from the nose of each motor's arm, in the order of the bits.
-ANGLES: dict[int, tuple[float, ...]] = {
-    4: (45.0, -135.0, -45.0, 135.0),
-    6: (90.0, -90.0, -30.0, 150.0, 30.0, -150.0),
-    8: (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5),
-}
+# A motor is this close to the arm of its frame [deg].
 MOST_OFF_DEG = 20.0
 CHARGES = np.linspace(0.0, 1.0, 1001)
 Fault = tuple[str, dict[str, Any]]
@@ -287,7 +283,7 @@ def motor_order(fleet: Fleet) -> list[int]:
     """Return the rotors in the order of ArduPilot's motors, in their own where it has no such frame."""
     rotors = fleet.vehicle.rotors if isinstance(fleet.vehicle, Multirotor) else ()
     found = []
-    for angle in ANGLES.get(len(rotors), ()):
+    for angle, _ in FRAMES.get(len(rotors), ()):
         off = [abs(math.remainder(angle - math.degrees(math.atan2(*each.position[1::-1])), 360.0)) for each in rotors]
         found.append(off.index(min(off)) if min(off) < MOST_OFF_DEG else -1)
     return found if sorted(found) == list(range(len(rotors))) else list(range(len(rotors)))
