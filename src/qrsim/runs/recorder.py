@@ -15,11 +15,11 @@ from qrsim.errors import RunError, warn_user
 from qrsim.interface.crowds import warn_of_overfull
 from qrsim.runs import RunInfo, RunWriter
 from qrsim.runs.layout import check_every
+from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.history import History
 from qrsim.simulation.injections import Injection
-from qrsim.simulation.requests import entry_of, events_of
 from qrsim.simulation.schedule import Schedule
 from qrsim.simulation.simulation import Simulation
 
@@ -153,7 +153,7 @@ def fly(
         pilot = flown_by(simulation)
     elif not (policy is None and estimator is None):
         pilot = _pilot(simulation, policy, estimator, policy_ticks)
-    schedule, kept = Schedule(simulation, injections), 0
+    schedule = Schedule(simulation, injections)
     schedule.make()
     # The first tick alone, so that compiling does not count as flying.
     if view is not None:
@@ -169,21 +169,13 @@ def fly(
         gc.freeze()
         gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
-
-        def keep_requests() -> None:
-            nonlocal kept
-            found, time_step = simulation.requests[kept:], simulation.world.time_step
-            kept += len(found)
-            for request in found:
-                writer.note_injection(entry_of(request, time_step))
-            for event in events_of(found, time_step):
-                writer.append_event(**event)
+        requests = RequestLog(simulation, writer)
 
         def keep(history: History) -> None:
             arrays = values(simulation.world, history, wanted)
             with writer.together():
                 # What was asked for before these ticks.
-                keep_requests()
+                requests.write_new()
                 for stream in STREAMS:
                     writer.append(stream, history.ticks, history.time, arrays[stream])
                 for event in finder.find(history):
@@ -205,7 +197,7 @@ def fly(
             pace = _loop(simulation, scenario.ticks, begun_at, paced, pilot, keep, progress, schedule, view, long)
         # Also those that were made after the last tick of the other flight.
         schedule.make()
-        keep_requests()
+        requests.write_new()
         for event in finder.ending(simulation.history):
             writer.append_event(**event)
         warn_of_overfull(simulation.world, simulation.state)

@@ -15,11 +15,11 @@ from qrsim.links.shared.recorded import STREAM
 from qrsim.links.shared.spoken import TICK, Spoken
 from qrsim.runs import Run, RunInfo, RunWriter
 from qrsim.runs.layout import INJECTIONS_FILE
+from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.injection_file import read_injections
 from qrsim.simulation.history import History
 from qrsim.simulation.injections import Injection
-from qrsim.simulation.requests import entry_of, events_of
 from qrsim.simulation.schedule import Schedule
 from qrsim.simulation.simulation import Simulation
 
@@ -65,15 +65,10 @@ def replay(run: Run, out: Path) -> Path:
         components=scenario.outside,
     )
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
-        schedule, kept = Schedule(simulation, injections), 0
+        schedule, requests = Schedule(simulation, injections), RequestLog(simulation, writer)
         for history, flown in _flights(run, simulation, beginning, schedule):
             with writer.together():
-                new = simulation.requests[kept:]
-                kept += len(new)
-                for request in new:
-                    writer.note_injection(entry_of(request, info.time_step))
-                for event in events_of(new, info.time_step):
-                    writer.append_event(**event)
+                requests.write_new()
                 for stream, arrays in (values(simulation.world, history, known) | {STREAM: flown}).items():
                     writer.append(stream, history.ticks, history.time, arrays)
                 for event in finder.find(history):
