@@ -25,7 +25,7 @@ SENSOR, HEAD = 107, 10
 
 
 def stand_in(vehicles: int) -> None:
-    """Answer each HIL_SENSOR of so many vehicles with motors that stand still, until the simulator leaves."""
+    """Answer each HIL_SENSOR of some vehicles with stopped motors, until the simulator leaves."""
     from qrsim.links.mavlink.dialect import LAYOUTS
     from qrsim.links.mavlink.frames import frame
 
