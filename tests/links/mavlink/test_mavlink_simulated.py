@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.links.mavlink.test_mavlink_failures import Field
 
+from qrsim.core.tree import replace
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Reader
 from qrsim.links.mavlink.link import Link
@@ -216,8 +219,17 @@ def test_motors_are_those_of_ardupilot() -> None:
         6: (90.0, -90.0, -30.0, 150.0, 30.0, -150.0),
         8: (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5),
     }
-    fleet = load_scenario("mavlink_field").world().fleets[0]
+    fleet: Any = load_scenario("mavlink_field").world().fleets[0]
     assert sorted(motor_order(fleet)) == [0, 1, 2, 3]
+    # The rotors of an X in the reverse order, and the X turned: by 15 degrees it is one yet, by 25 it is none.
+    for turned, order in ((0.0, [3, 2, 1, 0]), (15.0, [3, 2, 1, 0]), (25.0, [0, 1, 2, 3])):
+        rotors = []
+        for rotor in reversed(fleet.vehicle.rotors):
+            x, y, z = rotor.position
+            c, s = math.cos(math.radians(turned)), math.sin(math.radians(turned))
+            rotors.append(dataclasses.replace(rotor, position=(c * x - s * y, s * x + c * y, z)))
+        other = replace(fleet, vehicle=replace(fleet.vehicle, rotors=tuple(rotors)))
+        assert motor_order(other) == order
 
 
 def test_parameters_are_floats_with_names_of_16_letters_in_their_order() -> None:

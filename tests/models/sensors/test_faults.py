@@ -255,19 +255,25 @@ def test_faults_of_late_sensors_act_on_what_is_delivered() -> None:
         {"sensor": "baro", "kind": "off", "start": 0.2, "end": 0.4},
         {"sensor": "other", "kind": "noisy", "field": "height", "std": 5.0, "start": 0.2, "end": 0.4},
         {"sensor": "other", "kind": "delayed", "by": 0.1, "start": 0.5},
+        {"sensor": "third", "kind": "drift", "field": "height", "rate": 10.0, "start": 0.2, "end": 0.4},
     )
     late = {"type": "ideal_barometer", "period": 0.1, "delay": 0.6}
-    content["fleets"]["a"]["sensors"] |= {"baro": late, "other": late}
+    content["fleets"]["a"]["sensors"] |= {"baro": late, "other": late, "third": late}
     simulation = qrsim.load(content)
     simulation.reset()
-    lost, noisy, height = [], [], []
+    lost, noisy, drifting, height = [], [], [], []
     for _ in range(45):
         reading = simulation.step()
         lost.append(bool(np.isnan(reading.baro.height[0])))
         noisy.append(float(reading.other.height[0]))
+        drifting.append(float(reading.third.height[0]))
         height.append(-float(simulation.truth.position_ned[0, 2]))
     # Row k is tick k + 1: ticks 10 to 19; tick 13 has the reading of tick 10, and tick 18 that of tick 15.
     assert np.flatnonzero(lost).tolist() == list(range(9, 19))
+    # A drift is that of the time at which a reading was taken: none before it began, 1 m after 0.1 s.
+    np.testing.assert_allclose(
+        [drifting[9], drifting[12], drifting[17]], [height[4], height[9], height[14] + 1.0], atol=1e-4
+    )
     # One draw for each reading, held until the next one comes.
     assert len({*noisy[9:12]}) == len({*noisy[12:17]}) == len({*noisy[17:19]}) == 1
     assert len({noisy[9] - height[4], noisy[12] - height[9], noisy[17] - height[14]}) == 3
