@@ -220,9 +220,10 @@ def test_motors_are_those_of_ardupilot() -> None:
         8: (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5),
     }
     fleet: Any = load_scenario("mavlink_field").world().fleets[0]
-    assert sorted(motor_order(fleet)) == [0, 1, 2, 3]
-    # The rotors of an X in the reverse order, and the X turned: by 15 degrees it is one yet, by 25 it is none.
-    for turned, order in ((0.0, [3, 2, 1, 0]), (15.0, [3, 2, 1, 0]), (25.0, [0, 1, 2, 3])):
+    # The rotors of an x500: front right, rear right, rear left, front left.
+    assert motor_order(fleet) == [0, 2, 3, 1]
+    # In the reverse order, with the arms turned from those of the frame: 15 degrees are near enough, 25 are not.
+    for turned, order in ((0.0, [3, 1, 0, 2]), (15.0, [3, 1, 0, 2]), (25.0, [0, 1, 2, 3])):
         rotors = []
         for rotor in reversed(fleet.vehicle.rotors):
             x, y, z = rotor.position
