@@ -22,6 +22,14 @@ def test_a_fault_names_line_reason_and_equation() -> None:
     assert re.fullmatch(r"7: .+ Equation: \\sqrt\{2", second)
 
 
+def test_commands_that_github_refuses_are_faults() -> None:
+    text = "$`\\operatorname{clip}(a)`$\n$`\\text{speed\\_max}`$\n$`\\mathrm{speed\\_max}\\ \\text{m}`$\n"
+    assert list(equations.faults(text)) == [
+        "1: GitHub does not draw '\\operatorname'; write \\mathrm. Equation: \\operatorname{clip}(a)",
+        "2: GitHub does not draw '\\text{speed\\_'; write \\mathrm. Equation: \\text{speed\\_max}",
+    ]
+
+
 def test_numbers_are_on_the_left() -> None:
     made = equations.mathml("\\begin{align} a &= b \\tag{A1} \\\\ c &= \\frac{d}{2} \\notag \\end{align}", block=True)
     rows = re.findall(r"<mtr>(.*?)</mtr>", made)

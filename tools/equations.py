@@ -27,6 +27,9 @@ _INLINE = r"(?<!`)\$`(?P<line>[^`\n]+)`\$(?!`)"
 # Blocks of code too, so that what looks like an equation in them is none.
 _ANY = re.compile(rf"^ *(?P<fence>```+)(?P<kind>\w*)[^\n]*\n(?P<block>.*?)^ *(?P=fence) *$|{_INLINE}", re.M | re.S)
 
+# GitHub refuses these commands, and shows the backslash of an underscore in text.
+_REFUSED = re.compile(r"\\(?:operatorname|mbox|phantom|newcommand|def|DeclareMathOperator)\b|\\text\w*\{[^{}]*\\_")
+
 
 def mathml(latex: str, block: bool) -> str:
     """Return an equation as the element ``math``, or as a message in red where it is not LaTeX.
@@ -47,7 +50,7 @@ def mathml(latex: str, block: bool) -> str:
 
 
 def faults(text: str) -> Iterator[str]:
-    """Yield the line and the fault of each equation of a page that is not LaTeX, or has a command that math-core lacks.
+    """Yield the line and the fault of each equation of a page that math-core or GitHub cannot draw.
 
     Args:
         text: a page.
@@ -56,10 +59,13 @@ def faults(text: str) -> Iterator[str]:
         if found["kind"] not in (None, "math"):
             continue
         latex, block = (found["block"], True) if found["fence"] else (found["line"], False)
+        place = f"{text.count(chr(10), 0, found.start()) + 1}:"
+        if refused := _REFUSED.search(latex):
+            yield f"{place} GitHub does not draw '{refused[0]}'; write \\mathrm. Equation: {' '.join(latex.split())}"
         try:
             _converter(strict=True).convert_with_local_state(latex.strip(), displaystyle=block)
         except LatexError as error:
-            yield f"{text.count(chr(10), 0, found.start()) + 1}: {error} Equation: {' '.join(latex.split())}"
+            yield f"{place} {error} Equation: {' '.join(latex.split())}"
 
 
 def fence(source: str, language: str, css_class: str, options: dict[str, str], md: Markdown, **others: Any) -> str:
