@@ -1,7 +1,7 @@
 """Crowds: searches for neighbours that found more than they have room for, so that they may have missed the nearest.
 
 Radios, sensors that see others, and teams search by cells (``qrsim.core.neighbours``). Collisions are found by a search
-without such a limit.
+without this limit.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Crowds:
     def text(self, looks: int) -> str:
         """Return the warning for a number of searches."""
         return (
-            f"{self.path}: {looks} times a vehicle had more others around it than were looked at, so that it may have"
+            f"{self.path}: {looks} times a vehicle had more others around it than were considered, so that it may have"
             f" missed the nearest; {self.remedy}"
         )
 
