@@ -37,7 +37,7 @@ class Crowds:
     def text(self, looks: int) -> str:
         """Return the warning for a number of searches."""
         return (
-            f"{self.path}: {looks} times a vehicle had more others around it than were considered, so that it may have"
+            f"{self.path}: {looks} times a vehicle had more others around it than were looked at, so that it may have"
             f" missed the nearest; {self.remedy}"
         )
 
