@@ -29,8 +29,8 @@ class Mavlink:
 
     The vehicles start disarmed on the ground, below their scenario positions, with modes, parameters, missions and
     failsafes like those of PX4. Vehicle i (from 0) is system i + 1. It sends to UDP port 14540 + i for programs (from
-    the tenth vehicle on to 14549) and to 14550 for a ground station. docs/howto/mavlink_scripts.md has scripts,
-    docs/reference/mavlink.md the supported messages.
+    the tenth vehicle on to 14549) and to 14550 for a ground station. For scripts see docs/howto/mavlink_scripts.md, for
+    the supported messages docs/reference/mavlink.md.
 
     Anyone who can send to its ports can fly. Connections are neither encrypted nor authenticated, so only programs on
     this machine can connect unless --allow-remote is given.
