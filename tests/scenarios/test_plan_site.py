@@ -124,6 +124,8 @@ def test_the_height_of_the_site_may_be_above_the_sea() -> None:
         # A saved scenario has both heights, and is read again.
         assert "height_amsl: 488.0" in loaded.to_yaml()
         assert load_scenario(yaml.safe_load(loaded.to_yaml())).spec == loaded.spec
+        moved = load_scenario(yaml.safe_load(loaded.to_yaml()), ["site.latitude_deg=0", "site.longitude_deg=0"])
+        assert moved.site.height == pytest.approx(488.0 + 17.16, abs=0.02)
     # Each height takes the place of the other, of what is extended and by --set.
     alone = {"extends": "mavlink_field", "name": "x", "site": {"height_amsl": 100.0}}
     assert load_scenario(alone).site.height == pytest.approx(147.22, abs=0.02)

@@ -61,7 +61,7 @@ def ellipsoidal_height(site: SiteSpec) -> float:
 def height_of_home(scenario: ScenarioSpec) -> float | None:
     """Return the altitude above mean sea level [m] of the home of a plan that is flown at a site without a height.
 
-    It is that of the first plan whose home is near the site; None without one, and where the site has a height.
+    It is that of the first plan with its home near the site; None without one, and for a site that has a height.
     """
     spec = scenario.site
     if spec.plan or {"height", "height_amsl"} & spec.model_fields_set:
