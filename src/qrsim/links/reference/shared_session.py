@@ -19,7 +19,7 @@ from qrsim.links.reference.sensed import Sensed
 from qrsim.links.reference.session import PIECE_TICKS, Session, SessionOptions
 from qrsim.links.shared.failsafe import believed_of
 from qrsim.links.shared.plant import Plant
-from qrsim.links.shared.recorded import STREAM, order_columns, order_values
+from qrsim.links.shared.recorded import STREAM, order_columns, stacked
 from qrsim.runs import Column
 from qrsim.runs.streams import Values
 from qrsim.simulation.history import History
@@ -180,7 +180,7 @@ class SharedSession(Session):
 
     def more_values(self) -> dict[str, Values]:
         """Return the orders that the last ticks were flown by."""
-        return {STREAM: order_values(self.plant, self._flown)}
+        return {STREAM: stacked(order_columns(self.plant), self._flown)}
 
     def close_recording(self) -> None:
         """End the recording of the present episode."""
