@@ -16,8 +16,8 @@ class Replay:
 
     Injections of the recorded flight (injections.yaml) are repeated. Checks that all streams are bit-identical. Takes a
     run that 'qrsim mavlink', 'qrsim ros2' or 'qrsim serve SCENARIO --pace free' (or barrier) has recorded with
-    '--record DIR'. Its stream 'orders' has the order of each vehicle in each tick. Exit code: 0 if everything is the same, 1 if something differs (or cannot be read), 2 for
-    wrong usage.
+    '--record DIR'. Its stream 'orders' has the order of each vehicle in each tick. Exit code: 0 if everything is the
+    same, 1 if something differs (or cannot be read), 2 for wrong usage.
 
     Example:
       qrsim replay runs/served/SESSION/episode-0001
