@@ -23,7 +23,6 @@ from qrsim.links.shared.recorded import STREAM, order_columns, stacked
 from qrsim.runs import Column
 from qrsim.runs.streams import Values
 from qrsim.simulation.history import History
-from qrsim.simulation.injections import Injection
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView
@@ -155,13 +154,11 @@ class SharedSession(Session):
             # Who hands over does not wait for the result.
             warn_user(f"session {self.number}: {type(error).__name__} while ticks were kept: {error}")
 
-    def keep_requests(self, found: list[Injection]) -> None:
+    def keep_requests(self) -> None:
         """Keep what was injected, in the thread that keeps everything, after the ticks before it."""
-        if threading.current_thread().name.startswith("keep-"):
-            super().keep_requests(found)
-        else:
+        if self._requests.has_new:
             self.hand_over()
-            self._keeping.submit(super().keep_requests, found)
+            self._keeping.submit(super().keep_requests)
 
     def keep_events(self, found: list[dict[str, object]]) -> None:
         """Keep events, in the thread that keeps everything."""

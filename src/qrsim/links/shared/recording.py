@@ -82,7 +82,7 @@ class Recording:
             scenario_yaml=scenario.to_yaml(),
             columns=self._columns | {STREAM: self._orders},
         )
-        self._log = RequestLog(simulation, self._writer)
+        self._log = RequestLog(simulation, self._writer.note_injection, self._writer.append_event)
         self._keeping.submit(self._keep, self._world, beginning, [self._flown()])
 
     def restarted(self, row: int) -> None:
