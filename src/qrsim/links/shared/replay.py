@@ -67,10 +67,8 @@ def replay(run: Run, out: Path) -> Path:
         components=scenario.outside,
     )
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
-        schedule, requests = (
-            Schedule(simulation, injections),
-            RequestLog(simulation, writer.note_injection, writer.append_event),
-        )
+        schedule = Schedule(simulation, injections)
+        requests = RequestLog(simulation, writer.note_injection, writer.append_event)
         for history, flown in _flights(run, simulation, beginning, schedule):
             with writer.together():
                 requests.write_new()
