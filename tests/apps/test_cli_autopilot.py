@@ -90,7 +90,10 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
         (["--px4", "/", "--port", "4570"], "use --first-instance"),
         (["mixed_team", "--fleet", "rovers"], "a rover is flown by no PX4 here"),
         (["mixed_team", "--fleet", "plane"], "did you mean 'planes'?"),
-        (["--view", "--injectable", "radio"], "--injectable radio: no fleet has a radio; give world.radio"),
+        (
+            ["--view", "--injectable", "radio"],
+            "--injectable radio: no fleet has a radio; the scenario needs world.radio",
+        ),
     ],
 )
 def test_what_px4_cannot_do_is_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]):

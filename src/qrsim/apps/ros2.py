@@ -136,7 +136,9 @@ class Ros2:
             try:
                 server.serve(math.inf if self.duration is None else self.duration - 1e-9)
             finally:
-                server.close()
+                if server.recording is not None:
+                    server.recording.close()
+                    log.say(f"recorded: {server.recording.folder}")
                 report = server.report()
                 if report.steps:
                     log.say(

@@ -52,7 +52,8 @@ def test_a_flight_is_flown_again_to_the_bit(tmp_path, capsys):
     fly(40, uav_2__cmd_vel=[twist((3.0, 0.0, 0.0))])
     fly(1, qrsim__control=[text("reset 9")])
     fly(10, uav_0__cmd_vel=[twist((2.0, 0.0, 0.0))])
-    server.close()
+    assert server.recording is not None
+    server.recording.close()
     assert {"Wind: 6 m/s at 20 ft from 90 degrees", "Injected: link off of uav_2 for 1 s"} < set(said)
     (folder,) = tmp_path.iterdir()
     first, second = (folder / name for name in ("episode-0001", "episode-0002"))

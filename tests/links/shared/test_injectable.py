@@ -12,8 +12,8 @@ from qrsim.scenarios.scenario import load_scenario
 @pytest.mark.parametrize(
     ("scenario", "name", "said"),
     [
-        ("outdoor_patrol", "radio", "--injectable radio: no fleet has a radio; give world.radio of the scenario"),
-        ("outdoor_patrol", "battery", "--injectable battery: no fleet has a battery that drains; give one a"),
+        ("outdoor_patrol", "radio", "--injectable radio: no fleet has a radio; the scenario needs world.radio"),
+        ("outdoor_patrol", "battery", "--injectable battery: no fleet has a battery that drains, such as"),
         ("outdoor_patrol", "rotors", "--injectable rotors: only a 'multirotor' has rotors that can fail"),
         ("outdoor_patrol", "rotor", "--injectable rotor: there is no such sensor; did you mean 'rotors'?"),
         ("outdoor_patrol", "gps", "--injectable gps: there is no such sensor; did you mean 'gnss'?"),

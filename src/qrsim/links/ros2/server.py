@@ -64,6 +64,9 @@ class Server:
         node: that others see.
         flown: the vehicles of the simulation, where they are flown by flight stacks; None: nodes fly them directly.
         record: makes the recording where nodes fly vehicles directly; None: it is not recorded.
+
+    Attributes:
+        recording: of the world, to be closed at the end; None: it is not recorded.
     """
 
     def __init__(
@@ -84,9 +87,9 @@ class Server:
         if flown is None:
             self._warm()
         if flown is not None:
-            self._recording = flown.world.recording
+            self.recording = flown.world.recording
         else:
-            self._recording = None if record is None else record(self._pilots.latches)
+            self.recording = None if record is None else record(self._pilots.latches)
         self.messages = Messages(types, simulation, options.truth, options.rate)
         self._writers = [self._participant.writer(topic) for topic in self.messages.topics]
         self._static = self._participant.writer(t.TF_STATIC)
@@ -152,8 +155,8 @@ class Server:
         self._say_by_radio()
         if self._flown is None:
             self.simulation.advance(self._pilots.actions())
-            if self._recording is not None:
-                self._recording.keep()
+            if self.recording is not None:
+                self.recording.keep()
         else:
             self._flown.advance()
         self._steps = max(0, self._steps - 1)
@@ -217,8 +220,8 @@ class Server:
         for said in self._saying.items():
             try:
                 checked = hand_over(self.simulation, self.messages.namespaces, [said])
-                if self._recording is not None:
-                    self._recording.said(checked)
+                if self.recording is not None:
+                    self.recording.said(checked)
             except UsageError as error:
                 # Once, however often it is repeated.
                 if str(error) != self._not_said:
@@ -265,11 +268,11 @@ class Server:
 
     def _reset(self, seed: int) -> None:
         if self._flown is None:
-            if self._recording is not None:
-                self._recording.end()
+            if self.recording is not None:
+                self.recording.end()
             self.simulation.reset(seed)
-            if self._recording is not None:
-                self._recording.begin()
+            if self.recording is not None:
+                self.recording.begin()
         else:
             self._flown.reset(seed)
         self._pilots.restart()
@@ -295,11 +298,6 @@ class Server:
             "injected": injected_rows(simulation),
         }
         self._status.write(text_message(self._types, json.dumps(status)))
-
-    def close(self) -> None:
-        """End the recording."""
-        if self._recording is not None:
-            self._recording.close()
 
     def report(self) -> PaceReport:
         """Return how the pace was kept."""

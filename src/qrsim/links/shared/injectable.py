@@ -13,8 +13,8 @@ from qrsim.scenarios.scenario import Scenario, load_scenario
 # Names that are no sensors, and why no fleet of a scenario has such a part.
 WITHOUT = {
     "rotors": "only a 'multirotor' has rotors that can fail, and no fleet has this type of vehicle",
-    "battery": "no fleet has a battery that drains; give one a battery.type",
-    "radio": "no fleet has a radio; give world.radio of the scenario",
+    "battery": "no fleet has a battery that drains, such as battery: {type: lithium_polymer}",
+    "radio": "no fleet has a radio; the scenario needs world.radio, and a fleet without radio: none",
 }
 PARTS = ("all", *WITHOUT)
 # Longest delay of readings [s] that may be injected where all may be.

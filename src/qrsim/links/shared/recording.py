@@ -142,17 +142,18 @@ class Recording:
     # ---- in the thread that writes ----
 
     def _keep(self, world: World, history: History, flown: list[Flown]) -> None:
-        found = self._finder.find(history)
         if self._writer is None:
             return
-        arrays = values(world, history, self._columns) | {STREAM: stacked(self._orders, flown)}
         try:
+            found = self._finder.find(history)
+            arrays = values(world, history, self._columns) | {STREAM: stacked(self._orders, flown)}
             with self._writer.together():
                 for stream, of_stream in arrays.items():
                     self._writer.append(stream, history.ticks, history.time, of_stream)
                 for event in found:
                     self._writer.append_event(**event)
-        except RunError as error:
+        except Exception as error:
+            # Nobody waits for the result.
             self._give_up(error)
 
     def _write_requests(self) -> None:
@@ -171,6 +172,7 @@ class Recording:
             warn_user(str(error))
         self._writer = None
 
-    def _give_up(self, error: RunError) -> None:
-        warn_user(f"nothing more is recorded: {error}")
+    def _give_up(self, error: Exception) -> None:
+        why = f"{error}" if isinstance(error, RunError) else f"{type(error).__name__}: {error}"
+        warn_user(f"nothing more is recorded: {why}")
         self._writer = None
