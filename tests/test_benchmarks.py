@@ -42,6 +42,7 @@ NUMBERS = {
     "estimators": {"worlds", "vehicles", "ns", "throughput", "compile_seconds"},
     "flight_stack": {"microseconds", "core_percent"},
     "gnss": {"vehicles", "ns", "compile_seconds"},
+    "injections": {"median_ms", "most_ms", "tick_ms"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "light": {"runs", "cpu_s", "over_import_jax"},
     "looking": {"median_us", "step_us", "over_first"},
@@ -206,6 +207,14 @@ def test_mavlink():
     # 2 s at 50 Hz, and what comes before and after; about 300 frames a second from each vehicle.
     assert row["ticks"] >= 50
     assert row["frames_per_second"] > 60
+
+
+@pytest.mark.nightly
+def test_injections():
+    without, with_them = rows("injections")
+    assert (without["requests"], with_them["requests"]) == (0, 50)
+    # A thousand keep less than 1 MB.
+    assert with_them["kept_kb"] - without["kept_kb"] < 52.0
 
 
 @pytest.mark.nightly
