@@ -16,7 +16,8 @@ import qrsim
 from qrsim.core.noise import Key
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.models.scene.ground import ElevationFile, FlatGround, GridGround
+from qrsim.models.scene.elevation_file import ElevationFile
+from qrsim.models.scene.ground import FlatGround, GridGround
 from qrsim.models.site import Site
 from qrsim.models.vehicles.contracts import Pose
 from qrsim.scenarios.making import make_scenario, make_world
@@ -281,7 +282,7 @@ class TestRefused:
             np.lib.format.write_array_header_1_0(stream, said)
         for name, words in (
             ("slopes.npz", "did you mean 'slope.npz'?"),
-            ("hill.tif", "gdal_translate -of AAIGrid 'hill.tif' 'hill.asc' makes one of it"),
+            ("hill.txt", "expected one of .tif, .tiff, .img, .hgt, .vrt, .asc, .npz, or a folder of tiles"),
             ("bad.npz", "is no NumPy archive of numbers, or it is damaged"),
             ("bomb.npz", "'height' has shape (3000, 3000), 9e+06 numbers; allowed: 8e+06"),
             ("claims.npz", "is no NumPy archive of numbers, or it is damaged"),
