@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ def bilinear(spacing: float) -> float:
 
 
 class TestOneHill:
+    @pytest.mark.long
     def test_geotiffs_in_degrees_and_on_maps(self, tmp_path: Path):
         """The zone's north is 2.19 degrees off: read as true north, heights would be off by 0.9 m at 500 m."""
         files = {
@@ -54,6 +56,7 @@ class TestOneHill:
         for values in found.values():
             np.testing.assert_allclose(values, found["degrees"], atol=0.05)
 
+    @pytest.mark.long
     def test_whole_metres_feet_scales_and_offsets(self, tmp_path: Path):
         whole = geotiff(
             tmp_path / "a.tif", "EPSG:32630", 20.0, dtype="int16", compress="lzw", predictor=2, nodata=-32768
@@ -92,6 +95,7 @@ class TestOneHill:
 
 
 class TestTiles:
+    @pytest.mark.long
     def test_two_that_touch_are_one(self, tmp_path: Path):
         """The seam is 3 m east of the site: patches across it have heights of both."""
         import rasterio
@@ -116,8 +120,11 @@ class TestTiles:
         for every in (4, 7):
             np.testing.assert_allclose(down(file, every=every), expected(), atol=0.01 + bilinear(5.0 * every))
 
-    def test_the_horizon_is_that_of_all_files(self, tmp_path: Path):
+    @pytest.mark.long
+    def test_the_horizon_is_that_of_all_files(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         """A wall of 1000 m, 5 km to the south in another file: 11.3 degrees."""
+        import rasterio
+
         a = geotiff(tmp_path / "a.tif", "EPSG:32630", 20.0, change=lambda h: 0.0 * h)
         b = geotiff(
             tmp_path / "b.tif",
@@ -127,11 +134,26 @@ class TestTiles:
             change=lambda h: 0.0 * h + 1000.0,
         )
         b_aligned = _aligned(b, a)
-        alone, both = (np.asarray(ElevationFile(files).at(SITE, BOX).horizon) for files in (a, (a, b_aligned)))
-        assert alone.max() < 0.01
+        assert np.asarray(ElevationFile(a).at(SITE, BOX).horizon).max() < 0.01
         # The near side is 5.1 km away; bearings are every 2 degrees, from north.
-        assert both[0, 90] == pytest.approx(1000.0 / np.hypot(1000.0, 5100.0), abs=0.005)
-        assert both[0, 0] < 0.01
+        wall = 1000.0 / np.hypot(1000.0, 5100.0)
+        item = ElevationFile((a, b_aligned))
+        horizon = np.asarray(item.at(SITE, BOX).horizon)
+        assert horizon[0, 90] == pytest.approx(wall, abs=0.005)
+        assert horizon[0, 0] < 0.01
+        # One height stands for two by two or more, and then those of an overview.
+        monkeypatch.setattr("qrsim.models.scene.terrain_files.survey.MOST_HEIGHTS", 12_000)
+        for overviews in ([], [2, 4]):
+            with rasterio.open(b_aligned, "r+") as file:
+                file.build_overviews(overviews)
+            os.utime(b_aligned, (1e9, 1e9 + len(overviews)))
+            assert np.asarray(item.at(SITE, BOX).horizon)[0, 90] == pytest.approx(wall, abs=0.01)
+            assert item.notes(SITE, BOX) == ()
+        # Not as far as the wall where that would be too much to read.
+        monkeypatch.setattr("qrsim.models.scene.terrain_files.survey.MOST_READ", 500.0)
+        os.utime(b_aligned, (1e9, 2e9))
+        assert np.asarray(item.at(SITE, BOX).horizon)[0, 90] < 0.01
+        assert "the horizon is that of the nearest" in item.notes(SITE, BOX)[0]
 
 
 def _aligned(file: str, other: str) -> str:
@@ -146,16 +168,16 @@ def _aligned(file: str, other: str) -> str:
 
 class TestMissing:
     @staticmethod
-    def with_hole(tmp_path: Path, rows: slice, columns: slice, value: float = -9999.0, **profile: Any) -> str:
+    def with_hole(tmp_path: Path, rows: slice, columns: slice, value: Any = -9999.0, **profile: Any) -> str:
         def change(heights: Any) -> Any:
             heights[rows, columns] = value
             return heights
 
         return geotiff(tmp_path / "hole.tif", "EPSG:32630", 20.0, change=change, **profile)
 
-    @pytest.mark.parametrize("value", [-9999.0, -32768.0, np.nan, 1e20])
-    def test_in_the_area_is_an_error(self, tmp_path: Path, value: float):
-        file = self.with_hole(tmp_path, slice(50, 52), slice(40, 42), value)
+    def test_in_the_area_is_an_error(self, tmp_path: Path):
+        values = [[-9999.0, -32768.0], [np.nan, 1e20]]
+        file = self.with_hole(tmp_path, slice(50, 52), slice(40, 42), values)
         words = r"has no height at 38 of 10404 points .* first at north -143\.\d+ m, east -113\.\d+ m; missing: fill"
         with pytest.raises(UsageError, match=words):
             down(file)
@@ -205,7 +227,7 @@ class TestRefused:
             ),
             ({"centre": (51.7119, 2.21052)}, "the site is 166 km from its grid; look at site and crs"),
             ({"centre": (-51.7119, -0.21052)}, "km from its grid; is the site's latitude of the right sign?"),
-            ({"reach": 400.0}, "world.area needs latitude 51.707406 and 51.716394, longitude -0.21775"),
+            ({"reach": 400.0}, "world.area needs latitude 51.707406 to 51.716394, longitude -0.21775"),
         ],
     )
     def test_geotiffs(self, tmp_path: Path, options: dict[str, Any], words: str):

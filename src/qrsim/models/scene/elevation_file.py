@@ -54,12 +54,14 @@ class ElevationFile:
         maximum=10_000.0,
     )
     zero: Literal["ground", "site"] = setting(
-        default="ground", doc="z = 0 is the ground at the site's origin, or the site's own height, as given there"
+        default="ground", doc="what is at z = 0: the ground at the site's origin, or the site's own height"
     )
     datum: Literal["sea", "ellipsoid"] = setting(
         default="sea", doc="what heights in the grid are above; used with zero 'site'"
     )
-    crs: str = setting(default="", doc="coordinate reference system of files that have none, such as EPSG:32630")
+    crs: str | None = setting(
+        default=None, doc="coordinate reference system of files that have none, such as EPSG:32630"
+    )
     every: int = setting(default=1, unit="1", doc="read every n-th row and column only", minimum=1.0, maximum=1000.0)
     missing: Literal["error", "fill"] = setting(
         default="error", doc="missing heights in the area; fill: that of the nearest cell, at most 5 cells away"
@@ -102,7 +104,7 @@ class ElevationFile:
         if self.frame != "auto" or self.origin_north != 0.0 or self.origin_east != 0.0:
             return False
         wkt = prj_of(self.file)
-        return self.crs != "" or not (wkt is None or is_wgs84(wkt))
+        return self.crs is not None or not (wkt is None or is_wgs84(wkt))
 
     def _height_of_zero(self, site: Site) -> float | None:
         """Return the height in the grid that is z = 0 [m]; None: that of the ground at the origin."""
@@ -134,7 +136,7 @@ def _made(
         if not item._surveyed:
             return _plain(item, str(item.file), site, box, zero)
         _check_own_coordinates(item)
-        wanted = Wanted(item.file, item.crs, item.every, item.missing == "fill", zero, FARTHEST)
+        wanted = Wanted(item.file, item.crs or "", item.every, item.missing == "fill", zero, FARTHEST)
         with Gdal() as gdal:
             found = survey(wanted, site, box, gdal)
             rows, columns = _even(box, found.spacing)

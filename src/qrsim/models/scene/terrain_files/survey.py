@@ -91,7 +91,7 @@ class Survey:
         )
         x, y = self.mosaic.grid.place(rows, columns)
         missing = _tile_of(self.mosaic, float(np.mean(y)), float(np.mean(x)))
-        return f"nothing between {extent(self.mosaic, rows, columns)}{missing}"
+        return f"nothing between {extent(self.mosaic, rows, columns, 'and')}{missing}"
 
 
 def _tile_of(files: Mosaic, latitude: float, longitude: float) -> str:
@@ -129,15 +129,14 @@ def cells(files: Mosaic, site: Site, gdal: Gdal, name: str, north: Float64, east
     return files.grid.cell(x, y)
 
 
-def extent(files: Mosaic, rows: Float64, columns: Float64) -> str:
+def extent(files: Mosaic, rows: Float64, columns: Float64, to: str = "to") -> str:
     """Return in words which part of the map is between rows and columns, in the coordinates of the files."""
     ends = np.array([rows.min(), rows.max()], float), np.array([columns.min(), columns.max()], float)
     x, y = files.grid.place(ends[0][:, None], ends[1][None, :])
     if files.grid.crs.geographic:
-        return f"latitude {y.min():.8g} and {y.max():.8g}, longitude {x.min():.8g} and {x.max():.8g}"
-    return (
-        f"northing {y.min():.8g} and {y.max():.8g} m, easting {x.min():.8g} and {x.max():.8g} m ({files.grid.crs.name})"
-    )
+        return f"latitude {y.min():.8g} {to} {y.max():.8g}, longitude {x.min():.8g} {to} {x.max():.8g}"
+    name = files.grid.crs.name
+    return f"northing {y.min():.8g} {to} {y.max():.8g} m, easting {x.min():.8g} {to} {x.max():.8g} m ({name})"
 
 
 @dataclass(frozen=True)
@@ -302,15 +301,18 @@ def _spacing(found: Survey, box: Bounds, every: int) -> tuple[float, float]:
 def _read_far(found: Survey, box: Bounds, reach: float) -> Elevations | None:
     """Read coarser heights around the middle of a box, as far as the horizon is looked for; None: there are none."""
     middle = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
-    rows, columns = _around(found, middle, reach)
-    factors = (max((f for f in tile.raster.overviews if f <= rows.step), default=1) for tile in found.mosaic.tiles)
-    cost = len(rows) * len(columns) * (rows.step / min(factors)) ** 2
-    if cost > MOST_READ:
-        reach *= math.sqrt(MOST_READ / cost)
+    whole = reach
+    while True:
         rows, columns = _around(found, middle, reach)
+        factors = (max((f for f in tile.raster.overviews if f <= rows.step), default=1) for tile in found.mosaic.tiles)
+        cost = len(rows) * len(columns) * (rows.step / min(factors)) ** 2
+        if cost <= MOST_READ:
+            break
+        reach *= 0.8
+    if reach < whole:
         found.notes.append(
-            f"{found.name}: the horizon is that of the nearest {reach / 1000.0:.2g} km: {cost:.1g} heights are too "
-            "many to read; overviews (gdaladdo) allow more"
+            f"{found.name}: the horizon is that of the nearest {reach / 1000.0:.2g} km: beyond are more heights than "
+            "are read; overviews (gdaladdo) allow more"
         )
     if not rows or not columns:
         return None
