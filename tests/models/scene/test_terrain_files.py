@@ -313,7 +313,7 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("name", "words"),
         [
-            ("/vsicurl/http://x/a.tif", "source 1, '/vsicurl/http://x/a.tif', is not in its folder; only files beside"),
+            ("/vsicurl/http://x/a.tif", "source 1, '/vsicurl/http://x/a.tif', is not in its folder; only files in"),
             ("../a.tif", "source 1, '../a.tif', is not in its folder"),
             ("/etc/passwd", "source 1, '/etc/passwd', is not in its folder"),
             ("b.vrt", "b.vrt is of no kind that is read in a .vrt"),

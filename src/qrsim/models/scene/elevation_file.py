@@ -94,7 +94,7 @@ class ElevationFile:
 
     @property
     def _surveyed(self) -> bool:
-        """Whether its coordinates are those of a map of the Earth, and not metres from the site or plain degrees."""
+        """True if its coordinates are those of a map of the Earth, not metres from the site or plain degrees."""
         if not isinstance(self.file, str) or Path(self.file).expanduser().is_dir():
             return True
         suffix = Path(self.file).suffix.lower()

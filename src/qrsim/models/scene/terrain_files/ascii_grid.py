@@ -1,4 +1,4 @@
-"""ESRI ASCII grids (.asc) whose coordinate reference system is in a .prj file, or given."""
+"""ESRI ASCII grids (.asc) with a coordinate reference system, from a .prj file or from the scenario."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ LARGEST_PRJ = 2**16
 
 
 def prj_file(file: str) -> str | None:
-    """Return the path of the .prj file of a grid, None where there is none."""
+    """Return the path of the .prj file of a grid, None if it has none."""
     path = Path(file).expanduser()
     return next((str(each) for each in (path.with_suffix(".prj"), path.with_suffix(".PRJ")) if each.is_file()), None)
 
 
 def prj_of(file: str) -> str | None:
-    """Return the WKT in the .prj file of a grid, None where there is none; raises UsageError where it is no text."""
+    """Return the WKT in the .prj file of a grid, None if it has none; raises UsageError if it is not text."""
     path = prj_file(file)
     if path is None:
         return None

@@ -1,4 +1,4 @@
-"""Requests to GDAL and PROJ, which run in a process of their own: a file that makes them crash is a file error."""
+"""Requests to GDAL and PROJ, which run in a separate process, so that a crash there is an error of the file."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Gdal:
 
     def describe(self, file: str, driver: str) -> dict[str, Any]:
         """Return a file's bands, dtype, shape, transform, crs (WKT), unit, overviews and palette."""
-        return self._ask(file, {"ask": "describe", "file": os.path.abspath(file), "driver": driver})[0]
+        return self._ask(file, {"ask": "describe", "file": _path(file), "driver": driver})[0]
 
     def read(self, file: str, rows: range, columns: range, *, coarse: bool, **source: object) -> npt.NDArray[Any]:
         """Return the heights [m] of a window, NaN where they are missing.
@@ -74,11 +74,11 @@ class Gdal:
             file: its path.
             rows: of the window, with a step.
             columns: of the window, with the same step.
-            coarse: whether one height (float32) stands for each whole block of cells, by overviews where there are any;
-                otherwise the heights are those of the given rows and columns (float64).
+            coarse: True returns a height (float32) for each whole block of cells, from overviews if the file has
+                them; False returns the heights at the given rows and columns (float64).
             **source: driver, metres (of a unit of height) and nodata (list of further values for missing heights).
         """
-        request = {"ask": "read", "file": os.path.abspath(file), "coarse": coarse, "every": rows.step, **source}
+        request = {"ask": "read", "file": _path(file), "coarse": coarse, "every": rows.step, **source}
         request |= {"rows": [rows.start, rows.stop], "columns": [columns.start, columns.stop]}
         _, data = self._ask(file, request)
         kind: type[np.float32 | np.float64] = np.float32 if coarse else np.float64
@@ -138,6 +138,10 @@ class Gdal:
             process.communicate()
 
 
+def _path(file: str) -> str:
+    return os.path.abspath(os.path.expanduser(file))
+
+
 def _refusal(file: str, reasons: list[str]) -> UsageError:
     """Return the error for what GDAL says of a file."""
     if any(reason.startswith("MemoryError") or "out of memory" in reason.lower() for reason in reasons):
@@ -145,5 +149,5 @@ def _refusal(file: str, reasons: list[str]) -> UsageError:
     for reason in reasons:
         if block := re.search(r"X offset (\d+), Y offset (\d+)", reason):
             return GdalError(f"{file}: cannot be read: block ({block[2]}, {block[1]}) is damaged", reasons)
-    inner = reasons[-1].partition(": ")[2].replace(os.path.abspath(file), Path(file).name)
+    inner = reasons[-1].partition(": ")[2].replace(_path(file), Path(file).name)
     return GdalError(f"{file}: cannot be read: {shortened(inner or reasons[-1], 200)}", reasons)

@@ -60,13 +60,14 @@ def open_geotiff(
         gdal: to read it with.
         site: latitude and longitude [deg] where it will be used.
         given: system of a file that has none; one that has must have this one.
-        nodata: values for missing heights, besides those of the file.
+        nodata: further values for missing heights.
 
     Raises:
         UsageError: it cannot be read, or its content is not heights with a place.
         OSError: there is no such file.
     """
-    check_file(file, LARGEST_FILE)
+    if str(check_file(file, LARGEST_FILE).absolute()).startswith("/vsi"):
+        raise UsageError(f"{file}: begins with /vsi, which GDAL takes for a virtual file; move it elsewhere")
     driver = DRIVERS[Path(file).suffix.lower()]
     found = gdal.describe(file, driver)
     if found["bands"] != 1:

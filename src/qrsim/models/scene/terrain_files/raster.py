@@ -1,4 +1,4 @@
-"""What all readers of terrain return: a grid of cells with a place on the Earth, whose heights are read by windows."""
+"""The common form of terrain files: a grid of cells with a place on the Earth, and heights read by windows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Crs:
 
     @property
     def is_wgs84(self) -> bool:
-        """Whether coordinates are longitude and latitude of WGS 84."""
+        """True if coordinates are longitude and latitude of WGS 84."""
         return self.wkt == "EPSG:4326"
 
     @property
@@ -47,7 +47,7 @@ WGS84 = Crs("EPSG:4326", "EPSG:4326", True)
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the cells of a raster are.
+    """The places of the cells of a raster.
 
     Attributes:
         rows, columns: numbers of cells.
@@ -90,7 +90,7 @@ class Raster(Protocol):
 
     @property
     def grid(self) -> Grid:
-        """Where its cells are."""
+        """The places of its cells."""
         ...
 
     @property
@@ -138,7 +138,7 @@ def grid_of(file: str, shape: tuple[int, int], transform: list[float], crs: Crs)
 
 @dataclass(frozen=True)
 class ArrayRaster:
-    """A raster whose heights (rows, columns) [m] are in memory, NaN where they are missing."""
+    """A raster with its heights (rows, columns) [m] in memory, NaN where they are missing."""
 
     file: str
     grid: Grid

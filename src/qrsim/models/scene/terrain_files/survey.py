@@ -40,7 +40,7 @@ class Survey:
         near: heights at full resolution around the area; its rows and columns are those of the mosaic.
         covered: (R, C) whether a file has the place of each of them.
         needed: first row, last row, first column and last column of the area.
-        far: coarser heights to the horizon; None: there are none.
+        far: coarser heights to the horizon, or None.
         zero: height that is z = 0 [m].
         spacing: of the cells along north and east, about [m].
         notes: what a user should know.
@@ -59,7 +59,7 @@ class Survey:
     notes: list[str] = field(default_factory=list)
 
     def down(self, north: Float64, east: Float64) -> Float64:
-        """Return the down coordinate [m] of the ground at places of any shape [m], NaN where there is none."""
+        """Return the down coordinate [m] of the ground at places of any shape [m], NaN beyond the files."""
         rows, columns = cells(self.mosaic, self.site, self.gdal, self.name, north, east)
         found = self.near.at(rows, columns)
         if self.far is not None:
@@ -141,7 +141,7 @@ def extent(files: Mosaic, rows: Float64, columns: Float64, to: str = "to") -> st
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a scenario wants of terrain files.
+    """The terrain that a scenario names, and how to read it.
 
     Attributes:
         files: a file, a folder or several files.
@@ -149,7 +149,7 @@ class Wanted:
         every: n-th row and column that is read.
         fill: whether missing heights are those of the nearest cell.
         zero: height that is z = 0 [m]; None: that of the ground at the site's origin.
-        reach: how far the horizon is looked for [m].
+        reach: largest distance of the horizon [m].
     """
 
     files: Files
@@ -221,7 +221,7 @@ def _needed(name: str, files: Mosaic, site: Site, gdal: Gdal, box: Bounds) -> tu
 
 
 def _check_cover(name: str, files: Mosaic, area: tuple[Float64, Float64], has: Float64) -> None:
-    """Refuse files whose rows and columns, first and last of each, end inside of an area."""
+    """Refuse files with first and last rows and columns that end inside an area."""
     slack = 1e-6
     rows, columns = area
     if (
@@ -299,7 +299,7 @@ def _spacing(found: Survey, box: Bounds, every: int) -> tuple[float, float]:
 
 
 def _read_far(found: Survey, box: Bounds, reach: float) -> Elevations | None:
-    """Read coarser heights around the middle of a box, as far as the horizon is looked for; None: there are none."""
+    """Read coarser heights around the middle of a box, up to a distance [m]; None without any."""
     middle = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
     whole = reach
     while True:

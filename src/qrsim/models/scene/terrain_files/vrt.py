@@ -28,7 +28,7 @@ class Source:
 
     Attributes:
         file: its path.
-        nodata: value for its missing heights, besides its own; None: there is none.
+        nodata: a further value for its missing heights, or None.
     """
 
     file: str
@@ -112,7 +112,8 @@ def _source(file: str, number: int, element: Element, own: float | None) -> Sour
             path = (folder / text).resolve()
     if path is None or not path.is_relative_to(folder):
         raise UsageError(
-            f"{file}: source {number}, {shortened(repr(text), 60)}, is not in its folder; only files beside it are read"
+            f"{file}: source {number}, {shortened(repr(text), 60)}, is not in its folder; only files in "
+            "that folder are read"
         )
     nodata = _number(file, element.findtext("NODATA"))
     return Source(str(path), own if nodata is None else nodata)
