@@ -24,6 +24,8 @@ Frame = Literal["local", "geodetic", "cells"]
 Bounds = tuple[float, float, float, float]
 
 KEYS: dict[Frame, tuple[str, str]] = {"local": ("north", "east"), "geodetic": ("latitude_deg", "longitude_deg")}
+# Files with coordinates of a map, which terrain_files/ reads; those of an .asc may be others.
+SUFFIXES = (".tif", ".tiff", ".img", ".hgt", ".asc", ".vrt")
 # No grid in metres has cells so small, and none in degrees so large.
 LARGEST_DEGREES = 0.1
 EARTH_RADIUS = 6_371_000.0
@@ -89,12 +91,14 @@ class Landscape:
         site: origin of the frame.
         origin: the file's coordinates north and east of the site's origin [m], for a local one.
         zero: height in the file that is z = 0 [m].
+        filled: number of missing heights that are those of the nearest points.
     """
 
     elevations: Elevations
     site: Site
     origin: tuple[float, float]
     zero: float
+    filled: int = 0
 
     def down(self, north: Float64, east: Float64) -> Float64:
         """Return the down coordinate [m] of the ground at places of any shape [m], NaN where there is none."""
@@ -147,8 +151,10 @@ def landscape(
                 f"{file}: has {' x '.join(map(str, found.height.shape))} heights; every: {every} leaves one"
             )
         found = Elevations(found.frame, found.rows[::every], found.columns[::every], found.height[::every, ::every])
+    count = 0
     if fill:
-        found = Elevations(found.frame, found.rows, found.columns, filled(found.height)[0])
+        heights, count = filled(found.height)
+        found = Elevations(found.frame, found.rows, found.columns, heights)
     if box is not None:
         _check_cover(file, found, site, origin, box)
     zero = height_of_zero
@@ -161,7 +167,12 @@ def landscape(
             if height_of_zero is None
             else f"height_of_zero: {height_of_zero} is not a finite number of metres"
         )
-    return Landscape(found, site, origin, zero)
+    return Landscape(found, site, origin, zero, count)
+
+
+def filled_note(name: str, count: int) -> str:
+    """Return what a user should know of heights that ``filled`` has found."""
+    return f"{name}: {count} missing heights are those of the nearest cells, at most {FARTHEST_FILL} away"
 
 
 def filled(height: Float64) -> tuple[Float64, int]:
@@ -226,7 +237,7 @@ def read_elevations(file: str, frame: str) -> Elevations:
     """
     path = Path(file)
     if path.suffix.lower() not in (".asc", ".npz"):
-        raise UsageError(f"{file}: expected one of .tif, .tiff, .img, .hgt, .vrt, .asc, .npz, or a folder of tiles")
+        raise UsageError(f"{file}: expected one of {', '.join(SUFFIXES)}, .npz, or a folder of tiles")
     with readable(file):
         status = os.stat(os.path.expanduser(file))
         return _read(file, frame, status.st_mtime_ns, status.st_size)

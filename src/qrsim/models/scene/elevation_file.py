@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -15,14 +16,8 @@ from qrsim.core.tree import record, record_of, setting
 from qrsim.errors import UsageError
 from qrsim.extras import MissingExtraError
 from qrsim.models.geoid import undulation
-from qrsim.models.scene.elevation import EARTH_RADIUS, Bounds, Landscape, landscape
+from qrsim.models.scene.elevation import EARTH_RADIUS, SUFFIXES, Bounds, Landscape, filled_note, landscape
 from qrsim.models.scene.ground import GridGround
-from qrsim.models.scene.terrain_files.ascii_grid import prj_of
-from qrsim.models.scene.terrain_files.crs import is_wgs84
-from qrsim.models.scene.terrain_files.gdal import Gdal
-from qrsim.models.scene.terrain_files.survey import Wanted, survey
-from qrsim.models.scene.terrain_files.tiles import SUFFIXES, called, sources_of, stamps
-from qrsim.models.scene.terrain_files.vrt import Source
 from qrsim.models.site import Site
 
 # What a grid may have after it was cut to the area: 16 MB in single precision.
@@ -86,16 +81,23 @@ class ElevationFile:
 
     def _read(self, site: Site, box: Bounds | None) -> tuple[GridGround, tuple[str, ...]]:
         # A scenario is checked before it is built, and its files are read for both.
-        sources = sources_of(self.file) if self._surveyed else (Source(str(self.file), None),)
-        found = _made(self, site, box, stamps(sources))
+        found = _made(self, site, box, self._stamps())
         if isinstance(found, UsageError):
             raise found
         return found
 
+    def _stamps(self) -> tuple[tuple[str, int, int], ...]:
+        """Return name, time of change and size of each file that is there."""
+        # Only who has such files waits for their readers to be imported.
+        from qrsim.models.scene.terrain_files.tiles import sources_of, stamps
+        from qrsim.models.scene.terrain_files.vrt import Source
+
+        return stamps(sources_of(self.file) if self._surveyed else (Source(str(self.file), None),))
+
     @property
     def _surveyed(self) -> bool:
         """True if its coordinates are those of a map of the Earth, not metres from the site or plain degrees."""
-        if not isinstance(self.file, str) or Path(self.file).expanduser().is_dir():
+        if not isinstance(self.file, str) or os.path.isdir(os.path.expanduser(self.file)):
             return True
         suffix = Path(self.file).suffix.lower()
         if suffix != ".asc":
@@ -103,6 +105,9 @@ class ElevationFile:
         # Who says where the site is in a grid takes its north for true north.
         if self.frame != "auto" or self.origin_north != 0.0 or self.origin_east != 0.0:
             return False
+        from qrsim.models.scene.terrain_files.ascii_grid import prj_of
+        from qrsim.models.scene.terrain_files.crs import is_wgs84
+
         wkt = prj_of(self.file)
         return self.crs is not None or not (wkt is None or is_wgs84(wkt))
 
@@ -135,16 +140,7 @@ def _made(
     try:
         if not item._surveyed:
             return _plain(item, str(item.file), site, box, zero)
-        _check_own_coordinates(item)
-        wanted = Wanted(item.file, item.crs or "", item.every, item.missing == "fill", zero, FARTHEST)
-        with Gdal() as gdal:
-            found = survey(wanted, site, box, gdal)
-            rows, columns = _even(box, found.spacing)
-            grid = found.grid(rows, columns)
-            if np.isnan(grid).any() and (gap := found.gap()):
-                raise UsageError(f"{found.name}: {gap}")
-            made = _ground(found.name, grid, rows, columns, found.down, min(found.spacing))
-            return made, tuple(found.notes)
+        return _of_survey(item, site, box, zero)
     except MissingExtraError:
         raise
     except UsageError as error:
@@ -161,15 +157,32 @@ def _plain(
     land = landscape(file, item.frame, site, origin, zero, box, item.every, item.missing == "fill")
     rows, columns = _points(file, land, box)
     grid = land.down(rows[:, None], columns[None, :])
-    return _ground(file, grid, rows, columns, land.down, rows[1] - rows[0], columns[1] - columns[0]), item._own_notes()
+    made = _ground(file, grid, rows, columns, land.down, rows[1] - rows[0], columns[1] - columns[0])
+    return made, (*item._own_notes(), *((filled_note(file, land.filled),) if land.filled else ()))
 
 
-def _check_own_coordinates(item: ElevationFile) -> None:
+def _of_survey(
+    item: ElevationFile, site: Site, box: Bounds | None, zero: float | None
+) -> tuple[GridGround, tuple[str, ...]]:
+    """Make the ground of files with coordinates of a map."""
+    from qrsim.models.scene.terrain_files.gdal import Gdal
+    from qrsim.models.scene.terrain_files.survey import Wanted, survey
+    from qrsim.models.scene.terrain_files.tiles import called
+
     if item.frame != "auto" or item.origin_north != 0.0 or item.origin_east != 0.0:
         raise UsageError(
             f"{called(item.file)}: frame, origin_north and origin_east are for .asc and .npz in metres; it has its own "
             "coordinates"
         )
+    wanted = Wanted(item.file, item.crs or "", item.every, item.missing == "fill", zero, FARTHEST)
+    with Gdal() as gdal:
+        found = survey(wanted, site, box, gdal)
+        rows, columns = _even(box, found.spacing)
+        grid = found.grid(rows, columns)
+        if np.isnan(grid).any() and (gap := found.gap()):
+            raise UsageError(f"{found.name}: {gap}")
+        made = _ground(found.name, grid, rows, columns, found.down, min(found.spacing))
+        return made, tuple(found.notes)
 
 
 def _ground(

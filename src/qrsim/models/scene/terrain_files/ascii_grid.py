@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ LARGEST_PRJ = 2**16
 
 def prj_file(file: str) -> str | None:
     """Return the path of the .prj file of a grid, None if it has none."""
-    path = Path(file).expanduser()
+    path = Path(os.path.expanduser(file))
     return next((str(each) for each in (path.with_suffix(".prj"), path.with_suffix(".PRJ")) if each.is_file()), None)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import sqlite3
 import struct
 import sys
 import warnings
@@ -135,6 +134,8 @@ def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float |
 
     0: its coordinates are those of WGS 84 to 1 m or 2 (ETRS89 and NAD83 among them).
     """
+    import sqlite3
+
     import rasterio
 
     if base.get("authority") != "EPSG" or base.get("code") in (4326, 4979, 4258, 4269):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from qrsim.errors import UsageError
-from qrsim.models.scene.elevation import EARTH_RADIUS, MOST_HEIGHTS, Bounds, Elevations, filled
+from qrsim.models.scene.elevation import EARTH_RADIUS, MOST_HEIGHTS, Bounds, Elevations, filled, filled_note
 from qrsim.models.scene.terrain_files.crs import from_code, to_degrees, to_file
 from qrsim.models.scene.terrain_files.gdal import Gdal
 from qrsim.models.scene.terrain_files.hgt import tile_name
@@ -186,7 +186,7 @@ def survey(wanted: Wanted, site: Site, box: Bounds | None, gdal: Gdal) -> Survey
     if wanted.fill:
         heights, count = filled(near.height)
         if count:
-            found.notes.append(f"{count} missing heights in and around world.area are those of the nearest cells")
+            found.notes.append(filled_note(name, count))
         found.near = Elevations("cells", near.rows, near.columns, heights)
     found.spacing = _spacing(found, box, wanted.every)
     found.far = _read_far(found, box, wanted.reach)

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from qrsim.errors import UsageError, readable
+from qrsim.models.scene.elevation import SUFFIXES
 from qrsim.models.scene.terrain_files.ascii_grid import open_ascii_grid, prj_file
 from qrsim.models.scene.terrain_files.gdal import Gdal
-from qrsim.models.scene.terrain_files.geotiff import DRIVERS, open_geotiff
+from qrsim.models.scene.terrain_files.geotiff import open_geotiff
 from qrsim.models.scene.terrain_files.hgt import open_hgt
 from qrsim.models.scene.terrain_files.raster import Crs, Grid, Heights, Raster
 from qrsim.models.scene.terrain_files.vrt import MOST_SOURCES, Source, read_vrt
 
 Files = str | tuple[str, ...]
-SUFFIXES = (*DRIVERS, ".hgt", ".asc", ".vrt")
 # Relative difference of spacings, and offset of two tiles in cells, that are rounding.
 SAME_SPACING, SAME_CELLS = 1e-6, 0.05
 
@@ -53,7 +53,7 @@ def sources_of(files: Files) -> tuple[Source, ...]:
 def _names(files: Files) -> tuple[str, ...]:
     if not isinstance(files, str):
         return files
-    folder = Path(files).expanduser()
+    folder = Path(os.path.expanduser(files))
     if not folder.is_dir():
         return (files,)
     with readable(files):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -104,7 +105,7 @@ def _source(file: str, number: int, element: Element, own: float | None) -> Sour
             raise UsageError(f"{file}: source {number} has {tag}, which changes heights; expected heights as they are")
     if (element.findtext("SourceBand") or "1").strip() != "1":
         raise UsageError(f"{file}: source {number} takes band {element.findtext('SourceBand')}; expected 1")
-    folder = Path(file).expanduser().resolve().parent
+    folder = Path(os.path.expanduser(file)).resolve().parent
     path = None
     if not text.startswith("/vsi") and "://" not in text:
         # An absolute one is refused below unless it is in the folder. Loops of links, and names that no file can have:
