@@ -56,6 +56,25 @@ class TestOneHill:
         for values in found.values():
             np.testing.assert_allclose(values, found["degrees"], atol=0.05)
 
+    def test_north_of_a_map_is_turned(self, tmp_path: Path):
+        """Heights are a tenth of the easting; the meridian is 2.78948 degrees east of the zone's middle.
+
+        It converges with that by 2.78948 sin(latitude) degrees, so 1 km to the north is 38.2 m to the west on the map.
+        """
+        import rasterio
+        from rasterio.warp import transform
+
+        (x,), (y,) = transform("EPSG:4326", "EPSG:32630", [LONGITUDE], [LATITUDE])
+        place = rasterio.Affine(40.0, 0.0, x - 1500.0, 0.0, -40.0, y + 1500.0)
+        heights = np.broadcast_to(0.1 * (40.0 * (np.arange(75) + 0.5) - 1500.0), (75, 75)).astype(np.float32)
+        profile = {"width": 75, "height": 75, "count": 1, "dtype": "float32", "crs": "EPSG:32630", "transform": place}
+        with rasterio.open(tmp_path / "a.tif", "w", "GTiff", **profile) as file:
+            file.write(heights, 1)
+        ground = ElevationFile(str(tmp_path / "a.tif")).at(SITE, (-1000.0, 1000.0, -100.0, 100.0))
+        west = 1000.0 * np.sin(np.radians(2.78948 * np.sin(np.radians(LATITUDE))))
+        found = ground.down(Vec3(np.array([1000.0, -1000.0]), np.zeros(2), np.zeros(2)))  # type: ignore[arg-type]
+        np.testing.assert_allclose(np.asarray(found) / 0.1, [west, -west], atol=0.05)
+
     @pytest.mark.long
     def test_whole_metres_feet_scales_and_offsets(self, tmp_path: Path):
         whole = geotiff(
