@@ -54,9 +54,7 @@ class ElevationFile:
     datum: Literal["sea", "ellipsoid"] = setting(
         default="sea", doc="what heights in the grid are above; used with zero 'site'"
     )
-    crs: str | None = setting(
-        default=None, doc="coordinate reference system of files that have none, such as EPSG:32630"
-    )
+    crs: str = setting(default="", doc="coordinate reference system of files that have none, such as EPSG:32630")
     every: int = setting(default=1, unit="1", doc="read every n-th row and column only", minimum=1.0, maximum=1000.0)
     missing: Literal["error", "fill"] = setting(
         default="error", doc="missing heights in the area; fill: that of the nearest cell, at most 5 cells away"
@@ -109,7 +107,7 @@ class ElevationFile:
         from qrsim.models.scene.terrain_files.crs import is_wgs84
 
         wkt = prj_of(self.file)
-        return self.crs is not None or not (wkt is None or is_wgs84(wkt))
+        return self.crs != "" or not (wkt is None or is_wgs84(wkt))
 
     def _height_of_zero(self, site: Site) -> float | None:
         """Return the height in the grid that is z = 0 [m]; None: that of the ground at the origin."""
@@ -174,7 +172,7 @@ def _of_survey(
             f"{called(item.file)}: frame, origin_north and origin_east are for .asc and .npz in metres; it has its own "
             "coordinates"
         )
-    wanted = Wanted(item.file, item.crs or "", item.every, item.missing == "fill", zero, FARTHEST)
+    wanted = Wanted(item.file, item.crs, item.every, item.missing == "fill", zero, FARTHEST)
     with Gdal() as gdal:
         found = survey(wanted, site, box, gdal)
         rows, columns = _even(box, found.spacing)
