@@ -365,9 +365,13 @@ class TestRefused:
         assert "a.prj: PROJ does not understand its coordinate reference system, 'Projection UTM'" in self.said(file)
 
     def test_a_process_that_ends_is_a_file_that_cannot_be_read(self, tmp_path: Path, monkeypatch: Any):
-        (tmp_path / "crash.py").write_text("import os\nos.abort()\n")
-        monkeypatch.setattr("qrsim.models.scene.terrain_files.gdal.PROCESS", tmp_path / "crash.py")
-        assert "a.tif: cannot be read: GDAL ended on it" in self.said(geotiff(tmp_path / "a.tif", "EPSG:4326", 20.0))
+        file = geotiff(tmp_path / "a.tif", "EPSG:4326", 20.0)
+        half = "import struct, sys\nsys.stdout.buffer.write(struct.pack('<IQ', 2, 100) + b'{}half')\n"
+        for name, script in (("crash.py", "import os\nos.abort()\n"), ("half.py", half)):
+            (tmp_path / name).write_text(script)
+            monkeypatch.setattr("qrsim.models.scene.terrain_files.gdal.PROCESS", tmp_path / name)
+            assert "a.tif: cannot be read: GDAL ended on it" in self.said(file)
+            os.utime(file)
 
     def test_without_the_package_one_line_says_how_to_get_it(self, tmp_path: Path, monkeypatch: Any):
         monkeypatch.setattr("qrsim.extras._present", lambda name: name != "rasterio")

@@ -108,8 +108,10 @@ class Gdal:
             length, size = HEAD.unpack(process.stdout.read(HEAD.size))
             answer = json.loads(process.stdout.read(length))
             data = process.stdout.read(size)
+            if len(data) != size:
+                raise EOFError
         # It has ended: broken pipes, and answers that are not whole.
-        except (OSError, ValueError, struct.error):
+        except (OSError, EOFError, ValueError, struct.error):
             self._end()
             raise UsageError(f"{file}: cannot be read: GDAL ended on it, or took longer than {LONGEST_S:g} s") from None
         finally:
