@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.elevation_file import ElevationFile
 from qrsim.models.site import Site
 
 LATITUDE, LONGITUDE = 51.7119, -0.21052
@@ -108,3 +110,13 @@ def utm_ascii(path: Path, prj: bool = True) -> str:
     heights = hill(np.array(latitude), np.array(longitude)).reshape(91, 91)
     wkt = CRS.from_epsg(32630).to_wkt(version=WktVersion.WKT1_ESRI)
     return ascii_grid(path, x.tolist(), y.tolist(), heights, wkt if prj else None)
+
+
+RNG = np.random.default_rng(5)
+NORTH, EAST = RNG.uniform(-500.0, 500.0, (2, 1000))
+
+
+def down(file: Any, box: Any = BOX, site: Site = SITE, **settings: Any) -> Any:
+    """Return the down coordinate at the 1000 places."""
+    ground = ElevationFile(file, **settings).at(site, box)
+    return np.asarray(ground.down(Vec3(NORTH, EAST, 0.0 * NORTH)), np.float64)  # type: ignore[arg-type]

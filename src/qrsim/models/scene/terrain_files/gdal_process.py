@@ -39,8 +39,14 @@ def limit() -> None:
             continue
 
 
+def dataset(request: dict[str, Any]) -> Any:
+    """Open a file with one driver, or return it if it is open and has not changed."""
+    status = os.stat(request["file"])
+    return opened(request["file"], request["driver"], status.st_mtime_ns, status.st_size)
+
+
 @lru_cache(maxsize=OPEN_FILES)
-def dataset(file: str, driver: str) -> Any:
+def opened(file: str, driver: str, changed: int, size: int) -> Any:
     """Open a file with one driver."""
     import rasterio
 
@@ -49,7 +55,7 @@ def dataset(file: str, driver: str) -> Any:
 
 def describe(request: dict[str, Any], payload: bytes) -> Answer:
     """Return size, type, place and tags of a file."""
-    found = dataset(request["file"], request["driver"])
+    found = dataset(request)
     colours = [each.name for each in found.colorinterp]
     return {
         "bands": found.count,
@@ -68,7 +74,7 @@ def read(request: dict[str, Any], payload: bytes) -> Answer:
     import numpy as np
     from rasterio.windows import Window
 
-    found = dataset(request["file"], request["driver"])
+    found = dataset(request)
     (r0, r1), (c0, c1), n = request["rows"], request["columns"], request["every"]
     if request["coarse"]:
         shape = ((r1 - r0) // n, (c1 - c0) // n)
@@ -148,8 +154,8 @@ def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float |
         WHERE t.source_crs_auth_name = 'EPSG' AND t.source_crs_code = ? AND t.target_crs_code IN ('4326', '4979')
         AND t.deprecated = 0 AND ? BETWEEN e.south_lat AND e.north_lat AND ? BETWEEN e.west_lon AND e.east_lon"""
     try:
-        with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as opened:
-            (found,) = opened.execute(query, (str(base["code"]), latitude, longitude)).fetchone()
+        with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as known:
+            (found,) = known.execute(query, (str(base["code"]), latitude, longitude)).fetchone()
     except sqlite3.Error:
         return None
     return None if found is None else float(found)
