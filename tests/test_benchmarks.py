@@ -57,6 +57,7 @@ NUMBERS = {
     "slam_solver": {"states", "ours_cpu_s", "ours_iterations"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "stepping": {"us", "calls", "files"},
+    "terrain": {"wall_s", "cpu_s", "gdal_mb"},
     "throughput": {
         "vehicles",
         "worlds",
@@ -124,6 +125,11 @@ def test_turbulence():
     assert found["dryden"]["tick_over_dryden"] == 1.0
     # Three arrays of 32 words, a matrix, a sign, a dilation, an age and its rate; filters share nothing.
     assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 4 * 4]
+
+
+@pytest.mark.nightly
+def test_terrain():
+    assert [(row["files"], row["target_s"]) for row in rows("terrain")] == [("one tile", 1.0), ("four tiles", 4.0)]
 
 
 @pytest.mark.nightly

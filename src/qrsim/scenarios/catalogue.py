@@ -53,8 +53,9 @@ from qrsim.models.gnss.receivers import GnssReceiver, IdealGnss, OrnsteinUhlenbe
 from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.scene.area import BoxArea
+from qrsim.models.scene.elevation_file import ElevationFile
 from qrsim.models.scene.fence import PolygonArea
-from qrsim.models.scene.ground import ElevationFile, FlatGround
+from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.scene.persons import NoPersons, Persons
 from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
