@@ -94,6 +94,7 @@ class Show:
 
         from qrsim.scenarios.derived import derived_of, heights_line
         from qrsim.scenarios.scenario import load_scenario
+        from qrsim.scenarios.weather_lines import profile_lines
         from qrsim.scenarios.wind_limits import envelope_lines
 
         scenario = load_scenario(self.scenario, self.set)
@@ -111,6 +112,8 @@ class Show:
         # Comments of YAML, so that what is printed can be saved and flown.
         mark = "" if self.derived else "# "
         print(f"{mark}{heights_line(scenario)}")
+        for line in profile_lines(scenario.spec):
+            print(f"{mark}{line}")
         for fleet, numbers in derived.items():
             print(f"{mark}Derived values of fleet '{fleet}':")
             for name, value in numbers.items():
