@@ -39,8 +39,8 @@ def or_a_set(schema: Content) -> None:
 def insert_sensor_sets(content: Mapping[str, object], source: str) -> None:
     """Replace, in place, the name of a set of sensors by the sensors.
 
-    With "noisy" a fleet gets an estimator and, in a wind that states its strength, the world gets turbulence, unless the
-    scenario says otherwise; an estimator of null stays none.
+    With "noisy" a fleet gets an estimator and, in a wind that states its strength, the world gets turbulence, unless
+    the scenario says otherwise; an estimator of null stays none.
 
     Raises:
         ScenarioError: no set has that name.

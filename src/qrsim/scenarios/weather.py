@@ -41,14 +41,11 @@ def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioS
             raise UsageError("heights: missing; give heights, speeds and wind_from_deg, or a file")
         elif len(wind.levels) not in (0, len(wind.heights)):
             raise UsageError(f"levels: {len(wind.levels)} names; heights has {len(wind.heights)}")
-        scenario = _with_wind(scenario, wind)
+        scenario = scenario.model_copy(update={"world": scenario.world.model_copy(update={"wind": wind})})
+        wind_of(scenario)
         return _with_turbulence(scenario), []
     except UsageError as error:
         return scenario, [f"world.wind: {error}"]
-
-
-def _with_wind(scenario: ScenarioSpec, wind: Any) -> ScenarioSpec:
-    return scenario.model_copy(update={"world": scenario.world.model_copy(update={"wind": wind})})
 
 
 def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from datetime import timedelta
+from datetime import UTC, timedelta
 from typing import Any
 
 import numpy as np
@@ -40,8 +40,10 @@ def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
 def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
     if not times:
         return "the same at all times; at the start of the run:"
-    begin, end = (scenario.start_time + timedelta(seconds=each) for each in (min(wind.times), max(wind.times)))
-    return f"held from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}; at the start of the run:"
+    begin, end = (
+        scenario.start_time.astimezone(UTC) + timedelta(seconds=each) for each in (min(wind.times), max(wind.times))
+    )
+    return f"interpolated from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S} UTC; at the start of the run:"
 
 
 def _start_levels(wind: Any) -> tuple[list[float], list[str]]:
