@@ -24,10 +24,10 @@ class ChildError(Exception):
 
 
 def in_child(function: Callable[..., T], *arguments: object, memory: int = MEMORY, seconds: float = LONGEST_S) -> T:
-    """Return what a function returns for some arguments in a process of its own.
+    """Return the result of a function that runs in a child process.
 
     The function is found there by its name, so that it has to be one of a module. Its module should be quick to import.
-    Arguments and result travel by pickle. Where the system knows no limit of memory, as Windows, there is none.
+    Arguments and result travel by pickle. Windows has no limit of memory.
 
     Args:
         function: of a module.

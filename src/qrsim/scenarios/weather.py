@@ -99,7 +99,7 @@ def _spec(found: Soundings, start: float, roughness: float, top: float | None) -
 
 
 def _with_turbulence(scenario: ScenarioSpec) -> ScenarioSpec:
-    """Return a scenario whose turbulence has the strength and the bearing of the profile, where it has none."""
+    """Return a scenario with the strength and bearing of its turbulence; missing ones are those of the profile."""
     turbulence = scenario.world.turbulence
     missing = [name for name in ("speed_20ft", "wind_from_rad") if vars(turbulence).get(name, 0.0) is None]
     if not missing:
@@ -136,3 +136,12 @@ def largest_speed(scenario: ScenarioSpec, heights: NumpyArray) -> Floats:
     """Return the largest speed [m/s] of a profile in the run at heights (n,) [m]."""
     inside = [time for time in set(scenario.world.wind.times) if 0.0 < time < scenario.duration]
     return np.hypot(*velocity(scenario, heights, [0.0, *inside, scenario.duration])).max(axis=0)
+
+
+def start_levels(wind: Any) -> tuple[list[float], list[str]]:
+    """Return heights and names of the levels at the first time, by height."""
+    names = wind.levels or [f"{height:g} m" for height in wind.heights]
+    first = min(wind.times, default=0.0)
+    times = wind.times or [0.0] * len(wind.heights)
+    rows = sorted((h, name) for h, name, time in zip(wind.heights, names, times, strict=True) if time == first)
+    return [height for height, _ in rows], [name for _, name in rows]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.scenarios.schema import ScenarioSpec
-from qrsim.scenarios.weather import velocity
+from qrsim.scenarios.weather import start_levels, velocity
 from qrsim.scenarios.wind_limits import gust_sigma
 from qrsim.scenarios.wind_schema import PROFILE
 
@@ -25,7 +25,7 @@ def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
     wind = scenario.world.wind
     if wind.type != PROFILE:
         return
-    heights, names = _start_levels(wind)
+    heights, names = start_levels(wind)
     source = f"{wind.source}; " if wind.source else ""
     times = f" to {max(wind.times):g} s of the run" if len(set(wind.times)) > 1 else ""
     yield f"wind: {source}{_held(wind, scenario, times)}"
@@ -39,20 +39,11 @@ def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
     if not times:
-        return "the same at all times; at the start of the run:"
+        return "steady:"
     begin, end = (
         scenario.start_time.astimezone(UTC) + timedelta(seconds=each) for each in (min(wind.times), max(wind.times))
     )
     return f"interpolated from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S} UTC; at the start of the run:"
-
-
-def _start_levels(wind: Any) -> tuple[list[float], list[str]]:
-    """Return heights and names of the levels at the first time, by height."""
-    names = wind.levels or [f"{height:g} m" for height in wind.heights]
-    first = min(wind.times, default=0.0)
-    times = wind.times or [0.0] * len(wind.heights)
-    rows = sorted((h, name) for h, name, time in zip(wind.heights, names, times, strict=True) if time == first)
-    return [height for height, _ in rows], [name for _, name in rows]
 
 
 def _origin(height: float, heights: list[float], names: list[str]) -> str:

@@ -1,4 +1,4 @@
-"""What a scenario says of the mean wind: the schemas of winds."""
+"""The schemas of mean winds."""
 
 from __future__ import annotations
 

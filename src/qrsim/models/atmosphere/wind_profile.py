@@ -28,7 +28,7 @@ FAR_ABOVE = 2.0
 class ProfileTable:
     """Velocities over height at T times: a share of the lowest by the logarithm of height, and a slope in each layer.
 
-    Heights are (1, Z) where they are the same at all times, else (T, Z); shorter rows end with layers of no thickness.
+    Heights are (1, Z) if they are constant, else (T, Z); shorter rows end with layers of no thickness.
     """
 
     heights: Array = quantity(unit="m", doc="(1 or T, Z) increasing heights above the ground")
@@ -214,7 +214,7 @@ def _profile(columns: dict[str, Floats], rows: NumpyArray, roughness: float) -> 
 
 
 def _table(profiles: list[Floats], roughness: float) -> ProfileTable:
-    """Return the table of profiles (3, Z), whose numbers of levels may differ."""
+    """Return the table of profiles (3, Z), which may have different numbers of levels."""
     most = max(profile.shape[1] for profile in profiles)
     padded = np.stack([np.pad(each, ((0, 0), (0, most - each.shape[1])), mode="edge") for each in profiles])
     heights, north, east = padded[:, 0], padded[:, 1], padded[:, 2]

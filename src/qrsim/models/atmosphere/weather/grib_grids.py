@@ -1,4 +1,4 @@
-"""Where a place is in the grid of a GRIB message: regular in latitude and longitude, or Lambert's conformal conic."""
+"""The position of a place in the grid of a GRIB message: regular in latitude and longitude, or Lambert's conic."""
 
 from __future__ import annotations
 

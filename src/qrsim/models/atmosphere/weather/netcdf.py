@@ -34,7 +34,7 @@ AXES = {
     "version": ("expver",),
 }
 PRESSURE_UNITS = {"hpa": 1.0, "millibars": 1.0, "millibar": 1.0, "mbar": 1.0, "mb": 1.0, "pa": 0.01}
-# Variable -> what it is, where, and the factor to its unit; on levels of pressure, and without levels.
+# Variable -> quantity, kind of level, level, and the factor to its unit; on levels of pressure, and without levels.
 ON_LEVELS = {
     "u": ("u", 1.0),
     "v": ("v", 1.0),
@@ -111,7 +111,7 @@ def _values(file: str, content: Any, request: Request) -> Values:
 
 
 def _present(content: Any, names: dict[str, str | None]) -> Iterator[tuple[str, tuple[str, str, float], float]]:
-    """Yield each variable that is used, what it is, its kind of level and level, and its factor."""
+    """Yield each variable that is used, its quantity, kind of level and level, and its factor."""
     for variable in content.variables:
         dimensions = content.variables[variable].dimensions
         if names["latitude"] not in dimensions:
@@ -143,6 +143,11 @@ def _check_winds(file: str, content: Any, found: list[tuple[str, str, float]]) -
         )
 
 
+def _attribute(variable: Any, name: str) -> str:
+    """Return an attribute of a variable as text, "" where it is missing."""
+    return " ".join(str(variable.getncattr(name)).split()) if name in variable.ncattrs() else ""
+
+
 def _numbers(file: str, content: Any, name: str | None) -> Floats:
     values = np.ma.filled(np.ma.asarray(content.variables[name][...], np.float64), np.nan)
     if values.ndim > 1 or not np.isfinite(values).all():
@@ -152,12 +157,12 @@ def _numbers(file: str, content: Any, name: str | None) -> Floats:
 
 def _times(file: str, variable: Any) -> list[float]:
     """Return times in seconds since 1970."""
-    units = str(getattr(variable, "units", ""))
-    match = _SINCE.fullmatch(" ".join(units.split()))
+    units = _attribute(variable, "units")
+    match = _SINCE.fullmatch(units)
     second = TIME_UNITS.get(match[1].lower()) if match else None
     if match is None or second is None:
         raise UsageError(f"{file}: '{variable.name}' has the units '{units:.60}'; expected 'hours since 1900-01-01'")
-    calendar = str(getattr(variable, "calendar", "standard"))
+    calendar = _attribute(variable, "calendar") or "standard"
     if calendar not in ("standard", "gregorian", "proleptic_gregorian"):
         raise UsageError(f"{file}: '{variable.name}' has the calendar '{calendar:.40}'; expected 'standard'")
     try:
@@ -197,7 +202,7 @@ class _Reader:
         """Return the number and the pressure [hPa] of each level that is read."""
         if name is None:
             return []
-        units = str(getattr(self.content.variables[name], "units", "")).strip()
+        units = _attribute(self.content.variables[name], "units")
         if units.lower() not in PRESSURE_UNITS:
             raise UsageError(f"{self.file}: '{name}' has the units '{units:.40}'; expected 'hPa'")
         pressures = _numbers(self.file, self.content, name) * PRESSURE_UNITS[units.lower()]
@@ -222,7 +227,7 @@ class _Reader:
         if source.dtype.kind not in "fiu":
             raise UsageError(f"{self.file}: '{variable}' is of type {source.dtype}; expected numbers")
         if name in UNITS:
-            units = " ".join(str(getattr(source, "units", "")).split())
+            units = _attribute(source, "units")
             if units not in UNITS[name]:
                 words = f"has the units '{units:.40}'" if units else "has no units"
                 best = "m s-1" if UNITS[name] is SPEED_UNITS else UNITS[name][0]

@@ -74,7 +74,7 @@ class Site(NamedTuple):
 
 
 def read_weather(file: str, request: Request, site: Site) -> Soundings:
-    """Read a GRIB or NetCDF file of a weather model, in a process of its own.
+    """Read a GRIB or NetCDF file of a weather model, in a child process.
 
     Raises:
         UsageError: no such file, or it does not hold the place, the run, or the wind.

@@ -19,7 +19,7 @@ LOWEST_HPA = 100.0
 
 
 class Request(NamedTuple):
-    """What is asked of a file.
+    """A request for the values of a file.
 
     Attributes:
         latitude_deg, longitude_deg: of the place.
