@@ -10,7 +10,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.errors import UsageError, warn_user
-from qrsim.models.atmosphere.weather.soundings import Level, Site, Soundings, read_weather
+from qrsim.models.atmosphere.weather.soundings import Level, Site, Soundings, kind_of, read_weather
 from qrsim.models.atmosphere.weather.table import read_table
 from qrsim.models.atmosphere.weather.values import Request, needed_times
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT
@@ -62,6 +62,8 @@ def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
         given = [name for name in ("heights", "speeds", "wind_from_rad", "times") if getattr(wind, name)]
         if given:
             raise UsageError(f"{given[0]}: is given along with a file; give one")
+        if kind := kind_of(wind.file):
+            raise UsageError(f"{wind.file}: is {kind}; a file of a weather model is of type weather, a profile is CSV")
         found = _of_run(wind.file, read_table(wind.file, wind.roughness), request)
     for note in () if quiet else found.notes:
         warn_user(f"{scenario.name}: world.wind: {note}")

@@ -21,6 +21,8 @@ GRAVITY, DRY_AIR = 9.80665, 287.05287
 SEA_PA, SEA_K, LAPSE = 101_325.0, 288.15, 0.0065
 # Difference [m] of a model's ground and the site that is told.
 MOST_ABOVE = 50.0
+# Of all hours of a day of a global model, joined [bytes].
+LARGEST_FILE = 8 * LARGEST_DATA
 # Levels closer than this [m] are one.
 CLOSEST = 1.0
 
@@ -73,23 +75,26 @@ class Site(NamedTuple):
     roughness: float
 
 
+def kind_of(file: str) -> str:
+    """Return "NetCDF", "GRIB" or "" by the first bytes of a file; raises UsageError where it cannot be read."""
+    with readable(file), open_file(file, LARGEST_FILE) as opened:
+        head = opened.read(1024)
+    return "NetCDF" if head.startswith((b"CDF", b"\x89HDF")) else "GRIB" if b"GRIB" in head else ""
+
+
 def read_weather(file: str, request: Request, site: Site) -> Soundings:
     """Read a GRIB or NetCDF file of a weather model, in a child process.
 
     Raises:
         UsageError: no such file, or it does not hold the place, the run, or the wind.
     """
-    with readable(file), open_file(file, LARGEST_DATA * 8) as opened:
-        head = opened.read(1024)
-    is_netcdf = head.startswith((b"CDF", b"\x89HDF"))
-    if not is_netcdf and b"GRIB" not in head:
+    kind = kind_of(file)
+    if not kind:
         raise UsageError(f"{file}: is neither NetCDF nor GRIB; a table of heights and speeds is of type profile")
-    package = "netCDF4" if is_netcdf else "eccodes"
+    reader, package = (netcdf_values, "netCDF4") if kind == "NetCDF" else (grib_values, "eccodes")
     extras.require("weather", f"{file}: a wind of a weather model", package)
     try:
-        values = in_child(
-            netcdf_values if is_netcdf else grib_values, file, os.path.abspath(os.path.expanduser(file)), request
-        )
+        values = in_child(reader, file, os.path.abspath(os.path.expanduser(file)), request)
     except ChildError as error:
         raise UsageError(f"{file}: cannot be read: {error}") from None
     return soundings_of(file, values, request, site)

@@ -154,7 +154,7 @@ def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: f
     low, high = float(latitudes.min()), float(latitudes.max())
     inside = low - 1e-9 <= latitude_deg <= high + 1e-9
     if not inside or not (closed or offset <= ways[-1] + 1e-6):
-        ends = (longitudes[0], longitudes[-1]) if east else (longitudes[-1], longitudes[0])
+        ends = [(end + 180.0) % 360.0 - 180.0 for end in (longitudes[0], longitudes[-1])][:: 1 if east else -1]
         raise UsageError(
             f"{file}: covers latitude {low:.6g} to {high:.6g} and longitude {ends[0]:.6g} to {ends[1]:.6g}; the site "
             f"is at latitude {latitude_deg:.6g}, longitude {longitude_deg:.6g}"

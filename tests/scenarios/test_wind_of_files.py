@@ -150,6 +150,12 @@ def test_a_wrong_wind(wind: dict[str, Any], words: str) -> None:
     assert words in str(error.value)
 
 
+def test_a_file_of_the_other_type(tmp_path: Path) -> None:
+    (tmp_path / "day.grib2").write_bytes(b"GRIB\0\0\0\2")
+    with pytest.raises(ScenarioError, match=r"day\.grib2: is GRIB; a file of a weather model is of type weather"):
+        load({"type": "profile", "file": str(tmp_path / "day.grib2")})
+
+
 def test_speeds_in_knots_and_heights_in_any_order(tmp_path: Path) -> None:
     """10 knots are 5.144444 m/s; a table without times holds for any run."""
     wind = load(table(tmp_path, "height [m];speed_kn;direction [deg]\n50;20;90\n10;10;0\n")).spec.world.wind
