@@ -175,3 +175,12 @@ def test_what_knows_the_mean_wind_takes_a_profile(tmp_path: Path) -> None:
     assert (noisy.type, noisy.speed_20ft > 5.0) == ("dryden_field", True)
     with pytest.raises(ScenarioError, match="only that of type log_shear"):
         load(strong, events=[{"at": 1.0, "wind": {"speed_20ft": 3.0}}])
+
+
+def test_a_run_in_more_rows_than_a_scenario_holds(tmp_path: Path) -> None:
+    """Two rows a second for 10 000 s; those of ten minutes are few enough."""
+    lines = [f"2026-05-01T{9 + i // 7200:02}:{i // 120 % 60:02}:{i / 2 % 60:04.1f}Z,10,4,180" for i in range(20_000)]
+    wind = table(tmp_path, "\n".join(["time,height,speed,direction", *lines]))
+    assert len(load(wind).spec.world.wind.heights) == 1201
+    with pytest.raises(ScenarioError, match="10001 rows in the run and the area; allowed: 10000"):
+        load(wind, "start_time=2026-05-01T09:00:00Z", "duration=5000")

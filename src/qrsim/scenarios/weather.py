@@ -14,6 +14,7 @@ from qrsim.models.atmosphere.weather.soundings import Level, Site, Soundings, ki
 from qrsim.models.atmosphere.weather.table import read_table
 from qrsim.models.atmosphere.weather.values import Request, needed_times
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT
+from qrsim.models.atmosphere.wind_profile import MOST_ROWS
 from qrsim.models.geoid import undulation
 from qrsim.scenarios.build import wind_of
 from qrsim.scenarios.ground import top_of
@@ -23,6 +24,8 @@ from qrsim.scenarios.wind_schema import PROFILE, WEATHER, profile_model
 REFERENCE_M = REFERENCE_FT / FEET_PER_METRE
 # Levels of an area without a ceiling reach up to here [m].
 USUAL_TOP = 3000.0
+# Depth of valleys [m].
+DEEPEST = 500.0
 
 
 def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
@@ -67,7 +70,10 @@ def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
         found = _of_run(wind.file, read_table(wind.file, wind.roughness), request)
     for note in () if quiet else found.notes:
         warn_user(f"{scenario.name}: world.wind: {note}")
-    return _spec(found, start, wind.roughness, top_of(scenario.world.area))
+    top = top_of(scenario.world.area)
+    # Above valleys vehicles are higher above the ground than above the origin.
+    relief = 0.0 if scenario.world.ground.type == "flat" else DEEPEST
+    return _spec(found, start, wind.roughness, USUAL_TOP if top is None else top + relief)
 
 
 def _of_run(file: str, found: Soundings, request: Request) -> Soundings:
@@ -81,14 +87,15 @@ def _of_run(file: str, found: Soundings, request: Request) -> Soundings:
     return Soundings(tuple(kept), found.levels[first : first + len(kept)], found.source)
 
 
-def _spec(found: Soundings, start: float, roughness: float, top: float | None) -> Any:
+def _spec(found: Soundings, start: float, roughness: float, top: float) -> Any:
     """Return the schema's profile of soundings, up to the first level above the area."""
-    top = USUAL_TOP if top is None else top
     rows: list[tuple[float, Level]] = []
     for i, levels in enumerate(found.levels):
         time = found.times[i] - start if found.times else 0.0
         above = [j for j, level in enumerate(levels) if level.height >= top]
         rows += [(time, level) for level in (levels[: above[0] + 1] if above else levels)]
+    if len(rows) > MOST_ROWS:
+        raise UsageError(f"{found.source}: {len(rows)} rows in the run and the area; allowed: {MOST_ROWS}")
     columns = {
         "heights": [level.height for _, level in rows],
         "speeds": [math.hypot(level.north, level.east) for _, level in rows],

@@ -74,7 +74,7 @@ def test_its_direction_turns_through_north() -> None:
         (([0.05], [1.0], [0.0]), "heights: 0.05 m; allowed: from 0.09144, twice the roughness"),
         (([10.0] * 2, [1.0] * 2, [0.0] * 2, [0.0, 5.0]), "times: from 0 to 5 s, which does not cover the run, 0 to 60"),
         ((range(1, 66), [1.0] * 65, [0.0] * 65), "heights: 65 levels at one time; allowed: 64"),
-        (([], [], []), "heights: 0 rows; allowed: 1 to 20000"),
+        (([], [], []), "heights: 0 rows; allowed: 1 to 10000"),
     ],
 )
 def test_wrong_rows(given: Any, words: str) -> None:
@@ -83,6 +83,6 @@ def test_wrong_rows(given: Any, words: str) -> None:
 
 
 def test_an_area_far_above_its_levels() -> None:
-    wind = rows([10.0, 100.0], [1.0, 2.0], [0.0, 0.0], source="mast").at(1.0)
+    wind = rows([10.0, 100.0], [1.0, 2.0], [0.0, 0.0]).at(1.0)
     assert wind.beyond(None, 200.0) == wind.beyond(None, None) == []
-    assert wind.beyond(None, 201.0) == ["mast: its highest level is 100 m above the ground; world.area reaches 201 m"]
+    assert wind.beyond(None, 201.0) == ["the highest level is 100 m above the ground; world.area reaches 201 m"]

@@ -19,7 +19,7 @@ from qrsim.models.atmosphere.contracts import Bounds, Wind
 from qrsim.models.atmosphere.wind import ROUGHNESS_M
 
 # Of one time, because each costs each tick, and of all times together.
-MOST_LEVELS, MOST_ROWS = 64, 20_000
+MOST_LEVELS, MOST_ROWS = 64, 10_000
 # Up to this multiple of its height the highest level is taken without a word: a logarithmic wind grows by a tenth.
 FAR_ABOVE = 2.0
 
@@ -85,7 +85,6 @@ class WindProfile(Wind):
     roughness: Array = quantity(unit="m", doc="roughness length of the land")
     seconds: Array = quantity(unit="s", doc="(T,) int32, whole seconds since the start of the run")
     fraction: Array = quantity(unit="s", doc="(T,) the rest, in [0, 1)")
-    source: str = setting(default="", doc="source, for messages")
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
         """Return the air's velocity [m/s] at heights (n,) [m] above ground and a time; beyond the ends theirs.
@@ -111,11 +110,11 @@ class WindProfile(Wind):
         return log(jnp.maximum(height / self.roughness, 1.0))
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
-        """Return a sentence if the area extends far above the highest level."""
+        """Return a sentence if the area extends far above the highest level, else none."""
         highest = float(np.min(np.max(np.asarray(self.table.heights), axis=1)))
         if top is None or top <= FAR_ABOVE * highest:
             return []
-        return [f"{self.source}: its highest level is {highest:.6g} m above the ground; world.area reaches {top:.6g} m"]
+        return [f"the highest level is {highest:.6g} m above the ground; world.area reaches {top:.6g} m"]
 
     def at_times(self, height: NumpyArray) -> tuple[Floats, Floats]:
         """Return velocities to north and east (T, ...) [m/s], on the host, at heights (...) [m] at each time."""
@@ -189,7 +188,6 @@ class ProfileRows:
             np.float64(self.roughness),
             seconds,
             fraction,
-            self.source or "profile",
         )
 
 

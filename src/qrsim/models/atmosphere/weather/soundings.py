@@ -14,7 +14,7 @@ from qrsim.files.in_child import ChildError, in_child
 from qrsim.files.user_files import LARGEST_DATA, open_file
 from qrsim.models.atmosphere.weather.grib import grib_values
 from qrsim.models.atmosphere.weather.netcdf import netcdf_values
-from qrsim.models.atmosphere.weather.values import Key, Request, Values, span
+from qrsim.models.atmosphere.weather.values import FASTEST, Key, Request, Values, span
 
 # Of a standard atmosphere, and of dry air [m/s², J/kg/K].
 GRAVITY, DRY_AIR = 9.80665, 287.05287
@@ -23,6 +23,8 @@ SEA_PA, SEA_K, LAPSE = 101_325.0, 288.15, 0.0065
 MOST_ABOVE = 50.0
 # Of all hours of a day of a global model, joined [bytes].
 LARGEST_FILE = 8 * LARGEST_DATA
+# Levels above this one [m] are left out.
+HIGHEST = 30_000.0
 # Levels closer than this [m] are one.
 CLOSEST = 1.0
 
@@ -138,9 +140,13 @@ def _levels(file: str, values: Values, time: float, site: Site, notes: dict[str,
     heights = _heights(file, found, pressures, site, notes) if pressures else {}
     for kind, level, u, v in pairs:
         height = heights.get(level, -math.inf) if kind == "hPa" else -math.inf
-        if height >= lowest and all(abs(height - other.height) >= CLOSEST for other in known):
+        if lowest <= height <= HIGHEST and all(abs(height - other.height) >= CLOSEST for other in known):
             known.append(Level(height, v, u, f"{level:g} hPa"))
-    yield from sorted(known)
+    for own in sorted(known):
+        speed = math.hypot(own.north, own.east)
+        if speed > FASTEST:
+            raise UsageError(f"{file}: {speed:.4g} m/s at the level {own.name}; allowed: {FASTEST:g}")
+        yield own
 
 
 def _heights(

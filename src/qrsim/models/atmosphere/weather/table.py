@@ -19,7 +19,7 @@ UNITS = {"height": "m", "speed": "m/s", "speed_kn": "kn", "speed_kmh": "km/h", "
 # Speeds [m/s] up to this height [m]; jet streams are faster.
 FASTEST_LOW, LOW = 50.0, 1000.0
 HIGHEST = 30_000.0
-MOST_ROWS = 20_000
+MOST_ROWS = 200_000
 
 
 def read_table(file: str, roughness: float) -> Soundings:
