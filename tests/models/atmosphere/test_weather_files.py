@@ -66,6 +66,24 @@ def test_grib_of_a_regular_grid(tmp_path: Path) -> None:
     check(read(path), [("10 m", 10.0, -0.5), *PRESSURE_LEVELS], 1e-5)
 
 
+def test_winds_at_a_height_in_edition_1(tmp_path: Path) -> None:
+    """ERA5 has them on the surface: parameters 165 and 166 of table 128, and 228246 and 228247."""
+    import eccodes
+
+    with open(tmp_path / "e.grib2", "wb") as file:
+        for hour in (9, 11):
+            for parameter, speed in ((165, 1.0), (166, 2.0), (228246, 3.0), (228247, 4.0)):
+                handle = eccodes.codes_grib_new_from_samples("regular_ll_sfc_grib1")
+                for key, value in {"dataDate": 20260501, "dataTime": 100 * hour, "paramId": parameter}.items():
+                    eccodes.codes_set(handle, key, value)
+                count = eccodes.codes_get_size(handle, "values")
+                eccodes.codes_set_values(handle, np.full(count, speed))
+                eccodes.codes_write(handle, file)
+                eccodes.codes_release(handle)
+    (first, _) = read(tmp_path / "e.grib2", REQUEST._replace(latitude_deg=40.0, longitude_deg=10.0)).levels
+    assert [(level.name, level.east, level.north) for level in first] == [("10 m", 1.0, 2.0), ("100 m", 3.0, 4.0)]
+
+
 def test_a_newer_forecast_of_the_same_time_counts(tmp_path: Path) -> None:
     """That of 08:00 has other winds for the same times."""
     old = files.grib(tmp_path / "old.grib2", dataTime=800)

@@ -24,12 +24,9 @@ from qrsim.models.atmosphere.weather.values import (
 
 GRAVITY = 9.80665
 # shortName of ecCodes -> what it is, and the factor to its unit, for each kind of level.
-_WINDS = {
-    **{f"{height}u": ("u", 1.0) for height in (10, 80, 100, 200)},
-    **{f"{height}v": ("v", 1.0) for height in (10, 80, 100, 200)},
-    "u": ("u", 1.0),
-    "v": ("v", 1.0),
-}
+_WINDS = {"u": ("u", 1.0), "v": ("v", 1.0)}
+# Winds with a height in their name [m], which ERA5 in edition 1 has on the surface.
+AT_HEIGHT = {f"{height}{name}": (name, float(height)) for height in (10, 80, 100, 200) for name in "uv"}
 _GUSTS = dict.fromkeys(("gust", "10fg", "i10fg", "fg10", "max_i10fg", "fg310"), ("gust", 1.0))
 _HEIGHTS = {"gh": ("height", 1.0), "z": ("height", 1.0 / GRAVITY)}
 _GROUND = {**_HEIGHTS, "orog": ("height", 1.0), "h": ("height", 1.0), "sp": ("pressure", 1.0), **_GUSTS}
@@ -100,17 +97,28 @@ def _messages(eccodes: Any, file: str, path: str) -> Iterator[tuple[int, Any]]:
 def _headers(eccodes: Any, file: str, path: str) -> Iterator[_Message]:
     """Yield the messages that may be used."""
     for number, handle in _messages(eccodes, file, path):
-        kind, names = KNOWN.get(eccodes.codes_get(handle, "typeOfLevel", str), ("", {}))
-        short = eccodes.codes_get(handle, "shortName", str) if names else ""
-        if short not in names:
+        quantity = _quantity(eccodes, handle)
+        if quantity is None:
             continue
-        level = 0.0 if kind in ("ground", "sea") else float(eccodes.codes_get(handle, "level", float))
-        if kind == "hPa" and level < LOWEST_HPA:
-            continue
+        name, kind, level, _ = quantity
         time = _time(file, *(eccodes.codes_get(handle, f"validity{part}", int) for part in ("Date", "Time")))
         analysis = tuple(eccodes.codes_get(handle, f"data{part}", int) for part in ("Date", "Time"))
         member = _optional(eccodes, handle, "perturbationNumber", 0)
-        yield _Message(Key(names[short][0], time, kind, level), analysis, member, number)
+        yield _Message(Key(name, time, kind, level), analysis, member, number)
+
+
+def _quantity(eccodes: Any, handle: Any) -> tuple[str, str, float, float] | None:
+    """Return the name, the kind of level, the level and the factor of a message; None: it is not used."""
+    where = eccodes.codes_get(handle, "typeOfLevel", str)
+    kind, names = KNOWN.get(where, ("", {}))
+    short = eccodes.codes_get(handle, "shortName", str) if kind else ""
+    if kind in ("m", "ground") and short in AT_HEIGHT:
+        name, height = AT_HEIGHT[short]
+        return name, "m", height, 1.0
+    if short not in names:
+        return None
+    level = 0.0 if kind in ("ground", "sea") else float(eccodes.codes_get(handle, "level", float))
+    return None if kind == "hPa" and level < LOWEST_HPA else (names[short][0], kind, level, names[short][1])
 
 
 def _time(file: str, date: int, clock: int) -> float:
@@ -189,8 +197,9 @@ def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:
     eccodes.codes_set(handle, "missingValue", MISSING)
     values = np.array(eccodes.codes_get_double_elements(handle, "values", place.points))
     values[values >= 0.5 * MISSING] = np.nan
-    _, names = KNOWN[eccodes.codes_get(handle, "typeOfLevel", str)]
-    return float(np.dot(values, place.weights)) * names[eccodes.codes_get(handle, "shortName", str)][1]
+    quantity = _quantity(eccodes, handle)
+    assert quantity is not None
+    return float(np.dot(values, place.weights)) * quantity[3]
 
 
 def _grid_section(eccodes: Any, handle: Any) -> str:
