@@ -21,6 +21,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "datasets": ("minari", "h5py"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "wind": ("xarray", "netCDF4"),
+    "weather": ("netCDF4", "eccodes"),
     "buildings": ("shapely",),
     "terrain": ("rasterio",),
     "ros2": ("cyclonedds", "rosbags"),

@@ -39,6 +39,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Footprint
 from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.wind import LogShear, mean_wind_at
+from qrsim.models.atmosphere.wind_profile import ProfileRows
 from qrsim.models.gnss.base_station import BaseSeen
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.gnss.receivers import GnssReading, SkyState
@@ -178,6 +179,13 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     ("SENSORS", "airspeed"): {"speed_min": 0.0},
     ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
     ("OBSTACLES", "prism"): {"corners_ned": [[-6.0, -9.0], [-2.0, 8.0], [7.0, 3.0]], "z_min": -12.0},
+    # Two levels at two times, the second of which are higher.
+    ("WINDS", "profile"): {
+        "heights": [10.0, 50.0, 12.0, 60.0],
+        "speeds": [3.0, 5.0, 4.0, 7.0],
+        "wind_from_rad": [6.2, 0.1, 6.0, 0.2],
+        "times": [0.0, 0.0, 100.0, 100.0],
+    },
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
     # With a notch that ends among the positions of ``inputs``.
     ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
@@ -209,7 +217,7 @@ SLOTS = {
 
 # A scenario writes these arrays another way, which tests/scenarios looks at.
 ARRAYS = {PolygonArea: ("north", "east"), PrismObstacle: ("north", "east", "north_to", "east_to"),
-          Thermals: ("places_ned",)}  # fmt: skip
+          Thermals: ("places_ned",), ProfileRows: ("heights", "speeds", "wind_from_rad", "times")}  # fmt: skip
 
 
 def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInfo]]:

@@ -44,6 +44,7 @@ from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
 from qrsim.models.atmosphere.wind import Calm, LogShear
 from qrsim.models.atmosphere.wind_grid import WindGridFile
+from qrsim.models.atmosphere.wind_profile import ProfileRows
 from qrsim.models.atmosphere.wind_series import VeeringShear, WindFile
 from qrsim.models.gnss.budget import ErrorBudget
 from qrsim.models.gnss.constellations import NominalConstellations
@@ -95,6 +96,7 @@ WINDS: Catalogue = {
     "veering_shear": VeeringShear,
     "series": WindFile,
     "grid": WindGridFile,
+    "profile": ProfileRows,
 }
 TURBULENCES: Catalogue = {
     "still": Still,
