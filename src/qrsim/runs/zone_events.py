@@ -15,10 +15,10 @@ from qrsim.models.scene.contracts import down_at
 from qrsim.models.scene.zone import Zone, Zones
 from qrsim.models.scene.zones import ZonesArea
 from qrsim.runs.failsafe_events import Found
+from qrsim.runs.layout import ZONE_ENTERED, ZONE_LEFT
 from qrsim.simulation.history import History
 from qrsim.world.state import World, position_of
 
-LEFT, ENTERED = "zone_left", "zone_entered"
 _inside = on_host(lambda area, position_ned: area.inside(position_ned))
 
 
@@ -53,7 +53,7 @@ class ZoneWatch:
             if zone is not None:
                 left = zone.keep != inside[row, vehicle]
                 words = f"{'left' if left else 'entered'} '{zone.name}', to stay {'in' if zone.keep else 'out of'},"
-                yield int(row), int(vehicle), LEFT if left else ENTERED, zone.name, float(distance), words
+                yield int(row), int(vehicle), ZONE_LEFT if left else ZONE_ENTERED, zone.name, float(distance), words
 
     def name(self, history: History, row: int, vehicle: int) -> str:
         """Return the name of the zone by which a flight ended at a row, in quotes; "" where that is not known.

@@ -37,7 +37,7 @@ def zone_problems(scenario: ScenarioSpec) -> list[str]:
         return [nothing]
     found += _start_problems(scenario, zones)
     if not area.allow_crossing:
-        found += [*_outside_problems(scenario, zones), *_crossings(scenario, zones)]
+        found += _crossings(scenario, zones)
     return found
 
 
@@ -45,9 +45,7 @@ def zone_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield the legs that cross a zone to stay out of where the scenario allows it."""
     area: Any = scenario.world.area
     if area.type == "zones" and area.allow_crossing:
-        zones = zones_with_ground(scenario)
-        yield from _outside_problems(scenario, zones)
-        yield from _crossings(scenario, zones)
+        yield from _crossings(scenario, zones_with_ground(scenario))
 
 
 def zones_with_ground(scenario: ScenarioSpec) -> Zones:
@@ -123,33 +121,21 @@ def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
                 yield f"{path}: starts {-distance:.4g} m inside '{zone.name}', to stay out of"
 
 
-def _outside_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
-    """Yield the legs that end outside of all zones to stay in."""
-    kept = Zones([zone for zone in zones.all if zone.keep], zones.ground)
-    for path, _, (north, east, down) in _ways(scenario):
-        distance, _ = kept.limit(north, east, down)
-        if distance < -TOUCHES:
-            yield (
-                f"{path}: north {north:.6g} m, east {east:.6g} m, {-down:.4g} m high is {-distance:.4g} m outside the "
-                "zones to stay in of world.area"
-            )
-
-
 def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
-    """Yield the legs that lead through a zone to stay out of."""
+    """Yield the legs that lead through a zone to stay out of, or out of all zones to stay in."""
     barred = [zone for zone in zones.all if not zone.keep]
     inside: dict[tuple[str, str], float] = {}
     first: dict[tuple[str, str], Triple] = {}
     for path, begin, end in _ways(scenario):
-        for zone in barred:
-            length, where = zone.along(begin, end, zones.ground)
+        found = [(f"inside '{zone.name}'", zone.along(begin, end, zones.ground)) for zone in barred]
+        found.append(("outside the zones to stay in", zones.outside(begin, end)))
+        for words, (length, where) in found:
             if length > TOUCHES and where is not None:
-                key = path, zone.name
-                inside[key] = inside.get(key, 0.0) + length
-                first.setdefault(key, where)
-    for key, length in inside.items():
-        (path, name), (north, east, _) = key, first[key]
-        yield f"{path}: {length:.4g} m of it are inside '{name}', first at north {north:.4g}, east {east:.4g} m"
+                inside[path, words] = inside.get((path, words), 0.0) + length
+                first.setdefault((path, words), where)
+    for (path, words), length in inside.items():
+        north, east, _ = first[path, words]
+        yield f"{path}: {length:.4g} m of it are {words}, first at north {north:.4g}, east {east + 0.0:.4g} m"
 
 
 def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:

@@ -100,18 +100,13 @@ class Zone:
             begin, end: NED [m].
             ground: down coordinate [m] of the ground at a north and an east [m]; for zones above terrain.
         """
-        cuts, way = sorted({0.0, 1.0, *self._cuts(begin, end)}), [b - a for a, b in zip(begin, end, strict=True)]
-        total, first, length = 0.0, None, math.hypot(*way)
-        for low, high in pairwise(cuts):
-            north, east, down = (a + 0.5 * (low + high) * step for a, step in zip(begin, way, strict=True))
-            height = height_of(self, north, east, down, ground)
-            if self.level(height) and self.over(north, east):
-                total += (high - low) * length
-                north, east, down = (a + low * step for a, step in zip(begin, way, strict=True))
-                first = first or (north, east, down)
-        return total, first
+        return _stretch(begin, end, self.cuts(begin, end), lambda x, y, z: self.holds(x, y, z, ground))
 
-    def _cuts(self, begin: Triple, end: Triple) -> list[float]:
+    def holds(self, north: float, east: float, down: float, ground: GroundDown | None = None) -> bool:
+        """Return whether a place NED [m] is in the zone."""
+        return self.over(north, east) and self.level(height_of(self, north, east, down, ground))
+
+    def cuts(self, begin: Triple, end: Triple) -> list[float]:
         """Return the parts (0 to 1) of a way at which it may enter or leave the zone."""
         (x, y, z), (dx, dy, dz) = begin, (end[0] - begin[0], end[1] - begin[1], end[2] - begin[2])
         found = []
@@ -152,13 +147,22 @@ class Zones:
         """Return whether a place NED [m] is allowed; without ``down`` the zones reach over all heights."""
 
         def holds(zone: Zone) -> bool:
-            if not zone.over(north, east):
-                return False
-            return down is None or zone.level(height_of(zone, north, east, down, self.ground))
+            return zone.over(north, east) if down is None else zone.holds(north, east, down, self.ground)
 
         if self._kept and not any(map(holds, self._kept)):
             return False
         return not any(map(holds, self._barred))
+
+    def outside(self, begin: Triple, end: Triple) -> tuple[float, Triple | None]:
+        """Return the length [m] of the part of a way outside all zones to stay in, and where that begins NED [m]."""
+        if not self._kept:
+            return 0.0, None
+        cuts = [cut for zone in self._kept for cut in zone.cuts(begin, end)]
+
+        def is_out(north: float, east: float, down: float) -> bool:
+            return not any(zone.holds(north, east, down, self.ground) for zone in self._kept)
+
+        return _stretch(begin, end, cuts, is_out)
 
     def limit(self, north: float, east: float, down: float) -> tuple[float, Zone | None]:
         """Return the distance [m] of a place from the limit that is nearest or worst broken, and that limit's zone.
@@ -174,6 +178,26 @@ class Zones:
             found.append(max(((signed(zone), zone) for zone in self._kept), key=lambda item: item[0]))
         found += [(-signed(zone), zone) for zone in self._barred]
         return min(found, key=lambda item: item[0], default=(math.inf, None))
+
+
+def _stretch(
+    begin: Triple, end: Triple, cuts: Sequence[float], counts: Callable[[float, float, float], bool]
+) -> tuple[float, Triple | None]:
+    """Return the length [m] of the parts of a way that count, and where the first begins; by the middle of each part.
+
+    Args:
+        begin, end: of the way, NED [m].
+        cuts: where it may begin or cease to count, in parts of the way.
+        counts: whether a place does.
+    """
+    way = [b - a for a, b in zip(begin, end, strict=True)]
+    total, first, length = 0.0, None, math.hypot(*way)
+    for low, high in pairwise(sorted({0.0, 1.0, *cuts})):
+        if counts(*(a + 0.5 * (low + high) * step for a, step in zip(begin, way, strict=True))):
+            total += (high - low) * length
+            north, east, down = (a + low * step for a, step in zip(begin, way, strict=True))
+            first = first or (north, east, down)
+    return total, first
 
 
 def height_of(zone: Zone, north: float, east: float, down: float, ground: GroundDown | None) -> float:
