@@ -7,7 +7,6 @@ the nearest side, floor or ceiling of any zone.
 from __future__ import annotations
 
 import functools
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -20,13 +19,12 @@ from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import reason_code
 from qrsim.models.scene.contracts import Area
-from qrsim.models.scene.prisms import Pieces, PrismObstacle, Prisms, edges_of, length_of, prisms_of
+from qrsim.models.scene.prisms import Pieces, PrismObstacle, Prisms, length_of, prisms_of
 from qrsim.models.scene.zone import Zone
+from qrsim.models.scene.zone_sides import OPEN, heights_of, sides_of
 
 # A place so little outside a zone to stay in [m] is inside, so that no gap is between zones that share an edge.
 SLACK = 5e-4
-# A zone without floor or ceiling ends so far away [m].
-OPEN = 1e6
 # Ways longer than this [m] in one step are also checked at so many places between their ends.
 LONG_WAY, BETWEEN = 1.0, 7
 # Cells of the grid of a set: 250 x 250.
@@ -311,39 +309,24 @@ def sets_of(zones: Sequence[Zone]) -> tuple[ZoneSet, ...]:
             own = [zone for zone in zones if zone.keep == keep and zone.terrain == terrain]
             if own:
                 polygons, circles = [zone for zone in own if zone.rings], [zone for zone in own if not zone.rings]
-                solids = [PrismObstacle.of(zone.rings[0], *_heights(zone), zone.rings[1:]) for zone in polygons]
+                solids = [PrismObstacle.of(zone.rings[0], *heights_of(zone), zone.rings[1:]) for zone in polygons]
                 prisms = prisms_of(solids, range(len(solids)), 0.0, reach=0.0, most_cells=MOST_CELLS)
-                parts = (prisms, _walls(polygons), _circles(circles))
+                parts = (prisms, _walls(polygons, zones), _circles(circles))
                 found.append(ZoneSet(*parts, keep=keep, terrain=terrain))
     return tuple(found)
 
 
-def _heights(zone: Zone) -> tuple[float, float]:
-    """Return top and bottom of a zone, down [m] from its level."""
-    return -min(zone.ceiling, OPEN), OPEN if zone.floor <= 0.0 else -zone.floor
-
-
-def _walls(polygons: Sequence[Zone]) -> Walls | None:
-    """Return the sides of polygons, without those that two zones to stay in share: nothing ends there."""
+def _walls(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Walls | None:
     if not polygons:
         return None
-    first, last = (np.concatenate(ends) for ends in zip(*(edges_of(zone.rings) for zone in polygons), strict=True))
-    heights = np.array([_heights(zone) for zone in polygons for ring in zone.rings for _ in ring])
-    if polygons[0].keep:
-        keys = [(*sorted((tuple(a), tuple(b))), *h) for a, b, h in zip(first, last, heights.tolist(), strict=True)]
-        counts = Counter(keys)
-        alone = np.array([counts[key] == 1 for key in keys])
-        first, last, heights = first[alone], last[alone], heights[alone]
-    along = last - first
-    part = 1.0 / np.maximum(np.sum(along * along, axis=1), np.finfo(np.float64).tiny)
-    columns = (first[:, 0], first[:, 1], along[:, 0], along[:, 1], part, heights[:, 0], heights[:, 1])
-    return record_of(Walls, *map(np.ascontiguousarray, columns))
+    columns = map(np.ascontiguousarray, sides_of(polygons, zones).T)
+    return record_of(Walls, *columns)
 
 
 def _circles(circles: Sequence[Zone]) -> Circles | None:
     if not circles:
         return None
-    rows = np.array([(*zone.centre, zone.radius, *_heights(zone)) for zone in circles])
+    rows = np.array([(*zone.centre, zone.radius, *heights_of(zone)) for zone in circles])
     return record_of(Circles, *map(np.ascontiguousarray, rows.T))
 
 
