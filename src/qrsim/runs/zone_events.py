@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import jax
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
-from qrsim.core.host import on_host
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import down_at
@@ -19,15 +19,14 @@ from qrsim.runs.layout import ZONE_ENTERED, ZONE_LEFT
 from qrsim.simulation.history import History
 from qrsim.world.state import World, position_of
 
-_inside = on_host(lambda area, position_ned: area.inside(position_ned))
-
 
 class ZoneWatch:
     """Watches the zones of a run; an area without zones has no events."""
 
     def __init__(self, world: World):
         area = world.area
-        self._area: Any = area if isinstance(area, ZonesArea) and area.sets else None
+        # With arrays of NumPy the decision is computed without compiling, for any number of ticks.
+        self._area: Any = jax.tree.map(np.asarray, area) if isinstance(area, ZonesArea) and area.sets else None
         self._zones = Zones(area.zones, _ground(area.ground)) if isinstance(area, ZonesArea) else Zones(())
         self._broken: dict[int, Zone | None] = {}
         self._before: NumpyArray | None = None
@@ -37,9 +36,10 @@ class ZoneWatch:
         if self._area is None or self._area.breach != "report":
             return
         places = _places(history)
-        flat = record_of(Vec3, *(np.ascontiguousarray(places[..., axis].ravel()) for axis in range(3)))
+        dtype = np.asarray(self._area.z_min).dtype
+        flat = record_of(Vec3, *(np.ascontiguousarray(places[..., axis].ravel(), dtype) for axis in range(3)))
         flies = np.concatenate([fleet.violation.code == 0 for fleet in history.state.fleets], axis=1)
-        inside = _inside(self._area, flat).reshape(places.shape[:2])
+        inside = np.asarray(self._area.inside(flat)).reshape(places.shape[:2])
         before = np.ones_like(inside[0]) if self._before is None else self._before
         previous = np.concatenate([before[None], inside[:-1]])
         self._before = inside[-1]

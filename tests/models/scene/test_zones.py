@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import shapely
@@ -21,8 +22,7 @@ SQUARE = ((-50.0, -50.0), (-50.0, 50.0), (50.0, 50.0), (50.0, -50.0))
 HOLE = ((-20.0, -20.0), (-20.0, 30.0), (25.0, 0.0))
 FENCE = REASONS.index(("out_of_area", "fence"))
 
-inside = on_host(lambda area, place: area.inside(place))
-distance = on_host(lambda area, place: area.distance_to_zones(place))
+compiled_inside = jax.jit(ZonesArea.inside)
 checked = on_host(lambda area, place: area.check(place))
 swept = on_host(lambda area, before, place: area.swept(before, place))
 
@@ -73,8 +73,19 @@ def by_shapely(zones: list[Zone], place: Vec3) -> tuple[Any, Any]:
     return kept & ~barred, near
 
 
-@pytest.mark.parametrize("count", [1000, pytest.param(10_000, marks=pytest.mark.long)])
-def test_decisions_are_those_of_shapely(count: int) -> None:
+def inside(area: ZonesArea, place: Vec3) -> Any:
+    """By NumPy, which compiles nothing."""
+    return area.inside(place)
+
+
+def distance(area: ZonesArea, place: Vec3) -> Any:
+    return area.distance_to_zones(place)
+
+
+@pytest.mark.parametrize(
+    ("count", "decide"), [(2000, inside), pytest.param(10_000, compiled_inside, marks=pytest.mark.long)]
+)
+def test_decisions_are_those_of_shapely(count: int, decide: Any) -> None:
     zones, rng = twenty_zones(), np.random.default_rng(2)
     area = area_of(zones)
     assert sum(len(ring) for zone in area.zones for ring in zone.rings) == 18 * 40 + 3
@@ -84,7 +95,7 @@ def test_decisions_are_those_of_shapely(count: int) -> None:
     assert 0.3 < allowed.mean() < 0.7
     clear = near > 1e-3
     assert clear.mean() > 0.99
-    np.testing.assert_array_equal(inside(area, place)[clear], allowed[clear])
+    np.testing.assert_array_equal(np.asarray(decide(area, place))[clear], allowed[clear])
     host, some = Zones(zones), clear[:500]
     found = np.array([host.inside(*row) for row in rows[:500].astype(np.float32).tolist()])
     np.testing.assert_array_equal(found[some], allowed[:500][some])

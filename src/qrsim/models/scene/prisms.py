@@ -174,22 +174,23 @@ class Prisms:
         """Return the pieces (K, n) or (K, 1) near positions (n,)."""
         import jax
 
+        lib = library_of(position_ned.x)
         if self.near is None:
             return jax.tree.map(lambda leaf: leaf[:, None], self.pieces)
         row, column = (
-            jnp.clip(_finite((value - low) / self.cell) + 0.5, 0.0, float(count - 1)).astype(jnp.int32)
+            lib.clip(_finite(lib, (value - low) / self.cell) + 0.5, 0.0, float(count - 1)).astype(lib.int32)
             for value, low, count in (
                 (position_ned.x, self.corner[0], self.rows),
                 (position_ned.y, self.corner[1], self.columns),
             )
         )
         first = (row * self.columns + column) * self.most
-        number = jnp.asarray(self.near)[first[None, :] + jnp.arange(self.most, dtype=jnp.int32)[:, None]]
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[number], self.pieces)
+        number = lib.asarray(self.near)[first[None, :] + lib.arange(self.most, dtype=lib.int32)[:, None]]
+        return jax.tree.map(lambda leaf: lib.asarray(leaf)[number], self.pieces)
 
 
-def _finite(value: Array) -> Array:
-    return jnp.where(jnp.isfinite(value), value, 0.0)
+def _finite(lib: ModuleType, value: Array) -> Array:
+    return lib.where(lib.isfinite(value), value, 0.0)
 
 
 def trapezoids(rings: Sequence[npt.ArrayLike]) -> Float64:

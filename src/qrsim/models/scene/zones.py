@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from qrsim.core.host import library_of
 from qrsim.core.tree import derived, parameter, quantity, record, record_of, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
@@ -45,13 +46,14 @@ class Walls:
 
     def square(self, x: Array, y: Array, z: Array) -> Array:
         """Return the squared distance (n,) [m^2] of places (n,) from the nearest side."""
+        lib = library_of(x)
         walls = Walls(*(value[:, None] for value in (getattr(self, name) for name in _WALL)))
         north, east = x[None] - walls.north, y[None] - walls.east
         along = (north * walls.along_north + east * walls.along_east) * walls.part
-        along = jnp.clip(along, 0.0, 1.0)
+        along = lib.clip(along, 0.0, 1.0)
         north, east = north - along * walls.along_north, east - along * walls.along_east
-        beyond = jnp.maximum(jnp.maximum(walls.z_min - z[None], z[None] - walls.z_max), 0.0)
-        return jnp.min(north * north + east * east + beyond * beyond, axis=0)
+        beyond = lib.maximum(lib.maximum(walls.z_min - z[None], z[None] - walls.z_max), 0.0)
+        return lib.min(north * north + east * east + beyond * beyond, axis=0)
 
 
 _WALL = ("north", "east", "along_north", "along_east", "part", "z_min", "z_max")
@@ -69,9 +71,10 @@ class Circles:
 
     def spread(self, x: Array, y: Array) -> tuple[Circles, Array]:
         """Return the circles as columns (C, 1), and how far places (n,) are inside each (C, n) [m]."""
+        lib = library_of(x)
         circles = Circles(*(value[:, None] for value in (getattr(self, name) for name in _CIRCLE)))
         north, east = x[None] - circles.north, y[None] - circles.east
-        return circles, circles.radius - length_of(jnp, north * north + east * east)
+        return circles, circles.radius - length_of(lib, north * north + east * east)
 
 
 _CIRCLE = ("north", "east", "radius", "z_min", "z_max")
@@ -89,44 +92,47 @@ class ZoneSet:
 
     def holds(self, place: Vec3) -> Array:
         """Return whether places (n,), down [m] from the level of the set, are in one of the zones."""
-        slack, found = SLACK if self.keep else 0.0, jnp.zeros(place.x.shape, bool)
+        lib = library_of(place.x)
+        slack, found = SLACK if self.keep else 0.0, lib.zeros(place.x.shape, bool)
         z = place.z[None]
         if self.prisms is not None:
             pieces = self.prisms.pieces_near(place)
             inside = pieces.over(place.x[None], place.y[None], slack) & (z >= pieces.z_min) & (z <= pieces.z_max)
-            found = found | jnp.any(inside, axis=0)
+            found = found | lib.any(inside, axis=0)
         if self.circles is not None:
             circles, depth = self.circles.spread(place.x, place.y)
             inside = (depth >= -slack) & (z >= circles.z_min) & (z <= circles.z_max)
-            found = found | jnp.any(inside, axis=0)
+            found = found | lib.any(inside, axis=0)
         return found
 
     def distance(self, place: Vec3) -> Array:
         """Return the distance (n,) [m] of places, as for ``holds``, from the nearest side, floor or ceiling."""
+        lib = library_of(place.x)
         found = []
         z = place.z[None]
         if self.prisms is not None and self.walls is not None:
             pieces = self.prisms.pieces_near(place)
-            found.append(length_of(jnp, self.walls.square(place.x, place.y, place.z)))
+            found.append(length_of(lib, self.walls.square(place.x, place.y, place.z)))
             found.append(self._gap(pieces.over(place.x[None], place.y[None]), z, pieces))
         if self.circles is not None:
             circles, depth = self.circles.spread(place.x, place.y)
-            beyond = jnp.maximum(jnp.maximum(circles.z_min - z, z - circles.z_max), 0.0)
-            found.append(jnp.min(length_of(jnp, depth * depth + beyond * beyond), axis=0))
+            beyond = lib.maximum(lib.maximum(circles.z_min - z, z - circles.z_max), 0.0)
+            found.append(lib.min(length_of(lib, depth * depth + beyond * beyond), axis=0))
             found.append(self._gap(depth >= 0.0, z, circles))
-        return functools.reduce(jnp.minimum, found)
+        return functools.reduce(lib.minimum, found)
 
     def _gap(self, over: Array, z: Array, solids: Pieces | Circles) -> Array:
         """Return the distance (n,) [m] from the nearest floor or ceiling of the zones (K, n) above and below places.
 
         Of zones to stay in that hold the place, the one counts with the farthest floor and ceiling.
         """
-        gap = jnp.minimum(jnp.abs(z - solids.z_min), jnp.abs(z - solids.z_max))
-        nearest = jnp.min(jnp.where(over, gap, OPEN), axis=0)
+        lib = library_of(z)
+        gap = lib.minimum(lib.abs(z - solids.z_min), lib.abs(z - solids.z_max))
+        nearest = lib.min(lib.where(over, gap, OPEN), axis=0)
         if not self.keep:
             return nearest
         inside = over & (z >= solids.z_min) & (z <= solids.z_max)
-        return jnp.where(jnp.any(inside, axis=0), jnp.max(jnp.where(inside, gap, 0.0), axis=0), nearest)
+        return lib.where(lib.any(inside, axis=0), lib.max(lib.where(inside, gap, 0.0), axis=0), nearest)
 
 
 @record
@@ -201,10 +207,11 @@ class ZonesArea(Area):
 
     def inside(self, position_ned: Vec3) -> Array:
         """Return which positions (n,) [m] are in a zone to stay in, if there is any, and in none to stay out of."""
+        lib = library_of(position_ned.x)
         found = [(each.keep, each.holds(self._placed(position_ned, each.terrain))) for each in self.sets]
         kept = [holds for keep, holds in found if keep]
-        inside = functools.reduce(jnp.logical_or, kept) if kept else jnp.ones(position_ned.x.shape, bool)
-        return functools.reduce(jnp.logical_and, [inside, *(~holds for keep, holds in found if not keep)])
+        inside = functools.reduce(lib.logical_or, kept) if kept else lib.ones(position_ned.x.shape, bool)
+        return functools.reduce(lib.logical_and, [inside, *(~holds for keep, holds in found if not keep)])
 
     def distance_to_zones(self, position_ned: Vec3, inside: Array | None = None) -> Array:
         """Return the distance (n,) [m] of positions from the nearest limit of any zone, negative outside.
@@ -213,11 +220,12 @@ class ZonesArea(Area):
             position_ned: (n,) [m].
             inside: as ``inside`` returns it, where that is known.
         """
+        lib = library_of(position_ned.x)
         if not self.sets:
-            return jnp.full_like(position_ned.x, OPEN)
+            return lib.full_like(position_ned.x, OPEN)
         found = [each.distance(self._placed(position_ned, each.terrain)) for each in self.sets]
-        distance = functools.reduce(jnp.minimum, found)
-        return jnp.where(self.inside(position_ned) if inside is None else inside, distance, -distance)
+        distance = functools.reduce(lib.minimum, found)
+        return lib.where(self.inside(position_ned) if inside is None else inside, distance, -distance)
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
         """Return the checks (code, value, broken) of positions (n,)."""
