@@ -44,7 +44,7 @@ def zones_of_file(file: str, name: str | None = None) -> tuple[list[FileZone], P
     """Read the zones of a file, and the plan if it comes from one.
 
     Args:
-        file: the file, whose kind is that of its suffix.
+        file: the file; its suffix says of which kind it is.
         name: only the polygons of this name; None: all.
 
     Raises:

@@ -23,7 +23,7 @@ class PlacedZones:
         area: the area.
         problems: faults, one sentence each.
         written: for each path that is new in the area, its name in messages.
-        plans: file -> plan, of those whose fences are zones.
+        plans: file -> plan, of those with fences that are zones.
     """
 
     area: Any
@@ -94,7 +94,7 @@ def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: Z
 def _placed(
     zone: ZoneSpec, keep: bool, site: Site, barred: set[str | None], plans: dict[str, Plan]
 ) -> Iterator[tuple[bool, ZoneSpec]]:
-    """Yield the zones in NED for which one of a scenario stands, and whether to stay in them."""
+    """Yield the zones in NED that one of a scenario means, and whether to stay in them."""
     rest: dict[str, Any] = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
     if zone.polygon_geodetic is not None:
         outline, *holes = (corners_ned(ring, site) for ring in (zone.polygon_geodetic, *zone.holes_geodetic))

@@ -26,7 +26,7 @@ def sides_of(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Floats:
     """Return the sides (E, 7) of polygons that are limits.
 
     Args:
-        polygons: whose sides.
+        polygons: the zones with these sides.
         zones: all of the area.
 
     Returns:
