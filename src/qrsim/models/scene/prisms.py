@@ -174,7 +174,7 @@ class Prisms:
         """Return the pieces (K, n) or (K, 1) near positions (n,)."""
         import jax
 
-        lib = library_of(position_ned.x)
+        lib = library_of(position_ned.x, self.pieces.south)
         if self.near is None:
             return jax.tree.map(lambda leaf: leaf[:, None], self.pieces)
         row, column = (

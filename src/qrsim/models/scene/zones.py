@@ -10,6 +10,7 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -46,7 +47,7 @@ class Walls:
 
     def square(self, x: Array, y: Array, z: Array) -> Array:
         """Return the squared distance (n,) [m^2] of places (n,) from the nearest side."""
-        lib = library_of(x)
+        lib = library_of(x, self.north)
         walls = Walls(*(value[:, None] for value in (getattr(self, name) for name in _WALL)))
         north, east = x[None] - walls.north, y[None] - walls.east
         along = (north * walls.along_north + east * walls.along_east) * walls.part
@@ -71,7 +72,7 @@ class Circles:
 
     def spread(self, x: Array, y: Array) -> tuple[Circles, Array]:
         """Return the circles as columns (C, 1), and how far places (n,) are inside each (C, n) [m]."""
-        lib = library_of(x)
+        lib = library_of(x, self.north)
         circles = Circles(*(value[:, None] for value in (getattr(self, name) for name in _CIRCLE)))
         north, east = x[None] - circles.north, y[None] - circles.east
         return circles, circles.radius - length_of(lib, north * north + east * east)
@@ -92,7 +93,7 @@ class ZoneSet:
 
     def holds(self, place: Vec3) -> Array:
         """Return whether places (n,), down [m] from the level of the set, are in one of the zones."""
-        lib = library_of(place.x)
+        lib = library_of(place.x, *jax.tree.leaves(self))
         slack, found = SLACK if self.keep else 0.0, lib.zeros(place.x.shape, bool)
         z = place.z[None]
         if self.prisms is not None:
@@ -107,7 +108,7 @@ class ZoneSet:
 
     def distance(self, place: Vec3) -> Array:
         """Return the distance (n,) [m] of places, as for ``holds``, from the nearest side, floor or ceiling."""
-        lib = library_of(place.x)
+        lib = library_of(place.x, *jax.tree.leaves(self))
         found = []
         z = place.z[None]
         if self.prisms is not None and self.walls is not None:
@@ -126,7 +127,7 @@ class ZoneSet:
 
         Of zones to stay in that hold the place, the one counts with the farthest floor and ceiling.
         """
-        lib = library_of(z)
+        lib = library_of(z, over)
         gap = lib.minimum(lib.abs(z - solids.z_min), lib.abs(z - solids.z_max))
         nearest = lib.min(lib.where(over, gap, OPEN), axis=0)
         if not self.keep:
@@ -207,7 +208,7 @@ class ZonesArea(Area):
 
     def inside(self, position_ned: Vec3) -> Array:
         """Return which positions (n,) [m] are in a zone to stay in, if there is any, and in none to stay out of."""
-        lib = library_of(position_ned.x)
+        lib = library_of(position_ned.x, *jax.tree.leaves(self.sets))
         found = [(each.keep, each.holds(self._placed(position_ned, each.terrain))) for each in self.sets]
         kept = [holds for keep, holds in found if keep]
         inside = functools.reduce(lib.logical_or, kept) if kept else lib.ones(position_ned.x.shape, bool)
@@ -220,7 +221,7 @@ class ZonesArea(Area):
             position_ned: (n,) [m].
             inside: as ``inside`` returns it, where that is known.
         """
-        lib = library_of(position_ned.x)
+        lib = library_of(position_ned.x, *jax.tree.leaves(self.sets))
         if not self.sets:
             return lib.full_like(position_ned.x, OPEN)
         found = [each.distance(self._placed(position_ned, each.terrain)) for each in self.sets]
