@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 import qrsim
+from qrsim.apps.check.outcomes import outcomes
 from qrsim.runs.recorder import fly
 from qrsim.runs.summary import NOT_A_STOP
 
@@ -57,6 +58,8 @@ def test_reported(tmp_path: Any) -> None:
     flown = qrsim.rollout(scenario("report").world(), ticks=700)
     assert flown["breaches"].tolist() == [[1, 1]]
     assert not flown["reason"].any()
+    counted = {outcome.name: outcome.runs for outcome in outcomes(flown)}
+    assert (counted["is outside the zones"], counted["leaves the area"], counted["any of these"]) == (1, 0, 1)
     outside = flown["seconds_outside"][0]
     assert outside[0] == pytest.approx(found[1].time - found[0].time)
     assert outside[1] == pytest.approx(14.0 - found[2].time, abs=0.021)
