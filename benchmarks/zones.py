@@ -6,7 +6,6 @@ metrics of a flight are measured as well, because they compute the distance from
 
 from __future__ import annotations
 
-import json
 import math
 import statistics
 import sys
@@ -19,6 +18,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 import _common
 
 VEHICLES, WORLDS, ZONES, CORNERS = 200, 4, 20, 40
+HEADINGS = {
+    "area": "area",
+    "metrics": "metrics",
+    "us_per_vehicle_tick": "us per vehicle and tick",
+    "percent_of_box": "% of box",
+    "compile_s": "compile [s]",
+}
 
 
 def content_of(area: str, vehicles: int) -> dict[str, Any]:
@@ -98,18 +104,16 @@ def measure(metrics: bool, quick: bool) -> list[dict[str, Any]]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
-    chosen = _common.options(str(__doc__).split("\n")[0], arguments)
+    chosen = _common.options(str(__doc__).splitlines()[0], arguments)
     _common.without_cache()
-    rows = [row for metrics in (False, True) for row in measure(metrics, chosen.quick)]
-    if chosen.json:
-        print(json.dumps({"machine": _common.machine(), "rows": rows}))
-        return 0
-    for row in rows:
-        print("  ".join(f"{key} {value}" for key, value in row.items()))
-    return 0
+    on = _common.machine()
+    kinds = (False,) if chosen.quick else (False, True)
+    rows = [row for metrics in kinds for row in measure(metrics, chosen.quick)]
+    title = f"Zones: {ZONES} of {CORNERS} corners, {WORLDS} worlds of {VEHICLES} vehicles; times of the processor"
+    _common.publish("zones", title, on, rows, HEADINGS, chosen.json)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()
