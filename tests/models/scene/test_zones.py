@@ -146,6 +146,11 @@ def test_zones_that_meet_have_neither_a_gap_nor_an_edge_there() -> None:
     np.testing.assert_allclose(distance(area, places(*([*row, -10] for row in rows))), expected, atol=1e-3)
 
 
+def test_a_polygon_inside_a_circle_has_no_edge_of_its_own() -> None:
+    area = area_of([Zone(True, (), (0.0, 0.0), 100.0), Zone(True, (SQUARE,))])
+    np.testing.assert_allclose(distance(area, places([0, 40, -10], [0, 103, -10])), [60.0, -3.0], atol=1e-3)
+
+
 def test_heights_above_terrain_count_from_the_ground_below() -> None:
     """The ground is at 12 m; the keep-out ends 30 m above it."""
     zones = [Zone(False, (SQUARE,), ceiling=30.0, terrain=True)]

@@ -86,7 +86,7 @@ class ZoneSet:
     """Zones that are all to stay in or all to stay out of, with heights above one level."""
 
     prisms: Prisms | None = quantity(doc="polygons, cut into pieces; None without any")
-    walls: Walls | None = quantity(doc="their sides")
+    walls: Walls | None = quantity(doc="their sides that are limits; None without any")
     circles: Circles | None = quantity(doc="circles; None without any")
     keep: bool = setting(doc="whether vehicles stay in them")
     terrain: bool = setting(doc="whether heights count from the ground below")
@@ -111,9 +111,10 @@ class ZoneSet:
         lib = library_of(place.x, *jax.tree.leaves(self))
         found = []
         z = place.z[None]
-        if self.prisms is not None and self.walls is not None:
-            pieces = self.prisms.pieces_near(place)
+        if self.walls is not None:
             found.append(length_of(lib, self.walls.square(place.x, place.y, place.z)))
+        if self.prisms is not None:
+            pieces = self.prisms.pieces_near(place)
             found.append(self._gap(pieces.over(place.x[None], place.y[None]), z, pieces))
         if self.circles is not None:
             circles, depth = self.circles.spread(place.x, place.y)
@@ -326,10 +327,8 @@ def sets_of(zones: Sequence[Zone]) -> tuple[ZoneSet, ...]:
 
 
 def _walls(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Walls | None:
-    if not polygons:
-        return None
-    columns = map(np.ascontiguousarray, sides_of(polygons, zones).T)
-    return record_of(Walls, *columns)
+    sides = sides_of(polygons, zones)
+    return record_of(Walls, *map(np.ascontiguousarray, sides.T)) if len(sides) else None
 
 
 def _circles(circles: Sequence[Zone]) -> Circles | None:
