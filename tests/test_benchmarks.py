@@ -58,6 +58,7 @@ NUMBERS = {
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "stepping": {"us", "calls", "files"},
     "terrain": {"wall_s", "cpu_s", "gdal_mb"},
+    "zones": {"us_per_vehicle_tick", "percent_of_box", "compile_s"},
     "throughput": {
         "vehicles",
         "worlds",
@@ -139,6 +140,12 @@ def test_radio():
     assert row["compiler"] == "llvm"
     # About 26 of the others are within 300 m, at most 24 of them are looked at, and nothing is lost so near.
     assert 15.0 < row["heard"] < 24.0
+
+
+def test_zones():
+    box, zones = rows("zones")
+    assert (box["area"], zones["area"]) == ("box", "zones")
+    assert box["percent_of_box"] == 100
 
 
 @pytest.mark.nightly

@@ -93,6 +93,7 @@ OTHERS = {
     "turbulence_line.png": "make evidence field",
     "turbulence_gust.gif": "make evidence formation_gusts",
     "turbulence_spacing.png": "make evidence formation_gusts",
+    "zones.png": "qrsim run field_day.yaml",
 }
 
 

@@ -52,6 +52,7 @@ from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle, Obstacle
 from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.scene.traffic import Traffic
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
@@ -63,6 +64,7 @@ from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 from qrsim.models.vehicles.rover import Rover
 from qrsim.scenarios import catalogue
+from qrsim.scenarios.zone_schema import zones_model, zones_of
 from qrsim.world.air import turbulence_inputs
 from qrsim.world.sensing import scene_of
 from qrsim.world.state import Start
@@ -188,6 +190,10 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     },
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
     # With a notch that ends among the positions of ``inputs``.
+    ("AREAS", "zones"): {
+        "stay_in": [{"polygon_ned": [[-95.0, -90.0], [-90.0, 95.0], [97.0, 92.0], [91.0, -96.0]], "ceiling": 80.0}],
+        "stay_out": [{"circle_ned": [70.0, -60.0], "radius": 9.0, "floor": 5.0}],
+    },
     ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
 }
 # Where a scenario has components of each group.
@@ -260,6 +266,9 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     if GROUPS[group][name] is PrismObstacle:
         of_numbers = {"z_min": given["z_min"]}
         return jax.tree.map(jnp.asarray, cast(PrismObstacle.of(given["corners_ned"], **of_numbers), dtype))
+    if GROUPS[group][name] is ZonesArea:
+        zones = zones_of(zones_model()(type="zones", **given))
+        return jax.tree.map(jnp.asarray, cast(ZonesArea(**settings).of(zones, None), dtype))
     if GROUPS[group][name] is Thermals:
         given["places_ned"] = np.zeros((0, 2))
     if "corners_ned" in given:

@@ -63,6 +63,7 @@ from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.scene.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.scene.terrain import ClearGround, PatchyGround
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
 from qrsim.models.sensors.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.sensors.barometer import Barometer, IdealBarometer
@@ -119,7 +120,7 @@ SKY_ERRORS: Catalogue = {
     "error_budget": ErrorBudget,
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle, "prism": PrismObstacle}
-AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
+AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea, "zones": ZonesArea}
 GROUNDS: Catalogue = {"flat": FlatGround, "dem": ElevationFile}
 PLUMES: Catalogue = {
     "none": NoPlume,

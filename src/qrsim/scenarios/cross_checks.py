@@ -42,6 +42,7 @@ from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
 from qrsim.scenarios.updrafts import updraft_problems
 from qrsim.scenarios.vehicle_checks import controller_problems
+from qrsim.scenarios.zone_checks import zone_problems
 from qrsim.simulation.injections import TARGETS
 from qrsim.world.state import PROCESS, TURBULENCE
 
@@ -78,6 +79,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *skyline_problems(scenario),
         *_fleet_problems(scenario),
         *_ground_problems(scenario),
+        *zone_problems(scenario),
         *_standing_problems(scenario),
         *fault_problems(scenario),
         *event_problems(scenario),

@@ -32,6 +32,7 @@ from qrsim.scenarios.sky_of_receivers import RECEIVERS
 from qrsim.scenarios.updrafts import updraft_warnings
 from qrsim.scenarios.vehicle_checks import grams_hint
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
+from qrsim.scenarios.zone_checks import zone_warnings
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.
 LEAST_THRUST_OVER_WEIGHT = 1.2
@@ -54,6 +55,7 @@ PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     yield from air_warnings(scenario)
+    yield from zone_warnings(scenario)
     yield from updraft_warnings(scenario)
     yield from _sky(scenario)
     yield from _wind(scenario)
