@@ -51,6 +51,7 @@ NUMBERS = {
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
     "radio": {"vehicles", "tick_ms", "ratio", "heard"},
+    "recording": {"ticks_s", "recorded_s", "over_ticks", "megabytes"},
     "ros2": {"vehicles", "topics", "rate_hz", "ticks", "core", "messages_per_second"},
     "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
     "serve": {"count", "median_us", "p95_us", "per_second"},
