@@ -13,6 +13,7 @@ import numpy as np
 from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
+from qrsim.envs.keys_ahead import KeysAhead
 from qrsim.errors import RunError, UsageError, did_you_mean, shortened
 from qrsim.files import Content
 from qrsim.tasks.agents import Axis
@@ -101,6 +102,7 @@ class Batch:
             self.episodes = Episodes(self.functional.play, self.size, self.dtype)
         self.seeds = np.zeros(self.size, np.int64)
         self.numbers = np.zeros(self.size, np.int64)
+        self._ahead = KeysAhead(self.size)
         # Steps done of each episode, and whether it has ended: what comes after has no meaning.
         self._steps, self._ended = np.zeros(self.size, np.int64), np.zeros(self.size, bool)
         self._answers: Floats | None = None
@@ -137,6 +139,7 @@ class Batch:
         with self._precision():
             self.functional = self._full.at_difficulty(difficulty)
             self.episodes.draw_from(self.functional.play)
+        self._ahead.clear()
 
     def take_options(self, options: dict[str, Any] | None) -> None:
         """Set the difficulty if the options of a reset have one (``difficulty``).
@@ -155,7 +158,7 @@ class Batch:
             self._answers[rows] = 0.0
         self._steps[rows], self._ended[rows] = 0, False
         with self._precision():
-            keys = self.functional.keys(self.seeds[rows], self.numbers[rows])
+            keys = self._ahead.keys(self.functional, rows, self.seeds, self.numbers)
             begun = self.episodes.start(rows, keys)
         refuse_unplaced(self.functional.play.world, begun.placed)
         if self.seen is None:
