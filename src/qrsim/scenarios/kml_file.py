@@ -7,13 +7,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from qrsim.errors import UsageError, did_you_mean, readable
 from qrsim.files.user_files import LARGEST_TEXT, read_bytes
 from qrsim.models.scene.fence import polygon_problems
+from qrsim.scenarios.plans.xml import children, tag, text_of, xml_root
 
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", "Track", "MultiTrack")
 # Names in one message.
@@ -33,17 +32,6 @@ class KmlPolygon:
     name: str
     vertices: tuple[tuple[float, float], ...]
     altitudes: tuple[float, ...]
-
-
-class _Builder(ElementTree.TreeBuilder):
-    """Refuses a document type before any of its entities is read: entities can grow without bound."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
-        raise _DocumentTypeError
-
-
-class _DocumentTypeError(Exception):
-    pass
 
 
 def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
@@ -94,46 +82,21 @@ def _root(path: str) -> Element:
         data = read_bytes(path, LARGEST_TEXT)
     if data.startswith(b"PK"):
         raise UsageError(f"{path}: is a KMZ archive; unpack it and give the KML file inside, usually doc.kml")
-    parser = ElementTree.XMLParser(target=_Builder())
-    try:
-        parser.feed(data)
-        root: Element = parser.close()
-    except _DocumentTypeError:
-        raise UsageError(f"{path}: has a document type (<!DOCTYPE), which KML has not; remove it") from None
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise UsageError(f"{path}: is not XML: {error}") from None
-    if _tag(root) != "kml":
-        raise UsageError(f"{path}: is not KML: its first element is <{_tag(root)}>, expected <kml>")
-    return root
-
-
-def _tag(element: Element) -> str:
-    """Return the tag without its namespace."""
-    return element.tag.rpartition("}")[2]
-
-
-def _children(element: Element, tag: str) -> list[Element]:
-    return [child for child in element if _tag(child) == tag]
-
-
-def _text(element: Element, tag: str) -> str:
-    return "".join((child.text or "").strip() for child in _children(element, tag)[:1])
+    return xml_root(path, data, "KML")
 
 
 def _polygon_elements(path: str) -> list[tuple[str, Element]]:
     """Return (name of the placemark, element) of each polygon; at least one."""
-    placemarks = [element for element in _root(path).iter() if _tag(element) == "Placemark"]
+    placemarks = [element for element in _root(path).iter() if tag(element) == "Placemark"]
     found = [
-        (_text(placemark, "name"), element)
+        (text_of(placemark, "name"), element)
         for placemark in placemarks
         for element in placemark.iter()
-        if _tag(element) == "Polygon"
+        if tag(element) == "Polygon"
     ]
     if not found:
-        others = Counter(
-            _tag(part) for placemark in placemarks for part in placemark.iter() if _tag(part) in GEOMETRIES
-        )
-        words = ", ".join(f"{count} {tag}" for tag, count in others.items()) or "no geometry"
+        others = Counter(tag(part) for placemark in placemarks for part in placemark.iter() if tag(part) in GEOMETRIES)
+        words = ", ".join(f"{count} {kind}" for kind, count in others.items()) or "no geometry"
         raise UsageError(f"{path}: has no Polygon in a Placemark; found {words}")
     return found
 
@@ -141,13 +104,13 @@ def _polygon_elements(path: str) -> list[tuple[str, Element]]:
 def _polygon(path: str, name: str, element: Element) -> KmlPolygon:
     """Return the outer boundary of a Polygon element."""
     where = f"{path}: polygon {_called(name)}"
-    if _children(element, "innerBoundaryIs"):
+    if children(element, "innerBoundaryIs"):
         raise UsageError(
             f"{where}: has a hole (innerBoundaryIs), and holes are not supported; "
             "draw the excluded area as a separate polygon"
         )
-    rings = [ring for outer in _children(element, "outerBoundaryIs") for ring in _children(outer, "LinearRing")]
-    texts = [_text(ring, "coordinates") for ring in rings]
+    rings = [ring for outer in children(element, "outerBoundaryIs") for ring in children(outer, "LinearRing")]
+    texts = [text_of(ring, "coordinates") for ring in rings]
     if len(texts) != 1 or not texts[0]:
         raise UsageError(f"{where}: expected one outerBoundaryIs with a LinearRing with coordinates")
     corners = list(_corners(where, texts[0]))

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from qrsim.errors import UsageError
 from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
-from qrsim.scenarios.plan import Plan
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.site_schema import HIGHEST_SITE, LOWEST_SITE, SiteSpec
 
 NUMBERS = ("latitude_deg", "longitude_deg", "height")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from qrsim.files import Content
 from qrsim.scenarios.component_schema import Finite, Strict
@@ -16,9 +16,36 @@ COLDEST_DAY, HOTTEST_DAY = -80.0, 50.0
 
 
 class PlanSpec(Strict):
-    """A QGroundControl plan: the route of a vehicle, or the home of which is the site."""
+    """A plan with its home as the site."""
 
     file: str = Field(description="a QGroundControl .plan file", min_length=1)
+
+
+class RoutePlanSpec(Strict):
+    """A plan: the route of a vehicle."""
+
+    file: str = Field(
+        description="a file: .plan, .waypoints or .txt (QGC WPL), .kml, .kmz, .gpx, .geojson", min_length=1
+    )
+    route: str | None = Field(None, description="name of a route of the file; default: its only one")
+    height: Finite | None = Field(
+        None, description="height above the ground [m] of points without an altitude", gt=0, le=10_000
+    )
+    home: list[Finite] | None = Field(
+        None,
+        description="home of a file without one: latitude, longitude [deg] and perhaps altitude above mean sea level "
+        "[m]; default: its first point",
+        min_length=2,
+        max_length=3,
+    )
+
+    @field_validator("home")
+    @classmethod
+    def _on_earth(cls, home: list[float] | None) -> list[float] | None:
+        if home and (abs(home[0]) > 90.0 or abs(home[1]) > 180.0):
+            hint = "; is it longitude, latitude?" if abs(home[0]) > 90.0 and abs(home[1]) <= 90.0 else ""
+            raise ValueError(f"{home[:2]} is no latitude, longitude{hint}")
+        return home
 
 
 def or_its_file(schema: Content) -> None:

@@ -13,6 +13,7 @@ from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
 from qrsim.links.mavlink.stack.statuses import MissionStatus
+from qrsim.scenarios.plans import commands as known
 
 # An item's height counts as reached within this [m], as NAV_MC_ALT_RAD.
 HEIGHT_RADIUS = 0.8
@@ -167,9 +168,9 @@ class Mission:
     def _next(self, item: Item, craft: Craft) -> bool:
         """Go over to the next item; return whether there is none."""
         craft.tell("item_reached", self.current)
-        self.returns = item.command == plan.RETURN
+        self.returns = item.command == known.RETURN
         following = self.current + 1
-        if item.command == plan.JUMP:
+        if item.command == known.JUMP:
             jumped, times = self._jumps.get(self.current, 0), item.params[1]
             if times == FOR_EVER or jumped < times:
                 self._jumps[self.current] = jumped + 1
@@ -181,9 +182,9 @@ class Mission:
             over, self._cycles = True, 0
         if over:
             self.state = MissionState.COMPLETE
-            self.landed = item.command == plan.LAND
+            self.landed = item.command == known.LAND
         else:
-            if item.command in plan.PLACES:
+            if item.command in known.PLACES:
                 self._heading = None
             before = self._from if item.command in plan.ON_THE_WAY else self._goal
             self.current = following
@@ -195,23 +196,23 @@ class Mission:
     def _fly_item(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
         """Return whether an item is done, and the order."""
         command, params, now = item.command, item.params, craft.seen.time
-        if command == plan.LAND:
+        if command == known.LAND:
             return self._land(item, craft)
-        if command == plan.TAKEOFF:
+        if command == known.TAKEOFF:
             return self._take_off(item, craft)
-        if command in plan.PLACES:
+        if command in known.PLACES:
             return self._go(item, craft)
-        if command in (plan.DELAY, plan.CONDITION_DELAY):
+        if command in (known.DELAY, known.CONDITION_DELAY):
             self._arrived = now if self._arrived is None else self._arrived
             wait = params[0] if params[0] > 0.0 else 0.0
             return now - self._arrived >= wait, self._stay(craft)
         if command in plan.ON_THE_WAY:
             return self._on_the_way(item, craft)
-        if command == plan.CHANGE_SPEED:
+        if command == known.CHANGE_SPEED:
             change_speed(craft, params[0], params[1])
-        elif command == plan.SET_HOME:
+        elif command == known.SET_HOME:
             plan.set_home(item, craft)
-        elif command == plan.CONDITION_YAW:
+        elif command == known.CONDITION_YAW:
             self._heading = heading(craft, params[0], params[2], params[3])
         return True, None
 
@@ -227,7 +228,7 @@ class Mission:
         here, goal = craft.seen.position_ned, self._goal
         if self._arrived is not None or goal is None:
             return True, order
-        if item.command == plan.CONDITION_DISTANCE:
+        if item.command == known.CONDITION_DISTANCE:
             return math.dist(here[:2], goal[:2]) < item.params[0], order
         gate = plan.place_of(item, craft, here)
         north, east = goal[0] - gate[0], goal[1] - gate[1]
@@ -237,7 +238,7 @@ class Mission:
         """Return the heading that is asked for on the way to an item [rad], NaN where none is."""
         if self._heading is not None:
             return self._heading
-        asks = self._flavour == "px4" and item.command in (plan.WAYPOINT, plan.TAKEOFF)
+        asks = self._flavour == "px4" and item.command in (known.WAYPOINT, known.TAKEOFF)
         return math.radians(item.params[3]) if asks else math.nan
 
     def _stay(self, craft: Craft) -> Order | None:
@@ -273,7 +274,7 @@ class Mission:
             self.rises = not self._lifted
             level, up, down = craft.speeds()
             return False, craft.go((here[0], here[1], top), (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
-        radius = item.params[1] if item.command == plan.WAYPOINT and item.params[1] > 0.0 else 0.0
+        radius = item.params[1] if item.command == known.WAYPOINT and item.params[1] > 0.0 else 0.0
         radius = radius or craft.parameters["NAV_ACC_RAD"]
         if math.isfinite(turn := self._turns_to(item)):
             craft.turn_to(turn)
@@ -283,7 +284,7 @@ class Mission:
         away = math.hypot(goal[0] - here[0], goal[1] - here[1])
         level = abs(goal[2] - here[2]) < HEIGHT_RADIUS
         near = away < radius and level
-        if item.command == plan.LOITER_TURNS:
+        if item.command == known.LOITER_TURNS:
             near = away < abs(_turn_radius(item)) + radius and level
             if near or self._arrived is not None:
                 return self._circle(item, craft, goal)
@@ -298,9 +299,9 @@ class Mission:
 
     @staticmethod
     def _hold(item: Item) -> float:
-        if item.command == plan.LOITER_UNLIMITED:
+        if item.command == known.LOITER_FOREVER:
             return math.inf
-        timed = item.command in plan.WAYPOINTS or item.command == plan.LOITER_TIME
+        timed = item.command in known.WAYPOINTS or item.command == known.LOITER_TIME
         return item.params[0] if timed and item.params[0] > 0.0 else 0.0
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
