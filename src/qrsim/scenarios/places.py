@@ -20,8 +20,8 @@ from qrsim.scenarios.legs import GeodeticSpec, LegSpec
 from qrsim.scenarios.local import local_ned
 from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan_ground import PlanGround
+from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
 from qrsim.scenarios.plan_site import ellipsoidal_height, far_from_home, home_of, in_feet, items_far_from_home
-from qrsim.scenarios.plans.commands import COMMANDS, SKIPPED
 from qrsim.scenarios.plans.heights import Levels
 from qrsim.scenarios.plans.legs import legs_of, stands_first, touches_ground
 from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
@@ -31,26 +31,24 @@ from qrsim.scenarios.site_schema import RoutePlanSpec, SiteSpec
 
 LAND = "NAV_LAND"
 
-_IDLE = frozenset(COMMANDS[number].name for number in SKIPPED)
 
-
-def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str]]:
+def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str], list[PlannedVehicle]]:
     """Convert positions, routes and fence of a scenario to NED.
 
     What a plan asks for that is not flown is told in warnings.
 
     Returns:
-        The scenario, what is wrong with what its places come from, and for each path that is new in it what to call it
-        in messages.
+        The scenario, what is wrong with what its places come from, for each path that is new in it what to call it in
+        messages, and the plans of its vehicles.
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
     site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None
     if scenario.world.area.type != "fence" and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
-        return scenario, [], {}
+        return scenario, [], {}, []
     places = _Places(scenario)
     # Without its site all other places would be wrong.
     if places.problems:
-        return scenario, places.problems, {}
+        return scenario, places.problems, {}, []
     world = scenario.world.model_copy(update={"area": places.area(scenario.world.area)})
     late, places.problems = places.problems, []
     places.ground = PlanGround(scenario.model_copy(update={"world": world, "site": places.place}))
@@ -59,7 +57,7 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
     if not places.problems:
         places.warn()
     changes = {"fleets": fleets, "world": world, "site": places.place}
-    return scenario.model_copy(update=changes), places.problems, places.written
+    return scenario.model_copy(update=changes), places.problems, places.written, places.planned
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
@@ -99,9 +97,7 @@ class _Places:
         self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
         self.written: dict[str, str] = {}
         self.flown: dict[str, Plan] = {}
-        # The file of each plan by the plan's name in messages, and the item of each of its legs.
-        self.files: dict[str, str] = {}
-        self.origins: dict[str, tuple[str, str, str]] = {}
+        self.planned: list[PlannedVehicle] = []
         self.fences: dict[str, Plan] = {}
         self.off_ground: dict[int, str] = {}
         self.by_route: set[str] = set()
@@ -172,7 +168,6 @@ class _Places:
         if label not in self.flown:
             home = Home(*spec.home) if spec.home else None
             self.flown[label] = read_plan(spec.file, route=spec.route, height=spec.height, home=home)
-            self.files[label] = spec.file
         return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
@@ -197,6 +192,7 @@ class _Places:
                 self.written[f"{path}.waypoints_ned.{j}"] = f"{path}.plan: {label}: item {number}"
             if not mission:
                 self.by_route.add(label)
+                self._note(f"{path}.waypoints_ned", spec, [each.item for each in self._waypoints(label)])
             else:
                 route = []
                 if needs_start and start and self.on_ground and stands_first(self.flown[label]):
@@ -208,6 +204,7 @@ class _Places:
             self.written[f"{path}.position_ned"] = f"{path}.position_geodetic"
         if vehicle.plan and mission and start and _label(vehicle.plan) in self.flown:
             legs, again = self._legs(path, _label(vehicle.plan), start, math.degrees(vehicle.yaw_rad))
+            self._note(f"{path}.legs", vehicle.plan, [leg.item for leg in legs])
         changes = {"position_ned": start, "waypoints_ned": route, "legs": legs, "repeat_from": again}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
 
@@ -237,12 +234,21 @@ class _Places:
             self.problems.append(f"{path}.plan: {label}: {len(written)} legs; allowed: at most {LONGEST_ROUTE}")
             return [], None
         legs = TypeAdapter(list[LegSpec]).validate_python(written)
-        items = {each.item: each.path for each in plan.waypoints}
         for j, leg in enumerate(legs):
             what = f"item {leg.item}" if leg.item else "a delay at the start"
             self.written[f"{path}.legs.{j}"] = f"{path}.plan: {label}: {what}"
-            self.origins[f"{path}.legs.{j}"] = (self.files[label], items.get(leg.item or 0, ""), what)
         return legs, again
+
+    def _waypoints(self, label: str) -> tuple[Waypoint, ...]:
+        return self.flown[label].waypoints if label in self.flown else ()
+
+    def _note(self, path: str, spec: RoutePlanSpec, items: list[int | None]) -> None:
+        """Keep which item each leg or waypoint of a vehicle comes from."""
+        label = _label(spec)
+        if label in self.flown:
+            mission = path.endswith(".legs")
+            plan = self.flown[label]
+            self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission))
 
     def _placed(self, plan: Plan) -> list[list[float]]:
         """Return the home of a plan, on the ground, and its waypoints, NED [m]."""
@@ -308,15 +314,17 @@ class _Places:
             if file in self.flown:
                 notes += self._notes(plan, by_route)
             if not by_route:
-                idle = [note for note in notes if note.name in _IDLE]
+                idle = [note for note in notes if note.name in IDLE]
                 notes = [note for note in notes if note.what and note not in idle]
                 if idle:
-                    warn_user(f"{file}: not carried out: {_listed(idle)}")
+                    warn_user(f"{file}: not carried out: {listed(idle)}")
             for name in dict.fromkeys(note.name for note in notes):
                 first, *others = [note for note in notes if note.name == name]
                 more = f" (and {len(others)} more of its kind)" if others else ""
                 warn_user(f"{file}: {first.route_text if by_route else first.text}{more}")
         for file, plan in self.flown.items():
+            if not self.ground.relief and any(each.above == "ground" and not each.drawn for each in plan.waypoints):
+                warn_user(f"{file}: altitudes above the ground are above z = 0, because world.ground is flat")
             for words in (in_feet(file, plan, self.ceiling, file in self.by_wing), items_far_from_home(file, plan)):
                 if words:
                     warn_user(words)
@@ -337,16 +345,6 @@ class _Places:
             unused = f"not used, because world.area is '{self.area_type}'; give {{type: fence, file: ...}}"
             notes.append(Ignored(None, "geoFence", unused))
         return notes
-
-
-def _listed(notes: list[Ignored]) -> str:
-    """List items by their kinds: DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)."""
-    numbers: dict[str, list[str]] = {}
-    for note in notes:
-        numbers.setdefault(note.name, []).append(str(note.item))
-    return ", ".join(
-        f"{name} ({'item' if len(own) == 1 else 'items'} {', '.join(own)})" for name, own in numbers.items()
-    )
 
 
 def _lands(waypoint: Waypoint) -> bool:

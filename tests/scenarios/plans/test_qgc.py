@@ -21,7 +21,7 @@ ABOVE_SEA, ABOVE_HOME, MISSION = 0, 3, 2
 Write = Callable[[Any], str]
 
 
-def item(command: int, *params: float | None, frame: int = ABOVE_HOME, **more: Any) -> dict[str, Any]:
+def item(command: int, *params: Any, frame: int = ABOVE_HOME, **more: Any) -> dict[str, Any]:
     """A simple item; of fewer than seven parameters the first are zero."""
     padded = [0] * (7 - len(params)) + list(params)
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": padded, "autoContinue": True, **more}
@@ -469,10 +469,10 @@ BAD: dict[str, tuple[Any, str]] = {
     "text": (
         plan(item(16, "47", 8.0, 20.0)),
         "mission.items.0.params.4 (latitude): expected a number [deg], found '47'",
-    ),  # type: ignore[arg-type]
+    ),
     "a hold that is a text": (
         plan(item(16, "long", 0, 0, 0, *GOOD)),
-        "mission.items.0.params.0: expected a number, found 'long'",  # type: ignore[arg-type]
+        "mission.items.0.params.0: expected a number, found 'long'",
     ),
     # Fences.
     "fence without circles": (without(plan(), "geoFence", "circles"), "geoFence.circles: is missing; expected a list"),

@@ -110,6 +110,7 @@ def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[F
                 COMMANDS[WAYPOINT].name,
                 altitude=altitude,
                 above=above,
+                drawn=True,
                 path=f"point {number}",
             )
         )

@@ -16,6 +16,8 @@ from qrsim.scenarios.plans.plan import Plan, Waypoint
 Floats = npt.NDArray[np.float64]
 # A home that differs from the ground at its place by more than this [m] gets a warning.
 OFF_GROUND = 5.0
+# Of the height above the ground on a line [m]; 1 m, less a part for corners that are cut.
+TOLERANCE = 0.8
 
 
 class GroundDown(Protocol):
@@ -78,7 +80,11 @@ class Levels:
 
 
 def over_ground(
-    begin: Sequence[float], end: Sequence[float], ground_down: GroundDown, tolerance: float = 1.0, step: float = 2.0
+    begin: Sequence[float],
+    end: Sequence[float],
+    ground_down: GroundDown,
+    tolerance: float = TOLERANCE,
+    step: float = 2.0,
 ) -> list[list[float]]:
     """Return the places between two at which a line bends, so that its height above the ground stays as at its ends.
 

@@ -1,7 +1,7 @@
 """DO_JUMP: from items in the order of the file to items in the order of flight.
 
-As in PX4 and ArduPilot, a jump leads to its target a number of times, and an outer loop does not set its count back. The
-target is a ``doJumpId`` of a .plan file; of items without one, their number.
+As in PX4 and ArduPilot, a jump leads to its target a number of times, and an outer loop does not set its count back.
+The target is a ``doJumpId`` of a .plan file; of items without one, their number.
 """
 
 from __future__ import annotations

@@ -68,19 +68,27 @@ def _unpacked(source: str, data: bytes) -> bytes:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = [each for each in archive.infolist() if each.filename.lower().endswith(".kml")]
             main = [each for each in names if each.filename == "doc.kml"] or names
-            if len(main) != 1:
-                raise UsageError(f"{source}: has {len(main)} .kml files in it; expected doc.kml or one")
-            size, packed = main[0].file_size, max(main[0].compress_size, 1)
-            if size > LARGEST_TEXT or size > MOST_PACKED * packed:
-                raise UsageError(
-                    f"{source}: {main[0].filename} unpacks to {_size(size)}; allowed: {LARGEST_TEXT // 2**20} MB, and "
-                    f"{MOST_PACKED} times its packed size"
-                )
-            with archive.open(main[0]) as file:
-                # Never more than it says it has.
-                return file.read(size)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, zlib.error) as error:
+            found = _read_member(archive, main[0]) if len(main) == 1 else len(main)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, zlib.error) as error:
         raise UsageError(f"{source}: is no KMZ archive: {error}") from None
+    if isinstance(found, bytes):
+        return found
+    if isinstance(found, str):
+        raise UsageError(f"{source}: {found}")
+    raise UsageError(f"{source}: has {found} .kml files in it; expected doc.kml or one")
+
+
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes | str:
+    """Return the content of a file of an archive; the words for why not, where it is too large."""
+    size, packed = member.file_size, max(member.compress_size, 1)
+    if size > LARGEST_TEXT or size > MOST_PACKED * packed:
+        return (
+            f"{member.filename} unpacks to {_size(size)}; allowed: {LARGEST_TEXT // 2**20} MB, and {MOST_PACKED} times "
+            "its packed size"
+        )
+    with archive.open(member) as file:
+        # Never more than it says it has.
+        return file.read(size)
 
 
 def _size(count: int) -> str:

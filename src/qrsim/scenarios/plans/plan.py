@@ -61,6 +61,7 @@ class Waypoint:
         side_deg: heading relative to the way to it [deg]; None: none. Scans look at a structure so.
         until: what holds on the first part of the way to it; None: nothing else.
         climbs: whether a return climbs to its height before it flies back.
+        drawn: whether it is a point of a map, without a command.
         path: of the item in the file.
     """
 
@@ -83,6 +84,7 @@ class Waypoint:
     side_deg: float | None = None
     until: Condition | None = None
     climbs: bool = False
+    drawn: bool = False
     path: str = ""
 
 
