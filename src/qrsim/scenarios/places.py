@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from qrsim.errors import ScenarioError, UsageError, warn_user
-from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
 from qrsim.scenarios.area_schema import MOST_CORNERS, polygon_model
 from qrsim.scenarios.fence_file import fence_corners
@@ -19,13 +17,13 @@ from qrsim.scenarios.ground import stands
 from qrsim.scenarios.legs import GeodeticSpec, LegSpec
 from qrsim.scenarios.local import local_ned
 from qrsim.scenarios.missions import MISSION
-from qrsim.scenarios.plan_ground import PlanGround
+from qrsim.scenarios.plan_ground import PlanGround, amsl_of
 from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
 from qrsim.scenarios.plan_site import ellipsoidal_height, far_from_home, home_of, in_feet, items_far_from_home
 from qrsim.scenarios.plans.heights import Levels
 from qrsim.scenarios.plans.legs import legs_of, stands_first, touches_ground
 from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
-from qrsim.scenarios.plans.reading import DRAWN, read_plan
+from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.site_schema import RoutePlanSpec, SiteSpec
 
@@ -88,18 +86,14 @@ class _Places:
         self.area_type: str = scenario.world.area.type
         self.problems: list[str] = []
         self.height_amsl = scenario.site.height_amsl
-        self.site_amsl = scenario.site.height_amsl
         self.place = self._place(scenario.site)
-        if "height" in scenario.site.model_fields_set:
-            at = scenario.site
-            self.site_amsl = at.height - undulation(at.latitude_deg, at.longitude_deg)
-        self.ground: PlanGround
         self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
+        self.site_amsl = None if self.problems else amsl_of(scenario.site, self.place)
+        self.ground: PlanGround
         self.written: dict[str, str] = {}
         self.flown: dict[str, Plan] = {}
         self.planned: list[PlannedVehicle] = []
         self.fences: dict[str, Plan] = {}
-        self.off_ground: dict[int, str] = {}
         self.by_route: set[str] = set()
         self.by_wing: set[str] = set()
         self.shared: dict[str, int] = {}
@@ -119,11 +113,7 @@ class _Places:
 
     def _place(self, site: SiteSpec) -> SiteSpec:
         """Return a site in numbers: those of the home of its plan, where it has one."""
-        if site.plan and (suffix := Path(site.plan.file).suffix.lower()) in DRAWN:
-            self.problems.append(f"site.plan: {site.plan.file}: a {suffix} file has no home; expected a .plan")
-            return site
         for home in self._attempt("site.plan", lambda: [home_of(site)] if site.plan else []):
-            self.site_amsl = home[2]
             return site.model_copy(
                 update={"latitude_deg": home[0], "longitude_deg": home[1], "height": home[2], "plan": None}
             )
@@ -261,8 +251,6 @@ class _Places:
         found = [[*places[0][:2], downs[0]]]
         for waypoint, place, down in zip(plan.waypoints, places[1:], downs[1:], strict=True):
             found.append([*place[:2], levels.down(waypoint, down)])
-        if words := levels.off_ground(plan, self.ground.relief):
-            self.off_ground[id(plan)] = words
         return found
 
     def _plan(self, spec: RoutePlanSpec, needs_start: bool) -> list[list[float]]:
@@ -308,8 +296,6 @@ class _Places:
         """Tell what is not flown: one warning for each kind of item of each plan, one for all that change no path."""
         for file, plan in {**self.fences, **self.flown}.items():
             by_route = file in self.by_route
-            if id(plan) in self.off_ground:
-                warn_user(f"{file}: {self.off_ground[id(plan)]}")
             notes = [note for note in plan.ignored if note.item is None or file in self.flown]
             if file in self.flown:
                 notes += self._notes(plan, by_route)
@@ -333,8 +319,7 @@ class _Places:
                     f"{file}: {self.shared[file]} vehicles fly it, on one path and to one place, where they may "
                     "collide; give each its own plan"
                 )
-        level = {file: plan for file, plan in self.flown.items() if id(plan) not in self.off_ground}
-        if words := far_from_home({**self.fences, **level}, self.site, self.height_amsl):
+        if words := far_from_home({**self.fences, **self.flown}, self.site, self.height_amsl):
             warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator, model_validator
 
+from qrsim.errors import shortened
 from qrsim.files import Content
 from qrsim.scenarios.component_schema import Finite, Strict
 
@@ -14,11 +15,21 @@ LOWEST_AMSL, HIGHEST_AMSL = -450.0, 9000.0
 # Of the day over the standard atmosphere [K]: from the coldest days of Antarctica to the hottest of deserts.
 COLDEST_DAY, HOTTEST_DAY = -80.0, 50.0
 
+# Ends of names of plans without a home.
+_HOMELESS = (".kml", ".kmz", ".gpx", ".geojson", ".json")
+
 
 class PlanSpec(Strict):
     """A plan with its home as the site."""
 
     file: str = Field(description="a QGroundControl .plan file", min_length=1)
+
+    @field_validator("file")
+    @classmethod
+    def _has_home(cls, file: str) -> str:
+        if file.lower().endswith(_HOMELESS):
+            raise ValueError(f"'{shortened(file, 200)}' has no home; expected a .plan")
+        return file
 
 
 class RoutePlanSpec(Strict):

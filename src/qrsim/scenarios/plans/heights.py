@@ -11,11 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from qrsim.errors import UsageError
-from qrsim.scenarios.plans.plan import Plan, Waypoint
+from qrsim.scenarios.plans.plan import Waypoint
 
 Floats = npt.NDArray[np.float64]
-# A home that differs from the ground at its place by more than this [m] gets a warning.
-OFF_GROUND = 5.0
 # Of the height above the ground on a line [m]; 1 m, less a part for corners that are cut.
 TOLERANCE = 0.8
 
@@ -60,23 +58,6 @@ class Levels:
                 "given; give site.height_amsl, or plan.home with an altitude"
             )
         return self.home_down + self.home_amsl - waypoint.altitude
-
-    def off_ground(self, plan: Plan, relief: bool) -> str | None:
-        """Return a sentence on a home that is not on the ground where altitudes above the sea matter, else None.
-
-        Args:
-            plan: of the home.
-            relief: whether the ground of the scenario has relief.
-        """
-        if self.site_amsl is None or not (relief or any(each.above == "sea" for each in plan.waypoints)):
-            return None
-        ground = self.site_amsl - self.home_down
-        if not abs(self.home_amsl - ground) > OFF_GROUND:
-            return None
-        return (
-            f"plannedHomePosition is {self.home_amsl:.4g} m above the sea, the ground there {ground:.4g} m; flown from "
-            "the ground"
-        )
 
 
 def over_ground(

@@ -13,6 +13,7 @@ from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
 from qrsim.links.mavlink.stack.statuses import MissionStatus
+from qrsim.links.mavlink.stack.ways import Way, steep, way_to
 from qrsim.scenarios.plans import commands as known
 
 # An item's height counts as reached within this [m], as NAV_MC_ALT_RAD.
@@ -58,6 +59,7 @@ class Mission:
     def _forget(self) -> None:
         """Begin with the item that is flown."""
         self._goal: Triple | None = None
+        self._way = Way()
         self._from: Triple | None = None
         self._arrived: float | None = None
         self._turns = Circle()
@@ -265,6 +267,7 @@ class Mission:
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
+            self._way = way_to(self.items, item.seq, self._from, self._goal, craft)
             self._lifted = craft.flies
         goal = self._goal
         if not self._lifted:
@@ -276,6 +279,8 @@ class Mission:
             return False, craft.go((here[0], here[1], top), (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
         radius = item.params[1] if item.command == known.WAYPOINT and item.params[1] > 0.0 else 0.0
         radius = radius or craft.parameters["NAV_ACC_RAD"]
+        if bend := self._way.through(here, radius):
+            return False, self._pass_through(item, craft, *bend)
         if math.isfinite(turn := self._turns_to(item)):
             craft.turn_to(turn)
             turns = False
@@ -294,8 +299,17 @@ class Mission:
         if turns:
             _, up, down = craft.speeds()
             return False, craft.go(goal, (0.0, up, down))
-        order = craft.go(goal, beyond=0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius)
+        beyond = 0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius
+        order = craft.go(goal, steep(craft, goal) if self._way.bent else None, beyond)
         return self._arrived is not None and now - self._arrived >= hold, order
+
+    def _pass_through(self, item: Item, craft: Craft, place: Triple, onward: float) -> Order:
+        """Return the order to fly through a place at which the way to an item bends, and so far on [m]."""
+        if math.isfinite(turn := self._turns_to(item)):
+            craft.turn_to(turn)
+        else:
+            craft.head_to(place[0], place[1], 1.0)
+        return craft.go(place, steep(craft, place), beyond=onward)
 
     @staticmethod
     def _hold(item: Item) -> float:

@@ -107,6 +107,8 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
         if item.frame in RELATIVE:
             altitude += home.altitude if home else craft.geodesy.height
         elif item.frame not in AMSL:
+            if craft.facts.ground_down is not None:
+                return _above_ground(item, craft, otherwise)
             # Terrain is flat: the site's own height.
             altitude += craft.geodesy.height
         if has_place(item):
@@ -116,6 +118,16 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
         north, east, _ = craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, craft.geodesy.height)
         return north, east, z
     return otherwise[0], otherwise[1], z
+
+
+def _above_ground(item: Item, craft: Craft, otherwise: Triple) -> Triple:
+    """Return where an item is whose altitude is above the ground of its place."""
+    ground_down = craft.facts.ground_down
+    assert ground_down is not None
+    north, east = otherwise[:2]
+    if has_place(item):
+        north, east, _ = craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, craft.geodesy.height)
+    return north, east, float(ground_down(north, east)) - item.z
 
 
 def next_place(items: Sequence[Item]) -> Item | None:
