@@ -89,10 +89,8 @@ def items_far_from_home(file: str, plan: Plan) -> str | None:
     if not plan.waypoints:
         return None
     first, home = plan.waypoints[0], plan.home
-    around = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
-    north, east, _ = around.geodetic_to_ned(
-        math.radians(first.latitude_deg), math.radians(first.longitude_deg), home.altitude_amsl
-    )
+    around = Site.from_degrees(home.latitude_deg, home.longitude_deg)
+    north, east, _ = around.geodetic_to_ned(math.radians(first.latitude_deg), math.radians(first.longitude_deg), 0.0)
     distance = math.hypot(north, east)
     if distance <= FAR:
         return None

@@ -14,7 +14,8 @@ from qrsim.scenarios.plans.commands import COMMANDS, WAYPOINT
 from qrsim.scenarios.plans.parts import LARGEST_LENGTH
 from qrsim.scenarios.plans.plan import Above, Corners, FencePolygon, Home, Plan, Waypoint
 
-# Names in one message.
+# Points of one route or ring, and names in one message.
+MOST_POINTS = 20_000
 MOST_NAMES = 20
 
 
@@ -115,6 +116,16 @@ def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[F
             )
         )
     return Plan(home, tuple(waypoints), tuple(polygons))
+
+
+def check_count(source: str, where: str, count: int) -> None:
+    """Refuse a route or a ring of too many points.
+
+    Raises:
+        UsageError: it has.
+    """
+    if count > MOST_POINTS:
+        raise UsageError(f"{source}: {where}: {count} points; allowed: {MOST_POINTS}")
 
 
 def checked_place(source: str, where: str, latitude: float, longitude: float) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from qrsim.scenarios.plans.drawn import (
     Drawn,
     Options,
     Point,
+    check_count,
     checked_altitude,
     checked_place,
     chosen,
@@ -128,4 +129,5 @@ def _position(source: str, where: str, position: object) -> list[float]:
 def _listed(source: str, where: str, value: object) -> list[Any]:
     if not isinstance(value, list):
         raise UsageError(f"{source}: {where}: expected a list, found {shown(value)}")
+    check_count(source, where, len(value))
     return value

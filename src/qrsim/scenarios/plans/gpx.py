@@ -6,7 +6,16 @@ from xml.etree.ElementTree import Element
 
 from qrsim.errors import UsageError, readable, shortened
 from qrsim.files.user_files import LARGEST_TEXT, read_bytes
-from qrsim.scenarios.plans.drawn import Drawn, Options, Point, checked_altitude, checked_place, chosen, drawn_plan
+from qrsim.scenarios.plans.drawn import (
+    Drawn,
+    Options,
+    Point,
+    check_count,
+    checked_altitude,
+    checked_place,
+    chosen,
+    drawn_plan,
+)
 from qrsim.scenarios.plans.plan import Plan
 from qrsim.scenarios.plans.xml import children, tag, text_of, xml_root
 
@@ -34,7 +43,9 @@ def read_gpx(source: str, options: Options) -> Plan:
 
 def _route(source: str, element: Element) -> Drawn:
     name, points = text_of(element, "name"), []
-    for number, each in enumerate(children(element, "rtept"), 1):
+    marks = children(element, "rtept")
+    check_count(source, f"route '{name}'", len(marks))
+    for number, each in enumerate(marks, 1):
         where = f"point {number} of route '{name}'" if name else f"route point {number}"
         place = (_number(source, where, key, each.get(key)) for key in ("lat", "lon"))
         latitude, longitude = checked_place(source, where, *place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from qrsim.scenarios.plans.drawn import (
     Drawn,
     Options,
     Point,
+    check_count,
     checked_altitude,
     checked_place,
     chosen,
@@ -29,6 +31,11 @@ MOST_PACKED = 100
 # altitudeMode, also that of Google's extension, and what altitudes are above; the others are on the ground or sea.
 _ABOVE: dict[str, Above] = {"absolute": "sea", "relativeToGround": "ground", "relativeToSeaFloor": "ground"}
 _TRACKS = ("Track", "MultiTrack")
+# Whatever zipfile raises for an archive that is damaged.
+_DAMAGED = (
+    zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, OverflowError, struct.error,
+    zlib.error,
+)  # fmt: skip
 
 
 def read_kml(source: str, options: Options) -> Plan:
@@ -69,7 +76,7 @@ def _unpacked(source: str, data: bytes) -> bytes:
             names = [each for each in archive.infolist() if each.filename.lower().endswith(".kml")]
             main = [each for each in names if each.filename == "doc.kml"] or names
             found = _read_member(archive, main[0]) if len(main) == 1 else len(main)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, zlib.error) as error:
+    except _DAMAGED as error:
         raise UsageError(f"{source}: is no KMZ archive: {error}") from None
     if isinstance(found, bytes):
         return found
@@ -131,7 +138,9 @@ def _points(source: str, where: str, text: str, mode: str) -> Iterator[Point]:
 
 def _tuples(source: str, where: str, text: str) -> Iterator[list[float]]:
     """Yield longitude, latitude [deg] and perhaps altitude [m] of each tuple of a coordinates element."""
-    for i, words in enumerate(text.split(), 1):
+    tuples = text.split()
+    check_count(source, where, len(tuples))
+    for i, words in enumerate(tuples, 1):
         try:
             numbers = [float(word) for word in words.split(",")]
         except ValueError:

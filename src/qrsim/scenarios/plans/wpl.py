@@ -14,7 +14,7 @@ from qrsim.scenarios.plans.parts import PlanFaultError, place_of
 from qrsim.scenarios.plans.plan import Home, Ignored, Plan
 from qrsim.scenarios.plans.route import Route
 
-HEADER, VERSIONS, COLUMNS = "QGC WPL", ("110", "120"), 12
+HEADER, VERSIONS, COLUMNS, MOST_LINES = "QGC WPL", ("110", "120"), 12, 20_000
 _WHOLE = {0: "number", 2: "frame", 3: "command"}
 Row = tuple[int, list[float]]
 
@@ -80,6 +80,8 @@ def _rows(source: str) -> list[Row]:
         raise UsageError(
             f"{source}: line 1: '{shortened(' '.join(words), 40)}' is not supported; supported: {', '.join(VERSIONS)}"
         )
+    if len(lines) > MOST_LINES:
+        raise UsageError(f"{source}: has {len(lines)} lines; allowed: {MOST_LINES}")
     rows, problems = [], []
     for number, line in enumerate(lines[1:], 2):
         values = line.split()
