@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -37,7 +38,10 @@ class PlannedVehicle:
 def plan_lines(planned: Iterable[PlannedVehicle]) -> Iterator[str]:
     """Yield lines about the plans of vehicles, for a person."""
     for vehicle in planned:
+        home = vehicle.plan.home
+        level = "" if math.isnan(home.altitude_amsl) else f", {home.altitude_amsl:g} m above the sea"
         yield f"{vehicle.path}, from {vehicle.label}:"
+        yield f"  home: latitude {home.latitude_deg:.7g} deg, longitude {home.longitude_deg:.7g} deg{level}"
         places = {each.item: each for each in vehicle.plan.waypoints}
         at = lines_of(vehicle.file, [each.path for each in places.values()])
         first = 0

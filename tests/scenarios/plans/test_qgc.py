@@ -397,6 +397,10 @@ BAD: dict[str, tuple[Any, str]] = {
         plan(survey()),
         "mission.items.0: TransectStyleComplexItem.Items is empty; open and save the plan in QGroundControl",
     ),
+    "a long delay": (
+        plan(item(16, 604_800, 0, 0, None, *GOOD), item(93, 1, 0, 0, 0, 0, 0, 0)),
+        "mission.items.1.params.0: 604801 s in all are out of range; allowed: 0 to 604800 s",
+    ),
     "kind of speed": (
         plan(item(178, 4, 1, 0, 0, 0, 0, 0)),
         "mission.items.0.params.0: 4 is no kind of speed; allowed: 0",

@@ -124,9 +124,10 @@ def test_the_lines_of_a_plan_are_shown(write: Callable[..., str]) -> None:
     begins = [i + 1 for i, words in enumerate(text) if words.strip() == "{" and '"SimpleItem"' in text[i + 1]]
     lines = list(plan_lines(loaded.planned))
     assert lines[0] == f"fleets.a.vehicles.0.legs, from {file}:"
-    assert lines[1] == f"  0: NAV_WAYPOINT (item 1, line {begins[0]})"
+    assert lines[1] == "  home: latitude 47 deg, longitude 8 deg, 500 m above the sea"
+    assert lines[2] == f"  0: NAV_WAYPOINT (item 1, line {begins[0]})"
     (last,) = (len(vehicle.legs) - 1 for vehicle in loaded.spec.fleets["a"].vehicles)
-    assert lines[3] == f"  2 to {last - 1}: NAV_SPLINE_WAYPOINT (item 4, line {begins[3]})"
+    assert lines[4] == f"  2 to {last - 1}: NAV_SPLINE_WAYPOINT (item 4, line {begins[3]})"
     assert lines[-1] == "  skipped: DO_SET_CAM_TRIGG_DIST (item 3)"
 
 

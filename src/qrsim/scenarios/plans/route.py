@@ -214,7 +214,7 @@ class Route:
         ]
         first, second, third, fourth = (number or 0.0 for number in numbers)
         if command in (known.DELAY, known.CONDITION_DELAY):
-            return self._wait(first)
+            return self._wait(first, path)
         if command == known.CONDITION_YAW:
             if fourth > 0.0:
                 self._heading = {"turn_deg": -first if third < 0.0 else first}
@@ -265,14 +265,19 @@ class Route:
             found = degrees_of(params[4], params[5], (f"{path}.params.4 (latitude)", f"{path}.params.5 (longitude)"))
         self.home = Home(*found, self.home.altitude_amsl)
 
-    def _wait(self, seconds: float) -> str:
+    def _wait(self, seconds: float, path: str) -> str:
         if seconds < 0.0:
             return "a delay until a time of day is not carried out"
-        if not self.waypoints:
-            self.delay += seconds
+        last = self.waypoints[-1] if self.waypoints else None
+        whole = seconds + (last.hold if last else self.delay)
+        if whole > LONGEST_HOLD:
+            raise PlanFaultError(
+                f"{path}.params.0: {whole:g} s in all are out of range; allowed: 0 to {LONGEST_HOLD:g} s"
+            )
+        if last is None:
+            self.delay = whole
         else:
-            last = self.waypoints[-1]
-            self.waypoints[-1] = replace(last, hold=last.hold + seconds)
+            self.waypoints[-1] = replace(last, hold=whole)
         return ""
 
 
