@@ -267,7 +267,7 @@ class Mission:
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
-            self._way = way_to(self.items, item.seq, self._from, self._goal, craft)
+            self._way = way_to(self.items, item, self._from, self._goal, craft)
             self._lifted = craft.flies
         goal = self._goal
         if not self._lifted:

@@ -65,23 +65,24 @@ def steep(craft: Craft, place: Triple) -> Triple:
     return level, up, down
 
 
-def way_to(items: Sequence[Item], seq: int, begin: Triple | None, goal: Triple, craft: Craft) -> Way:
+def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple, craft: Craft) -> Way:
     """Return the way to an item of a plan.
 
     Args:
         items: of the plan.
-        seq: of the item.
+        item: one of them.
         begin: where the item before it was [m]; None: there was none.
         goal: where the item is [m].
         craft: that flies there.
     """
     here = craft.seen.position_ned
+    seq = next(i for i, each in enumerate(items) if each is item)
     before = [each for each in items[:seq] if each.command in known.PLACES]
     places: list[list[float]] = []
-    if items[seq].command == known.SPLINE:
+    if item.command == known.SPLINE:
         first, last = _tangents(items, seq, before, begin, goal, craft)
         places = spline_points(begin or here, goal, first, last)[:-1]
-    elif items[seq].frame in TERRAIN and craft.facts.ground_down and begin and before and before[-1].frame in TERRAIN:
+    elif item.frame in TERRAIN and craft.facts.ground_down and begin and before and before[-1].frame in TERRAIN:
         places = over_ground(begin, goal, craft.facts.ground_down)
     way = Way([(place[0], place[1], place[2]) for place in places], goal)
     way.join(begin or here, here)
@@ -94,7 +95,8 @@ def _tangents(
     """Return the tangents at both ends of a spline; there are none at a stop."""
     first: Sequence[float] = NONE
     if begin and len(before) > 1 and before[-1].command in known.WAYPOINTS and not before[-1].params[0] > 0.0:
-        origin = place_of(before[-2], craft, begin)
+        # A take-off without a place was at home.
+        origin = place_of(before[-2], craft, craft.home.position_ned if craft.home else begin)
         ahead = goal if before[-1].command == known.SPLINE else begin
         first = [b - a for a, b in zip(origin, ahead, strict=True)]
     leads = (each for each in items[seq + 1 :] if each.command in known.PLACES or each.command == known.RETURN)
