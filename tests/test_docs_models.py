@@ -43,8 +43,8 @@ def test_every_component_of_the_catalogue_is_named() -> None:
 @pytest.mark.parametrize("letter", "VAGNSECTFRDW")
 def test_equations_are_numbered_one_by_one(letter: str) -> None:
     pages = [re.sub(r"\]\([^)]*\)", "]", text) for text in PAGES.values()]
-    # An equation begins a line, or stands in bold.
-    pattern = re.compile(rf"^(?:\*\*)?\({letter}(\d+)\)", re.MULTILINE)
+    # A number begins a line, perhaps in bold, or is the tag of an equation in LaTeX.
+    pattern = re.compile(rf"(?:^(?:\*\*)?\(|\\tag\{{){letter}(\d+)[)}}]", re.MULTILINE)
     found = sorted(numbers for text in pages if (numbers := [int(number) for number in pattern.findall(text)]))
     together = [number for numbers in found for number in numbers]
     assert together == list(range(1, len(together) + 1))

@@ -36,7 +36,8 @@ def sentences(text: str) -> Iterator[str]:
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     # Entries of lists and rows of tables are paragraphs.
     for paragraph in re.split(r"\n\s*\n|\n(?=\s*(?:[-*|]|\d+\.)\s)", text):
-        plain = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", paragraph.strip())
+        plain = re.sub(r"\$`[^`]*`\$", "x", paragraph.strip())  # an equation is a word
+        plain = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", plain)
         plain = " ".join(re.sub(r"^\s*(?:[-*>]|\d+\.)\s+", "", plain, flags=re.MULTILINE).split())
         if plain and not plain.startswith(("#", "|", ":::", "$$")):
             yield from (each for each in re.split(r"(?<=[.!?:])\s+(?=[A-Z`*\[(])", plain) if each)

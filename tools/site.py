@@ -1,7 +1,8 @@
 """Build or serve the documentation site: ``python -m tools.site build``, ``serve`` and ``zip``.
 
-``build`` is strict: a link to a missing page or anchor, a page without a place in the navigation and a warning about a
-docstring each end it with exit code 1. ``zip`` writes a site whose pages are opened as files.
+``build`` is strict: a link to a missing page or anchor, a page without a place in the navigation, an equation that is
+not LaTeX and a warning about a docstring each end it with exit code 1. ``zip`` writes a site whose pages are opened as
+files.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from tools import offline_site
+from tools import equations, offline_site
 from tools.site_source import BrokenLinkError, collect, pages
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,10 +44,19 @@ def without_a_place() -> list[str]:
     return [name for name in pages(ROOT).values() if name.endswith(".md") and name not in named]
 
 
+def wrong_equations(root: Path) -> list[str]:
+    """Return page, line and fault of the equations that cannot be drawn."""
+    each = [path for path in pages(root) if path.suffix == ".md"]
+    return [f"{path.relative_to(root)}:{fault}" for path in each for fault in equations.faults(path.read_text("utf-8"))]
+
+
 def build(program: str, file: str = "mkdocs.yml") -> int:
     """Build the site into the folder that a configuration file names, and return an exit code."""
     if lost := without_a_place():
         print(f"mkdocs.yml: no entry under nav for {', '.join(lost)}", file=sys.stderr)
+        return 1
+    if wrong := wrong_equations(ROOT):
+        print(*wrong, sep="\n", file=sys.stderr)
         return 1
     print(f"{collect(ROOT, SOURCE, address())} links to files of the repository", flush=True)
     command = [sys.executable, "-m", program, "build", "--strict", "--clean", "-f", file]

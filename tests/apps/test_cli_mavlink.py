@@ -34,6 +34,7 @@ fleets:
         (["--first-sysid", "241"], "--first-sysid 241: expected 1 to 240"),
         (["--first-sysid", "238"], "5 vehicles; from system 238 on there are ids for 3 (to 240); give a smaller one"),
         (["--flavour", "px5"], "--flavour px5: expected px4 or ardupilot; did you mean 'px4'?"),
+        (["--datum", "ellipsiod"], "--datum ellipsiod: expected sea or ellipsoid; did you mean 'ellipsoid'?"),
         (["--stream-time", "sym"], "--stream-time sym: expected wall or sim; did you mean 'sim'?"),
         (["--gcs", "192.0.2.1"], "--gcs 192.0.2.1: it is another machine, which could fly"),
         (["mavlink_feld"], "did you mean 'mavlink_field'?"),

@@ -540,14 +540,14 @@ def test_run_json_never_promises_ticks_that_a_stream_does_not_have(fly, monkeypa
 
     def create(folder: Path, **options: Any) -> Any:
         writer = real_create(folder, flush_seconds=0.0, **options)
-        real_flush = writer.flush
+        real_write = writer._write
 
-        def flush() -> None:
-            real_flush()
+        def write(batch: Any) -> None:
+            real_write(batch)
             promised.append(json.loads((folder / "run.json").read_text())["ticks"])
             present.append(min(rows_of(folder).values()) - 1)
 
-        monkeypatch.setattr(writer, "flush", flush)
+        monkeypatch.setattr(writer, "_write", write)
         return writer
 
     monkeypatch.setattr(recorder, "RunWriter", SimpleNamespace(create=create))

@@ -11,7 +11,8 @@ import pytest
 
 import qrsim
 from qrsim.errors import UsageError
-from qrsim.models.geoid import undulation
+from qrsim.models.geoid import GeoidPlane, undulation
+from qrsim.models.site import Site
 
 # OUTINTPT.DAT of NGA's package of EGM96: latitude, longitude [deg], undulation [m].
 NGA = [
@@ -103,3 +104,27 @@ def test_neither_the_grid_nor_scipy_is_loaded_before_it_is_asked() -> None:
         "assert geoid._grid.cache_info().currsize == 0; geoid.undulation(0, 0); assert 'scipy' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "within"),
+    [
+        (51.7119, -0.21052, 0.01),
+        (47.397742, 8.545594, 0.02),
+        (27.98, 86.92, 0.04),
+        (90.0, 0.0, 0.01),
+        (0.0, 180.0, 0.01),
+    ],
+)
+def test_near_a_site_the_geoid_is_a_plane(latitude: float, longitude: float, within: float) -> None:
+    """Around the default site, Zurich, Mount Everest, a pole, and across the meridian of 180 degrees."""
+    site = Site.from_degrees(latitude, longitude)
+    plane = GeoidPlane.at(site)
+    assert plane.undulation(0.0, 0.0) == pytest.approx(undulation(latitude, longitude), abs=1e-6)
+    angles = np.linspace(0.0, 2.0 * np.pi, 17)
+    north, east = 5000.0 * np.cos(angles), 5000.0 * np.sin(angles)
+    found = site.ned_to_geodetic(np.stack((north, east, np.zeros(17)), axis=-1))
+    there = undulation(np.degrees(found[0]), np.degrees(found[1]))
+    np.testing.assert_allclose(plane.undulation(north, east), there, rtol=0.0, atol=within)
+    # The ellipsoid has no height above itself.
+    assert GeoidPlane().undulation(5000.0, -5000.0) == 0.0

@@ -161,9 +161,11 @@ def test_flush_by_rows_and_by_time(start: Start, tmp_path: Path) -> None:
     by_rows.append("truth", *chunk("truth", 0))
     assert len(open_run(by_rows.folder)["truth"].time) == 0
     by_rows.append("measurements", *chunk("measurements", 0))
+    by_rows._finish_writing()
     assert len(open_run(by_rows.folder)["truth"].time) == 4
     by_time = start(folder=tmp_path / "other", flush_seconds=0.0)
     by_time.append("truth", *chunk("truth", 0))
+    by_time._finish_writing()
     assert len(open_run(by_time.folder)["truth"].time) == 4
 
 

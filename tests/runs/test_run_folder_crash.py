@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import errno
 import os
 import signal
@@ -133,7 +134,7 @@ def test_ctrl_c_in_the_middle_of_a_flush_neither_loses_nor_repeats_rows(
         calls += 1
         real(*arguments)
         if calls == 2:  # after the second stream's bytes, or its new name, are on disk
-            raise KeyboardInterrupt
+            _thread.interrupt_main()
 
     writer = start()
     append_chunk(writer, 0)

@@ -23,6 +23,8 @@ from qrsim.scenarios.scenario import load_scenario
 
 SITE = {"latitude_deg": 47.0, "longitude_deg": 8.0, "height": 450.0}
 HOME = (47.0005, 8.0)
+# Of the site above the sea: the geoid is 48.4 m above the ellipsoid there.
+LEVEL = 401.6
 SQUARE = [[47.001, 8.001], [47.001, 7.999], [46.999, 7.999], [46.999, 8.001]]
 LAND, TAKEOFF, WAYPOINT, CHANGE_SPEED = 21, 22, 16, 178
 Item = dict[str, Any]
@@ -64,7 +66,7 @@ def write_plan(tmp_path: Path) -> Callable[..., str]:
     """Write a plan whose home is 56 m north of the site and as high as it, and return its path."""
 
     def write(*items: Item, name: str = "survey.plan", version: int = 1, **geofence: Any) -> str:
-        mission = {"version": 2, "plannedHomePosition": [*HOME, 450.0], "items": list(items)}
+        mission = {"version": 2, "plannedHomePosition": [*HOME, LEVEL], "items": list(items)}
         fence = {"version": 2, "polygons": [], "circles": [], **geofence}
         content = {"fileType": "Plan", "version": version, "mission": mission, "geoFence": fence}
         path = tmp_path / name

@@ -41,7 +41,7 @@ def warnings_of(content: dict[str, Any]) -> list[str]:
 
 
 def test_a_plan_far_from_the_site_is_told_once(write: Write) -> None:
-    """21 km are 0.1889 degrees of latitude at 47 degrees; the limits are 1 km and 20 m."""
+    """21 km are 0.1889 degrees of latitude at 47 degrees; the limits are 1 km and 5 m. The site is at 401.6 m."""
 
     def told(*homes: tuple[float, ...], **more: Any) -> list[str]:
         plans = [write(home, f"{i}.plan") for i, home in enumerate(homes)]
@@ -49,19 +49,25 @@ def test_a_plan_far_from_the_site_is_told_once(write: Write) -> None:
         area = {"type": "box", "x_min": -30e3, "x_max": 30e3}
         return warnings_of({**scenario(*vehicles, area=area), **more})
 
-    assert told((47.0089, 8.0, 469.9)) == []
-    (words,) = told((47.0091, 8.0, 450.0))
+    assert told((47.0089, 8.0, 406.4)) == []
+    (words,) = told((47.0091, 8.0, 402.0))
     assert "0.plan: its home is 1.01 km from the site; site: {plan: FILE} takes the site from it" in words
     (words,) = told((47.0, 8.0, 550.0), site={**SITE, "height": 450.0})
-    assert "0.plan: its home is 100 m above site.height, 450 m; site: {plan: FILE}" in words
-    (words,) = told((47.0, 8.0, 429.9), (47.1889, 8.0, 350.0))
+    assert "0.plan: its home is 550 m above the sea, 148 m above the site; it is flown from the ground there; " in words
+    (words,) = told((47.0, 8.0, 390.0), (47.1889, 8.0, 350.0))
     assert (
-        "1.plan: its home is 21 km from the site and 100 m below site.height, 450 m (and 1 more of its kind); site:"
-        in words
-    )
+        "1.plan: its home is 21 km from the site and 350 m above the sea, 51.6 m below the site (and 1 more of its "
+        "kind); it is flown from the ground there; site: {plan: FILE} takes the site from it"
+    ) in words
     fence = write((47.0, 8.0, 550.0), "fence.plan", polygon())
     (words,) = warnings_of(scenario({"position_ned": [0, 0, -5]}, area={"type": "fence", "file": fence}))
-    assert "100 m above site.height" in words
+    assert "550 m above the sea, 148 m above the site" in words
+    # On a hillside a home may be 18.4 m higher than the site.
+    rows = Path(fence).with_name("hill.asc")
+    rows.write_text("ncols 2\nnrows 2\nxllcenter -5000\nyllcenter -5000\ncellsize 10000\n0 40\n0 40\n")
+    hill = scenario({"plan": {"file": write((47.0, 8.0, 420.0), "hill.plan")}, "position_ned": [0, 0, -60]})
+    hill["world"]["ground"] = {"type": "dem", "file": str(rows)}
+    assert warnings_of(hill) == []
 
 
 def test_the_site_may_be_the_home_of_a_plan(write: Write) -> None:
@@ -69,7 +75,9 @@ def test_the_site_may_be_the_home_of_a_plan(write: Write) -> None:
     content = {**scenario({"plan": {"file": file}}), "site": {"plan": {"file": file}}}
     assert warnings_of(content) == []
     spec = load_scenario(content).spec
-    assert (spec.site.latitude_deg, spec.site.longitude_deg, spec.site.height) == (-33.0, 151.0, 135.0)
+    # Its altitude is above the sea; the geoid is 26.02 m above the ellipsoid there.
+    assert (spec.site.latitude_deg, spec.site.longitude_deg, spec.site.height_amsl) == (-33.0, 151.0, 135.0)
+    assert spec.site.height == pytest.approx(161.02, abs=0.02)
     assert spec.fleets["a"].vehicles[0].position_ned == [0.0, 0.0, -12.0]
     assert "plan" not in load_scenario(content).to_yaml()
     # The name of the file alone is enough, relative to the scenario's folder.
@@ -113,8 +121,11 @@ def test_the_height_of_the_site_may_be_above_the_sea() -> None:
         content["site"] = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": 488.0}
         loaded = load_scenario(content)
         assert loaded.spec.site.height == loaded.site.height == pytest.approx(488.0 + geoid, abs=0.02)
-        assert "height_amsl" not in loaded.to_yaml()
+        # A saved scenario has both heights, and is read again.
+        assert "height_amsl: 488.0" in loaded.to_yaml()
         assert load_scenario(yaml.safe_load(loaded.to_yaml())).spec == loaded.spec
+        moved = load_scenario(yaml.safe_load(loaded.to_yaml()), ["site.latitude_deg=0", "site.longitude_deg=0"])
+        assert moved.site.height == pytest.approx(488.0 + 17.16, abs=0.02)
     # Each height takes the place of the other, of what is extended and by --set.
     alone = {"extends": "mavlink_field", "name": "x", "site": {"height_amsl": 100.0}}
     assert load_scenario(alone).site.height == pytest.approx(147.22, abs=0.02)
@@ -142,12 +153,32 @@ def test_a_height_above_the_sea_that_no_site_has_is_named(write: Write) -> None:
 
 
 def test_homes_of_plans_are_compared_with_the_height_above_the_sea(write: Write) -> None:
-    """The geoid is 48 m above the ellipsoid there, more than the 20 m that are warned of."""
+    """The geoid is 48 m above the ellipsoid there; 5 m are warned of."""
     place = {"latitude_deg": 47.0, "longitude_deg": 8.0}
     content = scenario({"plan": {"file": write((47.0, 8.0, 450.0))}})
-    assert warnings_of({**content, "site": {**place, "height_amsl": 431.0}}) == []
+    assert warnings_of({**content, "site": {**place, "height_amsl": 446.0}}) == []
     (words,) = warnings_of({**content, "site": {**place, "height_amsl": 400.0}})
-    assert "its home is 50 m above site.height_amsl, 400 m; site: {plan: FILE}" in words
+    assert "its home is 450 m above the sea, 50 m above the site; " in words
+
+
+def test_a_site_without_a_height_has_that_of_the_home(write: Write) -> None:
+    """The geoid is 48.39 m above the ellipsoid there; a home 1.1 km away is on another field."""
+    place = {"latitude_deg": 47.0, "longitude_deg": 8.0}
+    file, higher = write((47.0, 8.0, 450.0)), write((47.0, 8.0, 453.0), "higher.plan")
+    content = {**scenario({"plan": {"file": file}}, {"plan": {"file": higher}, "position_ned": [0, 9, -5]})}
+    assert warnings_of({**content, "site": place}) == []
+    loaded = load_scenario({**content, "site": place})
+    assert (loaded.spec.site.height_amsl, loaded.site.height) == (450.0, pytest.approx(498.39, abs=0.02))
+    # The air is that of the standard atmosphere at 450 m.
+    assert float(loaded.world().air.temperature) == pytest.approx(288.15 - 0.0065 * 450.0, abs=0.002)
+    far = {**content, "site": {"latitude_deg": 47.01, "longitude_deg": 8.0}}
+    far["world"] = {"area": {"type": "box", "x_min": -2e3, "x_max": 2e3}}
+    with pytest.warns(UserWarning, match="is 1.11 km from the site"):
+        assert load_scenario(far).site.height == 0.0
+    # A plan that cannot be read is told once, of the vehicle that flies it.
+    broken = {**scenario({"plan": {"file": file.replace("survey", "none")}}), "site": place}
+    (words,) = problems_of(broken)
+    assert words.startswith("fleets.a.vehicles.0.plan: ")
 
 
 @pytest.mark.parametrize(
@@ -163,7 +194,7 @@ def test_homes_of_plans_are_compared_with_the_height_above_the_sea(write: Write)
 def test_heights_that_look_like_feet_are_told(tmp_path: Path, height: float, top: float, words: str) -> None:
     """A hundred and twenty metres are 400 ft, the limit of most countries; a foot is 0.3048 m."""
     items = [item(16, 47.0, 8.0, 20.0), item(16, 47.0003, 8.0, height)]
-    mission = {"version": 2, "plannedHomePosition": [47.0, 8.0, 450.0], "items": items}
+    mission = {"version": 2, "plannedHomePosition": [47.0, 8.0, 401.6], "items": items}
     path = tmp_path / "feet.plan"
     path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}), "utf-8")
     box = {"type": "box", "x_min": -100, "x_max": 100, "y_min": -100, "y_max": 100, "z_min": -top}
@@ -204,7 +235,7 @@ def test_a_plan_far_from_its_home_and_one_for_two_vehicles_are_told(tmp_path: Pa
 def test_a_plan_in_feet_is_told_in_a_few_lines(tmp_path: Path) -> None:
     """Eighteen waypoints of 60 m and more, written in feet, below a ceiling of 120 m."""
     items = [item(16, 47.0, 8.0 + 1e-5 * i, (60.0 + i) / 0.3048) for i in range(18)]
-    mission = {"version": 2, "plannedHomePosition": [47.0, 8.0, 450.0], "items": items}
+    mission = {"version": 2, "plannedHomePosition": [47.0, 8.0, 401.6], "items": items}
     path = tmp_path / "feet.plan"
     path.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}), "utf-8")
     box = {"type": "box", "x_min": -100, "x_max": 100, "y_min": -100, "y_max": 100, "z_min": -120}

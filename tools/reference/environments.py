@@ -12,8 +12,8 @@ from tools.reference.tables import code, number, page, table
 
 def pages() -> Mapping[str, str]:
     """Return the page."""
-    introduction = """Each task of qrsim is an environment of Gymnasium where it commands one vehicle, made by
-        `gymnasium.make(ID)`. Where it commands several, it is one of PettingZoo:
+    introduction = """Each task of qrsim that commands one vehicle is an environment of Gymnasium, made by
+        `gymnasium.make(ID)`. A task that commands several is one of PettingZoo:
         `qrsim.envs.parallel_env(SCENARIO)`. All are pure functions of JAX as well:
         `qrsim.envs.Functional.of(SCENARIO)`. An episode is terminated when a vehicle stops, and truncated after its
         last step. [Design of the tasks](../explanation/task_design.md)

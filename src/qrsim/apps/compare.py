@@ -20,8 +20,8 @@ class Compare:
     Settings (seed, versions, scenario) are printed but do not count. Ticks are matched by their time.
 
     One table compares the headline numbers of A and B: how each ended, tracking and estimate errors over all vehicles,
-    the smallest separation, energy. The last table has, for each quantity that differs, the first difference with the
-    values in A and B, and the largest and the RMS difference over all vehicles and common ticks. The quantity that
+    the smallest separation, energy. The last table has a row for each quantity that differs: the first difference with
+    the values in A and B, and the largest and the RMS difference over all vehicles and common ticks. The quantity that
     differs first, then most, comes first.
 
     Example:

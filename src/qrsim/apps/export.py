@@ -23,10 +23,10 @@ TRACK_PERIOD_S = 0.2
 class Export:
     """Write a recorded run for other programs: csv, geojson, gpx, kml, mcap or rosbag2.
 
-    csv: one table per stream, every column with its unit, full precision. geojson, gpx and kml: the true and the
-    GNSS-reported track of every vehicle and the events, on WGS-84. mcap: poses, fixes, sensors, commands, wind, scene
-    and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json. rosbag2: the topics of 'qrsim
-    ros2', as ROS 2 records them.
+    Format csv has one table per stream, every column with its unit, in full precision. Formats geojson, gpx and kml
+    have the true and the GNSS-reported track of every vehicle and the events, on WGS-84. Format mcap has poses, fixes,
+    sensors, commands, wind, scene and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json.
+    Format rosbag2 has the topics of 'qrsim ros2', as ROS 2 records them.
 
     Heights are above the WGS-84 ellipsoid. Those of gpx are above mean sea level (EGM96), and those of kml above the
     ground unless --heights is given. A run that is in progress, was interrupted or was killed is exported up to its

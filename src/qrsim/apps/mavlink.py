@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FLAVOURS = ("px4", "ardupilot")
 ORIGINS = ("start", "site")
+DATUMS = ("sea", "ellipsoid")
 LAST_SYSTEM = 240
 
 
@@ -29,8 +30,8 @@ class Mavlink:
 
     The vehicles start disarmed on the ground, below their scenario positions, with modes, parameters, missions and
     failsafes like those of PX4. Vehicle i (from 0) is system i + 1. It sends to UDP port 14540 + i for programs (from
-    the tenth vehicle on to 14549) and to 14550 for a ground station. docs/howto/mavlink_scripts.md has scripts,
-    docs/reference/mavlink.md the supported messages.
+    the tenth vehicle on to 14549) and to 14550 for a ground station. For scripts see docs/howto/mavlink_scripts.md, for
+    the supported messages docs/reference/mavlink.md.
 
     Anyone who can send to its ports can fly. Connections are neither encrypted nor authenticated, so only programs on
     this machine can connect unless --allow-remote is given.
@@ -59,6 +60,9 @@ class Mavlink:
     local_origin: Annotated[str, tyro.conf.arg(metavar="start|site")] = "start"
     """Origin of each vehicle's local frame (LOCAL_POSITION_NED, SET_POSITION_TARGET_LOCAL_NED, ...): its position when
     its estimator started, or the site of the scenario, which all vehicles share."""
+    datum: Annotated[str, tyro.conf.arg(metavar="sea|ellipsoid")] = "sea"
+    """Zero of altitudes in messages: mean sea level (EGM96), or the WGS-84 ellipsoid, as in qrsim 0.2.
+    GPS_RAW_INT.alt_ellipsoid is always above the ellipsoid."""
     first_sysid: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """MAVLink system id of the first vehicle; the last one is 240."""
     own_ports: bool = False
@@ -107,6 +111,7 @@ class Mavlink:
             factor=self.realtime,
             truth=self.truth,
             respawn=self.respawn,
+            datum=self.datum,  # type: ignore[arg-type]
             log=say,
         )
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
@@ -134,6 +139,7 @@ class Mavlink:
         for name, value, allowed in (
             ("--flavour", self.flavour, FLAVOURS),
             ("--local-origin", self.local_origin, ORIGINS),
+            ("--datum", self.datum, DATUMS),
             ("--stream-time", self.stream_time, ("wall", "sim")),
         ):
             if value not in allowed:

@@ -15,7 +15,7 @@ class Replay:
     """Fly a recorded world of several controllers again, without them, and compare.
 
     Injections of the recorded flight (injections.yaml) are repeated. Checks that all streams are bit-identical. Takes a
-    run of 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier), whose stream 'orders' has the order of
+    run of 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier). Its stream 'orders' has the order of
     each vehicle in each tick. Exit code: 0 if everything is the same, 1 if something differs (or cannot be read), 2 for
     wrong usage.
 

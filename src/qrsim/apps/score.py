@@ -24,9 +24,9 @@ MOST_SEEDS = 10_000
 class Score:
     """Fly policies in the same episodes of a task, and compare their returns.
 
-    Prints for every policy the mean return of an agent with a 95 % bootstrap interval over the episodes, the number of
-    episodes flown to the end, in a search the persons found, and the paired difference to the first policy. The task's
-    baseline, if it has one, and hovering are always included.
+    Prints for every policy the mean return of an agent with a 95 % bootstrap interval over the episodes, and the paired
+    difference to the first policy. It also prints the number of episodes flown to the end and, in a search, the persons
+    found. The task's baseline, if it has one, and hovering are always included.
 
     POLICY is 'baseline', 'hover', 'random', 'oracle' (in a search; it knows the persons' positions) or MODULE:NAME,
     where MODULE may be a .py file. MODULE:NAME is a function from the observations of all agents to their actions (n,

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 class Serve:
     """Let a program in any language fly a live simulation over TCP.
 
-    Speaks the protocol of the reference simulator, whose clients work unchanged, with extensions.
-    docs/howto/tcp_client.md explains clients in Python and C++, docs/reference/tcp_protocol.md the protocol. Clients
-    choose a task by its name: any of 'qrsim list', those of the reference simulator, or SCENARIO. One client at a time
-    controls the simulation, others can watch it. With --pace barrier or free all clients share one world of SCENARIO:
-    each claims vehicles and flies them.
+    Speaks the protocol of the reference simulator, with extensions; its clients work unchanged. For clients in Python
+    and C++ see docs/howto/tcp_client.md, for the protocol docs/reference/tcp_protocol.md. Clients choose a task by its
+    name: any of 'qrsim list', those of the reference simulator, or SCENARIO. One client at a time controls the
+    simulation, others can watch it. With --pace barrier or free all clients share one world of SCENARIO: each claims
+    vehicles and flies them.
 
     Anyone who can connect can control the simulation. Connections are neither encrypted nor authenticated, so only
     programs on this machine can connect unless --allow-remote is given.

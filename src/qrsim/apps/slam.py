@@ -29,8 +29,9 @@ class SlamCommand:
 
     A Pelican flies between random waypoints, once with the simulator's time-correlated GNSS errors and once with white
     ones of the same size. Ranges to ten unknown landmarks and the commands then give trajectory and landmarks, in one
-    of two graphs: in 'paper', as published, GNSS is only where the iterations begin; in 'gnss' every fix is a factor,
-    and the coloured error is also modelled as a state. docs/explanation/slam.md has the equations and what to expect.
+    of two graphs. In 'paper', as published, GNSS is only where the iterations begin. In 'gnss' every fix is a factor,
+    and the coloured error is also modelled as a state. See docs/explanation/slam.md for the equations and what to
+    expect.
 
     Example:
       qrsim slam --seeds 10 --out slam

@@ -15,9 +15,9 @@ from qrsim.errors import RunError, UsageError, os_error_as
 class SweepReport:
     """Report the results of a sweep: tables, pictures, and the commands that fly the worst episodes again.
 
-    How a metric depends on each parameter, with confidence bands; a map over two parameters; the point where half of
-    the episodes fail, by a logistic fit; Sobol indices, if the study was sampled for them. You can also report a
-    running sweep: the report then covers the episodes flown so far.
+    Shows how a metric depends on each parameter, with confidence bands, and a map over two parameters. The point at
+    which half of the episodes fail comes from a logistic fit. Sobol indices are added if the study was sampled for
+    them. You can also report a running sweep: the report then covers the episodes flown so far.
 
     Example:
       qrsim sweep-report sweeps/station_keeping.zarr

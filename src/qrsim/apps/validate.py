@@ -27,7 +27,7 @@ class Validate:
 
     The validation figures of the original simulator, each with its number, its bound and a verdict: thrust, rotation,
     translation, turbulence, wind_field, gnss, receivers, drifts, imu. Writes a self-contained HTML page, a PDF of the
-    same with vector graphics, each picture in figures/, and a JSON of every number. Parts whose recordings are missing
+    same with vector graphics, each picture in figures/, and a JSON of every number. Parts that lack their recordings
     are skipped, and named; 'qrsim data fetch' gets the recordings.
 
     Exit code 0: every check passed; 1: one did not. The fit of a model to a recording is reported, but does not count

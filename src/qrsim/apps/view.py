@@ -24,7 +24,7 @@ class View:
     """Replay a recorded run in three dimensions, in a browser.
 
     Opens a web page, by default for this machine alone: vehicles, true and estimated paths, GNSS positions, wind and
-    gusts, area and obstacles; with a time slider, layers, a camera that follows, and plots of readings against the
+    gusts, area and obstacles. It has a time slider, layers, a camera that follows, and plots of readings against the
     truth. Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
 
     Needs viser: pip install 'qrsim[view]'. Pictures need a browser too: apt-get install chromium.

@@ -110,7 +110,7 @@ class CascadeController(Controller):
         return replace(self, nominal=vehicle)
 
     def estimator(self) -> Estimator | None:
-        """Return the filter, where that is what it is fed with."""
+        """Return the filter if it feeds the cascade."""
         return self.filter if self.feed == "filter" else None
 
     def init(self, estimate: Estimate) -> CascadeState:

@@ -44,7 +44,7 @@ def independent(variances: Sequence[Array]) -> Covariance:
 
 
 def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> Covariance:
-    """Return F P F' + Q of an F whose blocks on the diagonal are 1, and which has others only right of them.
+    """Return F P F' + Q of an F with unit blocks on the diagonal and others only right of them.
 
     Args:
         covariance: P.

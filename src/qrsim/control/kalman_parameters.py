@@ -25,7 +25,7 @@ def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> A
 
 @record
 class KalmanParameters(Estimator):
-    """Noise parameters of the filter: errors of the sensors, of the start and of its own model."""
+    """Noise parameters of the filter: errors of the sensors, of the start and of its model."""
 
     gyroscope_noise: Array = _sensed(1e-3, "rad/s/sqrt(Hz)", "density of white noise")
     accelerometer_noise: Array = _sensed(0.02, "m/s^2/sqrt(Hz)", "density of white noise, vibration included")
@@ -155,7 +155,7 @@ class KalmanParameters(Estimator):
 
 
 def _std_of_each_error(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
-    """Return the std of each error that the filter has besides those of the motion: whole blocks, 0 for none."""
+    """Return the std of each error that the filter has in addition to those of the motion: whole blocks, 0 for none."""
     *first, wind, height = stds
     own = first[:2] if inner.earth_field_ned is None else first
     found = [std for std in own for _ in range(3)]

@@ -62,7 +62,7 @@ class Mission:
     peak: Array = quantity(unit="m/s", doc="(W, n) largest speed; of a polynomial the mean")
     leave: Array = quantity(unit="m/s", doc="(W, n) speed at the end")
     rise_s: Array = quantity(unit="s", doc="(W, n) time of the ramp to the largest speed")
-    cruise_s: Array = quantity(unit="s", doc="(W, n) time at that speed")
+    cruise_s: Array = quantity(unit="s", doc="(W, n) time at this speed")
     fall_s: Array = quantity(unit="s", doc="(W, n) time of the ramp from it")
     turn_s: Array = quantity(unit="s", doc="(W, n) time of the turn into the next leg")
     accept_radius: Array = quantity(unit="m", doc="(W, n) distance at which the end counts as reached")
@@ -178,7 +178,7 @@ class MissionGuidance(Guidance):
             state, route, position_ned, others_ned: as of every guidance.
             velocity_ned: as estimated (n,) [m/s].
             dt: step [s].
-            on_ground: (n,) bool, whether a vehicle stands on the ground; None: none does.
+            on_ground: (n,) bool, whether a vehicle is on the ground; None: none is.
         """
         assert velocity_ned is not None
         standing = jnp.zeros(state.near.shape, bool) if on_ground is None else on_ground
@@ -226,7 +226,7 @@ class MissionGuidance(Guidance):
             before: the step before.
             leg, planned: what is flown, and the point of it that is due.
             position_ned: as estimated.
-            where: (n,) bool: who stands, and who is low.
+            where: (n,) bool: vehicles on the ground, and low ones.
             dt: step [s].
         """
         standing, low = where

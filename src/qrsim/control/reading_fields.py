@@ -14,7 +14,7 @@ FIELD, AIRSPEED = "field_body", "true_airspeed"
 
 
 def source_of(readings: Mapping[str, Any], field: str) -> str:
-    """Return the first sensor, by its name in the fleet, whose reading has a field; "" if none has."""
+    """Return the first sensor, by its name in the fleet, with a field in its reading; "" if none has."""
     return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
 
 

@@ -11,6 +11,7 @@ import dataclasses
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
+from functools import cache
 from typing import Any, ClassVar, Protocol, TypedDict, TypeVar, dataclass_transform, overload
 
 import jax
@@ -233,11 +234,22 @@ def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
 
     The axes of a Vec3 inherit its unit; the parts of a tuple are numbered from 0; a field that is None has none.
     """
-    for field in dataclasses.fields(item):
-        info = field_info(field)
-        value = getattr(item, field.name)
-        if not info.static and value is not None:
-            yield from _walked(value, f"{prefix}{field.name}", info)
+    for name, info in _parts(item.__class__):
+        value = getattr(item, name)
+        if value is not None:
+            yield from _walked(value, f"{prefix}{name}", info)
+
+
+@cache
+def _parts(kind: type) -> tuple[tuple[str, FieldInfo], ...]:
+    """Return name and metadata of each field of a record that is no setting."""
+    found = ((field.name, field_info(field)) for field in dataclasses.fields(kind))
+    return tuple((name, info) for name, info in found if not info.static)
+
+
+@cache
+def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
+    return dataclasses.replace(info, unit=unit)
 
 
 def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
@@ -246,6 +258,6 @@ def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, An
             yield from _walked(part, f"{name}.{number}", info)
     elif dataclasses.is_dataclass(value):
         for sub_name, leaf, sub in walk(value, f"{name}."):
-            yield sub_name, leaf, sub if sub.unit else dataclasses.replace(sub, unit=info.unit)
+            yield sub_name, leaf, sub if sub.unit else _with_unit(sub, info.unit)
     else:
         yield name, value, info

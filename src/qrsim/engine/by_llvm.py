@@ -247,16 +247,22 @@ class LlvmProgram:
 
     def run(self, state: Any, tick: int, count: int) -> Any:
         """Advance a state in place by ``count`` ticks, and return it."""
-        if self._last[0] is not state:
-            self._last = state, state if isinstance(state, Lanes) else Lanes.of_one(self.layout, state)
-        self._program.advance(self._last[1], tick, count)  # type: ignore[union-attr, arg-type]
+        assert self._program is not None
+        self._program.advance(self._lanes(state), tick, count)
         return state
+
+    def _lanes(self, state: Any) -> Lanes:
+        """Return a state as lanes, which are made once for the same state."""
+        last, lanes = self._last
+        if last is not state or lanes is None:
+            lanes = state if isinstance(state, Lanes) else Lanes.of_one(self.layout, state)
+            self._last = state, lanes
+        return lanes
 
     def record(self, state: Any, tick: int, count: int, capacity: int) -> tuple[Any, Buffers]:
         """Advance one world, and return it and the states of all ticks, each buffer (count, ...)."""
-        floats, integers = rows = tuple(np.empty((count, part.size), part.dtype) for part in state)
-        for i in range(count):
-            self.run(state, tick + i, 1)
-            for rows_of, part in zip(rows, state, strict=True):
-                rows_of[i] = part
+        assert self._program is not None
+        floats, integers = (np.empty((count, part.size), part.dtype) for part in state)
+        if count:
+            self._program.keep(self._lanes(state), tick, (floats, integers))
         return state, (floats, integers)

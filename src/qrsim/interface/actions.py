@@ -222,7 +222,7 @@ class ActionChecker:
         return self._command(kind, command, names, flying)
 
     def _kind(self, given: type | None, fleets: tuple[Fleet, ...]) -> CommandKind:
-        """Return which command the vehicles of fleets are given; None: an array of their own fields.
+        """Return which command the vehicles of fleets are given; None: an array of the fields of their commands.
 
         Raises:
             UsageError: the fleets do not all take it.

@@ -1,7 +1,7 @@
 """Crowds: searches for neighbours that found more than they have room for, so that they may have missed the nearest.
 
 Radios, sensors that see others, and teams search by cells (``qrsim.core.neighbours``). Collisions are found by a search
-without such a limit.
+without this limit.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ class Extreme:
 
     value: Array = quantity(doc="largest value; NaN before the first")
     tick: Array = quantity(doc="int32 tick at which it was reached, -1 before the first")
-    position_ned: Vec3 = quantity(unit="m", doc="true position at that tick")
+    position_ned: Vec3 = quantity(unit="m", doc="true position at the tick")
 
     @staticmethod
     def none(like: Array) -> Extreme:

@@ -203,7 +203,7 @@ def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
 
 
 def _blamed(team: str, call: Callable[[], T]) -> T:
-    """Call one of several policies; its errors say whose they are."""
+    """Call one of several policies; its errors name it."""
     try:
         return call()
     except UsageError as error:

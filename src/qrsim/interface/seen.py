@@ -115,7 +115,7 @@ class StateOffsets:
 
 
 class Part:
-    """A tuple, a state or a fleet's state whose entries are unpacked when they are read."""
+    """A tuple, a state or a fleet's state with entries that are unpacked when they are read."""
 
     def __init__(self, seen: Seen, numbers: State | FleetState | tuple[object, ...]):
         self._seen, self._part = seen, numbers

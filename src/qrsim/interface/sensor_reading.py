@@ -32,11 +32,11 @@ class SensorReading(Tabled):
     Where a reading is NaN, ``reasons`` says why. ``time_of_reading`` is when it was true, and ``tick_of_reading`` the
     same in ticks; ``fresh`` is whether it has arrived just now.
 
-    Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
-    the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and one of a sensor ``gnss``
-    the ``time_of_fix`` [s], when it was true. An attitude reading has ``quaternion`` (n, 4), w first, and a camera has
-    its last picture: ``ratio`` (n, R, C), ``corners_ned`` (n, R + 1, C + 1, 2) and ``grid`` (n, 2), the rows and
-    columns that the picture has; beyond them it is NaN.
+    In addition to the fields of the sensor's model, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height``
+    [m above the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and one of a sensor
+    ``gnss`` the ``time_of_fix`` [s], when it was true. An attitude reading has ``quaternion`` (n, 4), w first, and a
+    camera has its last picture: ``ratio`` (n, R, C), ``corners_ned`` (n, R + 1, C + 1, 2) and ``grid`` (n, 2), the rows
+    and columns that the picture has; beyond them it is NaN.
     """
 
     def __init__(self, name: str, reading: Record | None, site: Site, source: FleetSource | None = None):

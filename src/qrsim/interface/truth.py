@@ -97,7 +97,7 @@ class Truth(Tabled):
 
     @property
     def on_ground(self) -> Floats:
-        """(n,) bool: stands on the ground; False where touching it ends a flight."""
+        """(n,) bool: on the ground; False where touching it ends a flight."""
         found = [on_ground(fleet, self._state.fleets[i]) for i, fleet in enumerate(self._world.fleets)]
         sizes = [fleet.size for fleet in self._world.fleets]
         return np.concatenate([np.zeros(n, bool) if now is None else now for n, now in zip(sizes, found, strict=True)])

@@ -9,22 +9,27 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from qrsim.errors import UsageError, shortened
+from qrsim.models.site import Site
 
 Float64 = npt.NDArray[np.float64]
+Lengths = TypeVar("Lengths", float, npt.NDArray[Any])
 Arrays = npt.NDArray[Any] | Sequence[Any]
 
 # From pole to pole, and around the Earth.
 ROWS, COLUMNS, PER_DEGREE = 721, 1440, 4
 # Points of the grid in each direction that a value is interpolated from, and those before the first of its cell.
 POINTS, BEFORE = 8, 3
+# The slope at a site is that between places this far from it to either side [m].
+SLOPE_OVER = 2500.0
 
 
 @overload
@@ -79,6 +84,37 @@ def undulation(latitude_deg: npt.ArrayLike, longitude_deg: npt.ArrayLike) -> flo
         for b in range(POINTS):
             found += rows[a] * columns[b] * grid[i + a, j + b]
     return found if found.ndim else float(found)
+
+
+@dataclass(frozen=True)
+class GeoidPlane:
+    """The geoid near a site as a plane: what altitudes of a run are measured from.
+
+    Within 5 km of a site the plane is within 0.02 m of ``undulation`` almost everywhere, and within 0.1 m on steep
+    islands. Without arguments it is the ellipsoid, and altitudes are heights above that.
+
+    Attributes:
+        height: of the geoid above the WGS-84 ellipsoid at the site [m].
+        slope_north, slope_east: its change [m] per metre to the north and to the east.
+    """
+
+    height: float = 0.0
+    slope_north: float = 0.0
+    slope_east: float = 0.0
+
+    @staticmethod
+    @lru_cache(maxsize=8)
+    def at(site: Site) -> GeoidPlane:
+        """Return the plane at a site."""
+        by = SLOPE_OVER
+        places = [[0.0, 0.0, 0.0], [by, 0.0, 0.0], [-by, 0.0, 0.0], [0.0, by, 0.0], [0.0, -by, 0.0]]
+        latitude, longitude, _ = site.ned_to_geodetic(places)
+        here, north, south, east, west = undulation(np.degrees(latitude), np.degrees(longitude)).tolist()
+        return GeoidPlane(here, (north - south) / (2.0 * by), (east - west) / (2.0 * by))
+
+    def undulation(self, north: Lengths, east: Lengths) -> Lengths:
+        """Return the height of the geoid above the ellipsoid [m] at a place [m] in the site's frame, or at places."""
+        return self.height + self.slope_north * north + self.slope_east * east
 
 
 def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:

@@ -43,18 +43,18 @@ class Buffer:
         self.pending: list[Any] = []
         self.last_time: float | None = None
 
-    def table(self) -> pa.Table:
-        """Return the pending rows; the subclasses know their form."""
+    def table(self, pending: Sequence[Any]) -> pa.Table:
+        """Return rows that were pending; the subclasses know their form."""
         raise NotImplementedError
 
-    def write(self) -> None:
-        """Write the pending rows as the next part."""
+    def write(self, count: int) -> None:
+        """Write the first ``count`` pending entries as the next part; others may be added meanwhile."""
         sink = pa.BufferOutputStream()
-        pq.write_table(self.table(), sink, use_dictionary=self.dictionaries, **_PARQUET)
+        pq.write_table(self.table(self.pending[:count]), sink, use_dictionary=self.dictionaries, **_PARQUET)
         write_atomically(self.folder / part_name(self.number), sink.getvalue())
-        # One statement, between whose halves Python handles no signal: after Ctrl-C during the write above, the
-        # same rows are written to the same part again; after it, they are gone from here.
-        self.number, self.pending = self.number + 1, []
+        self.number += 1
+        # In place, because the list may grow at its end at this moment.
+        del self.pending[:count]
 
 
 class VehicleRows(Buffer):
@@ -86,11 +86,11 @@ class VehicleRows(Buffer):
             self.pending.append((own_ticks, own_times, columns))
         return len(own_ticks) * shape[1], last_tick
 
-    def table(self) -> pa.Table:
-        """Return the pending rows, one per (time, vehicle), vehicles varying fastest."""
+    def table(self, pending: Sequence[Any]) -> pa.Table:
+        """Return rows that were pending, one per (time, vehicle), vehicles varying fastest."""
         count = len(self.vehicles)
-        ticks = np.concatenate([chunk[0] for chunk in self.pending] or [np.zeros(0, np.int64)])
-        times = np.concatenate([chunk[1] for chunk in self.pending] or [np.zeros(0)])
+        ticks = np.concatenate([chunk[0] for chunk in pending] or [np.zeros(0, np.int64)])
+        times = np.concatenate([chunk[1] for chunk in pending] or [np.zeros(0)])
         codes = column(np.tile(np.arange(count, dtype=np.int32), len(ticks)))
         arrays = [
             column(np.repeat(times, count)),
@@ -98,7 +98,7 @@ class VehicleRows(Buffer):
             pa.DictionaryArray.from_arrays(codes, self.vehicles),
         ]
         for i, dtype in enumerate(self.dtypes.values()):
-            chunks = [chunk[2][i] for chunk in self.pending]
+            chunks = [chunk[2][i] for chunk in pending]
             arrays.append(column(np.concatenate(chunks).reshape(-1) if chunks else np.zeros(0, dtype)))
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
@@ -127,9 +127,9 @@ class VehicleRows(Buffer):
 class EventRows(Buffer):
     """Rows of the events stream, pending as tuples in the order of its columns."""
 
-    def table(self) -> pa.Table:
-        """Return the pending events."""
-        columns = list(zip(*self.pending, strict=True)) or [()] * len(self.schema)
+    def table(self, pending: Sequence[Any]) -> pa.Table:
+        """Return events that were pending."""
+        columns = list(zip(*pending, strict=True)) or [()] * len(self.schema)
         arrays = []
         for item, values in zip(self.schema, columns, strict=True):
             if item.type == NAME:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from qrsim.tasks.referee import Referee
 
 CHUNK_TICKS = 50
-LONG_CHUNK_TICKS = 500
+# What is done once a chunk takes longer than its ticks, unless these are many; their states are to stay near the core.
+LONG_CHUNK_TICKS, LONG_CHUNK_BYTES = 2000, 16_000_000
 REALTIME_CHUNK_S = 0.1
 # Ticks of user's functions that take longer than this together are kept at once [s].
 CHUNK_S = 1.0
@@ -190,11 +191,23 @@ def fly(
         keep(first)
         # A page has a clock of its own.
         paced = realtime and view is None
-        # What is done once a chunk takes longer than its ticks, but a page, a pilot and a referee want short ones.
+        # A page, a pilot and a referee want short ones.
         long = compiler == "llvm" and pilot is None and view is None and referee is None and not schedule
+        many = max(CHUNK_TICKS, min(LONG_CHUNK_TICKS, LONG_CHUNK_BYTES // first.bytes_per_tick))
         with _scored(referee, writer, policy):
             begun_at = (start_up, first_tick)
-            pace = _loop(simulation, scenario.ticks, begun_at, paced, pilot, keep, progress, schedule, view, long)
+            pace = _loop(
+                simulation,
+                scenario.ticks,
+                begun_at,
+                paced,
+                pilot,
+                keep,
+                progress,
+                schedule,
+                view,
+                many if long else CHUNK_TICKS,
+            )
         # Also those that were made after the last tick of the other flight.
         schedule.make()
         requests.write_new()
@@ -285,14 +298,11 @@ def _loop(
     progress: Callable[[float, float], None],
     schedule: Schedule,
     view: Watcher | None = None,
-    long: bool = False,
+    chunk: int = CHUNK_TICKS,
 ) -> Pace:
     """Fly up to a number of ticks in chunks, hand each to ``keep``, and return the pace."""
-    chunk = CHUNK_TICKS
     if realtime:
         chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))
-    elif long:
-        chunk = LONG_CHUNK_TICKS
     start = time.perf_counter()
     first = simulation.time
     overruns = 0

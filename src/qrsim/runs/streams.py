@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import jax
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
@@ -20,6 +19,7 @@ from qrsim.runs import Column
 from qrsim.runs.failsafe_events import FailsafeWatch
 from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
+from qrsim.runs.poses import poses_of
 from qrsim.runs.radio_columns import radio_columns
 from qrsim.runs.weather_events import weather_events
 from qrsim.simulation.history import History
@@ -32,23 +32,8 @@ STREAMS = ("truth", "measurements", "commands", "wind")
 OF_RADIO = "measurements"  # stream with the columns of the radio
 VOLTAGE = "battery.voltage"
 
-# JAX traces the poses again for every number of ticks, which takes as long as computing them. Shorter parts of a flight
-# are padded to this number.
-_TICKS, _MOST_POSES = 500, 20_000
 _load = on_host(lambda vehicle, states: vehicle.load(states))
 _voltage = on_host(lambda battery, states, load: battery.voltage(states, load))
-_poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
-
-
-def _poses(fleet: Fleet, states: object) -> object:
-    """Return poses (T, n) of the vehicles' states (T, n), by NumPy: it is asked for at every part of a flight."""
-    ticks = len(jax.tree.leaves(states)[0])
-    if not ticks < _TICKS <= _MOST_POSES / fleet.size:
-        return _poses_of_ticks(fleet.vehicle, states)
-    rows = np.minimum(np.arange(_TICKS), ticks - 1)
-    poses = _poses_of_ticks(fleet.vehicle, jax.tree.map(lambda leaf: np.asarray(leaf)[rows], states))
-    return jax.tree.map(lambda leaf: leaf[:ticks], poses)
-
 
 _UNITS = {
     "specific_force.": "m/s^2",
@@ -68,7 +53,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
     """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
     roots: list[tuple[str, Any]]
     if stream == "truth":
-        poses = _poses(fleet, state.vehicle)
+        poses = poses_of(fleet, state.vehicle)
         roots = [("", poses), ("", state.vehicle), ("specific_force.", state.specific_force)]
         if fleet.battery.drains:
             roots.append(("battery.", state.battery))
@@ -166,10 +151,15 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
                 own[VOLTAGE] = np.asarray(fault.sagged(own[VOLTAGE], history.ticks[:, None]))  # type: ignore[arg-type]
             shape = (len(history.ticks), fleet.size)
             parts.append({c.name: own[c.name] if c.name in own else _absent(shape, c) for c in wanted[stream]})
-        result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
+        result[stream] = {c.name: _side_by_side([part[c.name] for part in parts]) for c in wanted[stream]}
     for name, leaf, _, _ in radio_columns(world, history):
         result[OF_RADIO][name] = leaf
     return result
+
+
+def _side_by_side(parts: list[NumpyArray]) -> NumpyArray:
+    """Return the columns of all fleets as one; of a single fleet without copying it."""
+    return np.concatenate(parts, axis=1) if len(parts) > 1 else np.asarray(parts[0])
 
 
 def _absent(shape: tuple[int, int], column: Column) -> NumpyArray:

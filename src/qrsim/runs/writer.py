@@ -8,7 +8,8 @@ import json
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -34,8 +35,27 @@ from qrsim.runs.layout import (
 _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
+@dataclass(frozen=True)
+class _Batch:
+    """What is written at a time.
+
+    Attributes:
+        pending: stream -> how many of its pending entries.
+        injections: how many entries of ``injections.yaml``, from the first one on.
+        last_tick: tick up to which the streams then are on disk.
+        time: time up to which they are [s]; None without any rows.
+        info: of the run, when the batch was complete.
+    """
+
+    pending: Mapping[str, int]
+    injections: int
+    last_tick: int
+    time: float | None
+    info: RunInfo
+
+
 class RunWriter:
-    """Records one run; not thread-safe.
+    """Records one run, by a thread that writes while the caller flies on; to be called from one thread.
 
     As a context manager it ends the run by itself: "finished", "interrupted" on Ctrl-C, "failed" on any
     other exception. What was buffered is written in all three cases.
@@ -57,6 +77,10 @@ class RunWriter:
         self._held = False
         self._flushed_at = time.monotonic()
         self._closed = False
+        # What a thread writes at present, and what it is doing; the next batch waits for it, so that memory is bounded.
+        self._writing: tuple[_Batch, Future[None]] | None = None
+        self._doing = ""
+        self._thread = ThreadPoolExecutor(1, "run-writer")
 
     @classmethod
     def create(
@@ -79,8 +103,8 @@ class RunWriter:
                 appended, it keeps the ticks that ``info.every`` says.
             scenario_yaml: the resolved scenario.
             columns: stream -> its columns beside time, tick and vehicle; "events" is there anyhow.
-            flush_rows: rows, over all streams, after which the buffers are written.
-            flush_seconds: wall time after which the next append writes the buffers.
+            flush_rows: rows, over all streams, after which the thread begins to write the buffers.
+            flush_seconds: wall time after which it does at the next append.
 
         Raises:
             UsageError: the folder exists, or names are wrong.
@@ -102,7 +126,7 @@ class RunWriter:
             write_atomically(folder / SCENARIO_FILE, scenario_yaml.encode())
             for buffer in buffers.values():
                 buffer.folder.mkdir()
-                buffer.write()
+                buffer.write(0)
             writer._write_info()
         except BaseException as error:
             # The folder is ours and holds nothing yet; left there, it would refuse the next attempt.
@@ -185,29 +209,52 @@ class RunWriter:
             self._added(0, self._last_tick)
 
     def flush(self) -> None:
-        """Write what is buffered as one part per stream, then ``run.json``.
+        """Write what is buffered as one part per stream, then ``run.json``, and return when that is on disk.
 
         Raises:
             RunError: it could not be written; the run is closed as failed, its earlier parts stay readable.
         """
         self._check_open()
-        try:
-            for stream, buffer in self._buffers.items():
-                if buffer.pending:
-                    doing = f"recording '{stream}'"
-                    buffer.write()
-            times = [buffer.last_time for buffer in self._buffers.values() if buffer.last_time is not None]
-            self._time_on_disk = max(times, default=None)
-            if len(self._injections) > self._injections_on_disk:
-                doing = f"writing {INJECTIONS_FILE}"
-                write_atomically(self.folder / INJECTIONS_FILE, "".join(self._injections).encode())
-                self._injections_on_disk = len(self._injections)
-            doing = "updating run.json"
-            self._write_info(ticks=self._last_tick)
-        except OSError as error:
-            raise self._fail(error, doing) from error
+        self._begin_writing()
+        self._finish_writing()
+
+    def _begin_writing(self) -> None:
+        """Let a thread write what is buffered, once what was buffered before is on disk; raises as ``flush``."""
+        self._finish_writing()
+        pending = {stream: len(buffer.pending) for stream, buffer in self._buffers.items()}
+        times = [buffer.last_time for buffer in self._buffers.values() if buffer.last_time is not None]
+        batch = _Batch(pending, len(self._injections), self._last_tick, max(times, default=None), self._info)
         self._rows = 0
         self._flushed_at = time.monotonic()
+        self._writing = batch, self._thread.submit(self._write, batch)
+
+    def _write(self, batch: _Batch) -> None:
+        """Write a batch to disk; in a thread, while the caller may append."""
+        for stream, buffer in self._buffers.items():
+            if batch.pending[stream]:
+                self._doing = f"recording '{stream}'"
+                buffer.write(batch.pending[stream])
+        self._time_on_disk = batch.time
+        if batch.injections > self._injections_on_disk:
+            self._doing = f"writing {INJECTIONS_FILE}"
+            text = "".join(self._injections[: batch.injections])
+            write_atomically(self.folder / INJECTIONS_FILE, text.encode())
+            self._injections_on_disk = batch.injections
+        self._doing = "updating run.json"
+        self._write_json(replace(batch.info, ticks=batch.last_tick, parts=self._parts()))
+
+    def _finish_writing(self) -> None:
+        """Wait until the thread has written its batch; raises as ``flush``."""
+        if self._writing is None:
+            return
+        batch, writing = self._writing
+        try:
+            # After an interruption here, the end of the run waits again.
+            writing.result()
+        except OSError as error:
+            raise self._fail(error, self._doing) from error
+        self._writing = None
+        self._info = replace(self._info, ticks=batch.last_tick, parts=self._parts())
 
     def close(self, state: FinalState = "finished", message: str = "") -> None:
         """Write what is buffered and the run's final state; does nothing on a closed run. Raises as ``flush``."""
@@ -215,6 +262,7 @@ class RunWriter:
             return
         self.flush()
         self._closed = True
+        self._thread.shutdown(wait=False)
         try:
             self._write_info(state=state, message=message, ended=utc_now())
         except OSError as error:
@@ -243,21 +291,29 @@ class RunWriter:
         if self._held:
             return
         if self._rows >= self._flush_rows or time.monotonic() - self._flushed_at >= self._flush_seconds:
-            self.flush()
+            self._begin_writing()
 
     def _check_open(self) -> None:
         if self._closed:
             raise RunError(f"the log in {self.folder} is closed (state: {self._info.state}); nothing more can be added")
 
     def _write_info(self, **changes: Any) -> None:
-        counts = {stream: buffer.number for stream, buffer in self._buffers.items()}
-        self._info = replace(self._info, parts=counts, **changes)
-        text = json.dumps(self._info.to_json(), indent=2, ensure_ascii=False)
+        self._info = replace(self._info, parts=self._parts(), **changes)
+        self._write_json(self._info)
+
+    def _write_json(self, info: RunInfo) -> None:
+        text = json.dumps(info.to_json(), indent=2, ensure_ascii=False)
         write_atomically(self.folder / RUN_FILE, f"{text}\n".encode())
+
+    def _parts(self) -> dict[str, int]:
+        """Return how many parts of each stream are on disk."""
+        return {stream: buffer.number for stream, buffer in self._buffers.items()}
 
     def _fail(self, error: OSError, doing: str) -> RunError:
         """Close the run as failed, as far as the disk still lets it, and return the error to raise."""
         self._closed = True
+        self._writing = None
+        self._thread.shutdown(wait=False)
         why = "disk full" if error.errno in _NO_SPACE else f"cannot write ({error.strerror or error})"
         rest = (
             f"the log in {self.folder} is readable, but empty"

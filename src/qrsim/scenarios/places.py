@@ -19,7 +19,16 @@ from qrsim.scenarios.local import local_ned
 from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan_ground import PlanGround, amsl_of
 from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
-from qrsim.scenarios.plan_site import ellipsoidal_height, far_from_home, home_of, in_feet, items_far_from_home
+from qrsim.scenarios.plan_site import (
+    HIGH,
+    HIGH_ON_RELIEF,
+    ellipsoidal_height,
+    far_from_home,
+    height_of_home,
+    home_of,
+    in_feet,
+    items_far_from_home,
+)
 from qrsim.scenarios.plans.heights import Levels
 from qrsim.scenarios.plans.legs import legs_of, stands_first, touches_ground
 from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
@@ -85,8 +94,11 @@ class _Places:
     def __init__(self, scenario: ScenarioSpec):
         self.area_type: str = scenario.world.area.type
         self.problems: list[str] = []
-        self.height_amsl = scenario.site.height_amsl
-        self.place = self._place(scenario.site)
+        flat = scenario.world.ground.type == "flat"
+        self.most_rise = HIGH if flat else HIGH_ON_RELIEF
+        level = height_of_home(scenario)
+        site = scenario.site if level is None else scenario.site.model_copy(update={"height_amsl": level})
+        self.place = self._place(site)
         self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
         self.site_amsl = None if self.problems else amsl_of(scenario.site, self.place)
         self.ground: PlanGround
@@ -113,15 +125,19 @@ class _Places:
 
     def _place(self, site: SiteSpec) -> SiteSpec:
         """Return a site in numbers: those of the home of its plan, where it has one."""
-        for home in self._attempt("site.plan", lambda: [home_of(site)] if site.plan else []):
-            return site.model_copy(
-                update={"latitude_deg": home[0], "longitude_deg": home[1], "height": home[2], "plan": None}
-            )
+        homes = self._attempt("site.plan", lambda: [home_of(site)]) if site.plan else []
+        for latitude, longitude, height in homes:
+            named = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": height, "plan": None}
+            return self._with_height(site.model_copy(update=named), "site.plan")
+        return self._with_height(site, "site.height_amsl")
+
+    def _with_height(self, site: SiteSpec, path: str) -> SiteSpec:
+        """Return a site with its height above the ellipsoid, where it has one above mean sea level."""
         if site.height_amsl is not None:
             try:
-                return site.model_copy(update={"height": ellipsoidal_height(site), "height_amsl": None})
+                return site.model_copy(update={"height": ellipsoidal_height(site)})
             except UsageError as error:
-                self.problems.append(f"site.height_amsl: {error}")
+                self.problems.append(f"{path}: {error}")
         return site
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:
@@ -319,7 +335,7 @@ class _Places:
                     f"{file}: {self.shared[file]} vehicles fly it, on one path and to one place, where they may "
                     "collide; give each its own plan"
                 )
-        if words := far_from_home({**self.fences, **self.flown}, self.site, self.height_amsl):
+        if words := far_from_home({**self.fences, **self.flown}, self.site, self.most_rise):
             warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:

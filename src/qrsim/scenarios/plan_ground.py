@@ -14,7 +14,6 @@ from qrsim.models.geoid import undulation
 from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.scenarios import build
 from qrsim.scenarios.plans.heights import Floats, GroundDown
-from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.site_schema import SiteSpec
 
@@ -61,13 +60,11 @@ def amsl_of(given: SiteSpec, place: SiteSpec) -> float | None:
     """Return the altitude of a site above mean sea level [m], None where nothing gives its height.
 
     Args:
-        given: as the scenario has it; its plan can be read.
-        place: the same in numbers.
+        given: as the scenario has it.
+        place: the same in numbers, with the altitude of its plan.
     """
-    if given.plan is not None:
-        return read_plan(given.plan.file).home.altitude_amsl
-    if given.height_amsl is not None or place.height_amsl is not None:
-        return place.height_amsl if given.height_amsl is None else given.height_amsl
+    if place.height_amsl is not None:
+        return place.height_amsl
     if "height" not in given.model_fields_set:
         return None
     return place.height - undulation(place.latitude_deg, place.longitude_deg)

@@ -8,14 +8,15 @@ from collections.abc import Mapping
 from qrsim.errors import UsageError
 from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
-from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.plan import Home, Plan
 from qrsim.scenarios.plans.reading import read_plan
-from qrsim.scenarios.site_schema import HIGHEST_SITE, LOWEST_SITE, SiteSpec
+from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios.site_schema import HIGHEST_AMSL, HIGHEST_SITE, LOWEST_AMSL, LOWEST_SITE, SiteSpec
 
 NUMBERS = ("latitude_deg", "longitude_deg", "height")
-# Further apart [m], a plan and a site are hardly meant to be the same field. Heights above the sea, which plans have,
-# and above the ellipsoid differ by more than this in places, so that it is a warning and no error.
-FAR, HIGH = 1000.0, 20.0
+# Further apart [m], a plan and a site are hardly meant to be the same field: away, and up or down where the ground is
+# flat, and where it is not.
+FAR, HIGH, HIGH_ON_RELIEF = 1000.0, 5.0, 20.0
 # Multirotors fly up to 120 m (400 ft) in most countries; a plan that is written in feet goes to hundreds.
 USUAL_HEIGHT, FOOT = 150.0, 0.3048
 
@@ -57,31 +58,59 @@ def ellipsoidal_height(site: SiteSpec) -> float:
     return height
 
 
-def far_from_home(plans: Mapping[str, Plan], site: Site, height_amsl: float | None) -> str | None:
+def height_of_home(scenario: ScenarioSpec) -> float | None:
+    """Return the altitude above mean sea level [m] of the home of a plan that is flown at a site without a height.
+
+    It is that of the first plan with its home near the site; None without one, and for a site that has a height.
+    """
+    spec = scenario.site
+    if spec.plan or {"height", "height_amsl"} & spec.model_fields_set:
+        return None
+    site = Site.from_degrees(spec.latitude_deg, spec.longitude_deg)
+    plans = [vehicle.plan for fleet in scenario.fleets.values() for vehicle in fleet.vehicles if vehicle.plan]
+    for plan in {(plan.file, tuple(plan.home or ())): plan for plan in plans}.values():
+        try:
+            home = Home(*plan.home) if plan.home else read_plan(plan.file).home
+        except UsageError:
+            # Told of the vehicle that flies it.
+            continue
+        if _distance(site, home) <= FAR and LOWEST_AMSL <= home.altitude_amsl <= HIGHEST_AMSL:
+            return home.altitude_amsl
+    return None
+
+
+def _distance(site: Site, home: Home) -> float:
+    """Return the horizontal distance between a site and a home [m]."""
+    place = math.radians(home.latitude_deg), math.radians(home.longitude_deg)
+    north, east, _ = site.geodetic_to_ned(*place, site.height)
+    return math.hypot(north, east)
+
+
+def far_from_home(plans: Mapping[str, Plan], site: Site, most_rise: float) -> str | None:
     """Return a sentence on the plan whose home is farthest from the site, None where all are near.
 
     Args:
         plans: by their files.
         site: of the scenario.
-        height_amsl: its height above mean sea level [m], None if the scenario gives only that above the ellipsoid.
+        most_rise: largest difference between the heights of a site and a home that are the same field [m].
     """
     far = {}
-    name, level = ("height", site.height) if height_amsl is None else ("height_amsl", height_amsl)
+    level = site.height - undulation(math.degrees(site.latitude_rad), math.degrees(site.longitude_rad))
     for file, plan in plans.items():
-        place = math.radians(plan.home.latitude_deg), math.radians(plan.home.longitude_deg)
-        north, east, _ = site.geodetic_to_ned(*place, site.height)
-        distance, rise = math.hypot(north, east), plan.home.altitude_amsl - level
-        if distance > FAR or abs(rise) > HIGH:
+        distance, rise = _distance(site, plan.home), plan.home.altitude_amsl - level
+        if distance > FAR or abs(rise) > most_rise:
             far[file] = distance, rise
     if not far:
         return None
     file = max(far, key=lambda each: math.hypot(*far[each]))
     distance, rise = far[file]
     apart_by = [f"{_length(distance)} from the site"] if distance > FAR else []
-    if abs(rise) > HIGH:
-        apart_by.append(f"{_length(abs(rise))} {'above' if rise > 0.0 else 'below'} site.{name}, {level:g} m")
+    if abs(rise) > most_rise:
+        home = f"{round(rise + level, 1):g} m above the sea"
+        apart_by.append(f"{home}, {_length(abs(rise))} {'above' if rise > 0.0 else 'below'} the site")
     others = f" (and {len(far) - 1} more of its kind)" if len(far) > 1 else ""
-    return f"{file}: its home is {' and '.join(apart_by)}{others}; site: {{plan: FILE}} takes the site from it"
+    ground = "; it is flown from the ground there" if abs(rise) > most_rise else ""
+    return f"{file}: its home is {' and '.join(apart_by)}{others}{ground}; site: {{plan: FILE}} takes the site from it"
 
 
 def items_far_from_home(file: str, plan: Plan) -> str | None:

@@ -287,6 +287,9 @@ def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
     if name == "speed" or "speed" in target:
         twins += _OF_ONE_WIND.get(name, ())
     twins += _OF_ONE_SITE.get(name, ())
+    if name in ("latitude_deg", "longitude_deg") and "height_amsl" in target:
+        # A saved site has both heights, and elsewhere the geoid is another.
+        twins.append("height")
     for twin in twins:
         if twin not in kept:
             target.pop(twin, None)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from qrsim.errors import shortened
 from qrsim.files import Content
+from qrsim.models.geoid import undulation
 from qrsim.scenarios.component_schema import Finite, Strict
 
 # Of the origin over the ellipsoid [m].
 LOWEST_SITE, HIGHEST_SITE = -500.0, 9000.0
+# Two heights of a site that differ by no more than this, but for the geoid, are the same one [m].
+SAME_HEIGHT = 1e-3
 # Above mean sea level [m]: the shores of the Dead Sea, and Mount Everest.
 LOWEST_AMSL, HIGHEST_AMSL = -450.0, 9000.0
 # Of the day over the standard atmosphere [K]: from the coldest days of Antarctica to the hottest of deserts.
@@ -75,7 +78,6 @@ class SiteSpec(Strict):
         description="height above mean sea level (EGM96) [m], instead of height",
         ge=LOWEST_AMSL,
         le=HIGHEST_AMSL,
-        exclude=True,
     )
     temperature_offset: Finite = Field(
         0.0,
@@ -90,8 +92,20 @@ class SiteSpec(Strict):
         json_schema_extra=or_its_file,
     )
 
+    @model_serializer(mode="wrap")
+    def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
+        """Leave out a height above mean sea level that there is not."""
+        found: Content = handler(self)
+        if self.height_amsl is None:
+            found.pop("height_amsl", None)
+        return found
+
     @model_validator(mode="after")
     def _one_height(self) -> SiteSpec:
-        if self.height_amsl is not None and "height" in self.model_fields_set:
+        if self.height_amsl is None or "height" not in self.model_fields_set:
+            return self
+        # Saved scenarios have both.
+        geoid = undulation(self.latitude_deg, self.longitude_deg)
+        if abs(self.height - self.height_amsl - geoid) > SAME_HEIGHT:
             raise ValueError("height and height_amsl are both given; allowed: one")
         return self

@@ -36,7 +36,16 @@ def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def air_of(scenario: ScenarioSpec) -> SiteAir:
     """Return the atmosphere above the site of a scenario, on its day."""
-    return SiteAir.of(scenario.site.height, scenario.site.temperature_offset)
+    return SiteAir.of(altitude_of(scenario), scenario.site.temperature_offset)
+
+
+def altitude_of(scenario: ScenarioSpec) -> float:
+    """Return the altitude of the site in the standard atmosphere [m]: its height above mean sea level, if it has one.
+
+    A site with a height above the ellipsoid alone has the air of that height, which differs by the geoid's.
+    """
+    site = scenario.site
+    return site.height if site.height_amsl is None else site.height_amsl
 
 
 def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
@@ -52,7 +61,7 @@ def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
     if isinstance(sensor, PressureAltimeter):
         # Its height is that of the standard atmosphere, whatever the day.
         offset = scenario.site.temperature_offset
-        sensor = replace(sensor, site_temperature=temperature(scenario.site.height), site_warmer=offset)
+        sensor = replace(sensor, site_temperature=temperature(altitude_of(scenario)), site_warmer=offset)
         outline = vehicle.outline()
         if outline is not None and outline.rotor_radius > 0.0:
             sensor = replace(sensor, vehicle_rotor=2.0 * outline.rotor_radius)

@@ -22,7 +22,7 @@ class Alone:
         self._changes = False
 
     def _wait_or_refuse(self, what: str) -> None:
-        """Take the lock from a thread that reads, as soon as it is free.
+        """Take the lock from a thread that reads, once it is free.
 
         Raises:
             BusyError: the other thread is changing the object.

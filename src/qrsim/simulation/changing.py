@@ -44,7 +44,7 @@ class _Leg(NamedTuple):
 
 
 def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now: int | None = None) -> World:
-    """Return a world whose weather changes from a tick on.
+    """Return a world with weather that changes from a tick on.
 
     Args:
         world: its parameters, on the host.
@@ -140,7 +140,7 @@ def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None
 
 
 def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
-    """Return a world whose weather can change, with room for all changes at set times and one more in flight.
+    """Return a world with weather that can change, with room for all changes at set times and one more in flight.
 
     Args:
         world: its parameters, on the host, in their precision.
@@ -209,7 +209,7 @@ def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool
 
 
 def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
-    """Return the value of a course at a tick, rounded as it is kept."""
+    """Return the value of a course at a tick, rounded as in storage."""
     if not legs:
         return 0.0
     leg = legs[-1]

@@ -41,6 +41,11 @@ class History:
         floats, integers = (np.concatenate([each._parts[2][i] for each in histories]) for i in (0, 1))
         return cls(np.concatenate([each.ticks for each in histories]), time_step, layout, (floats, integers))
 
+    @property
+    def bytes_per_tick(self) -> int:
+        """Size of one state [bytes]."""
+        return sum(part.nbytes for part in self._parts[2]) // max(len(self.ticks), 1)
+
     @cached_property
     def state(self) -> State:
         """The states, unpacked."""

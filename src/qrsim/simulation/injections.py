@@ -171,7 +171,7 @@ def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[s
 
 
 def without_faults(world: World) -> World:
-    """Return a world whose slots are empty."""
+    """Return a world with empty slots."""
     fleets = []
     for fleet in world.fleets:
         n, dtype = fleet.size, np.asarray(fleet.start.position_ned.x).dtype

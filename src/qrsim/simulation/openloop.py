@@ -76,7 +76,7 @@ def simulate_open_loop(
 
 
 def hover_state(vehicle: Quadrotor, position_ned: tuple[float, float, float] = (0.0, 0.0, -10.0)) -> NumpyArray:
-    """Return the (13,) state of a vehicle at rest whose thrust carries its weight."""
+    """Return the (13,) state of a vehicle at rest; its thrust carries its weight."""
     state = np.zeros(13)
     state[:3] = position_ned
     state[12] = float(vehicle.mass) * float(vehicle.gravity)

@@ -1,4 +1,4 @@
-"""Pickles of objects whose classes are in files of a user: another process loads the files first."""
+"""Pickles of objects with classes in files of a user: another process loads the files first."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def no_seen_state() -> None:
 
 
 class Radios(Alone):
-    """The part of a ``Simulation`` that sends and hears messages; it adds nothing to its attributes."""
+    """The part of a ``Simulation`` that sends and receives messages; it adds nothing to its attributes."""
 
     world: World
     tick: int

@@ -1,4 +1,4 @@
-"""Commands of the vehicles of a fleet in a tick: a user's, or those of its own guidance and controller."""
+"""Commands of the vehicles of a fleet in a tick: a user's, or those of the fleet's guidance and controller."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws of an episode, and the contents of a world besides vehicles: their start and part of a tick."""
+"""Draws of an episode, and the contents of a world other than vehicles: their start and part of a tick."""
 
 from __future__ import annotations
 

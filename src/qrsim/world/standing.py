@@ -1,9 +1,9 @@
-"""Standing on the ground, for vehicles without a contact of their own: ``ground: parked``.
+"""Standing on the ground, for vehicles without a contact model: ``ground: parked``.
 
 See docs/explanation/models/scene.md.
 
 Vehicles that touch down softly and upright are parked: at rest where they touched, and soon level, until their thrust
-exceeds their weight. None of this is compiled for fleets whose flight ends at the ground.
+exceeds their weight. None of this is compiled for fleets with flights that end at the ground.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class Jets(NamedTuple):
 
 
 class _Reaching(NamedTuple):
-    """Vehicles of a fleet whose wakes may reach another: their numbers, the first ``total`` of (m,)."""
+    """Vehicles of a fleet with wakes that may reach another: their numbers, the first ``total`` of (m,)."""
 
     numbers: Array
     total: Array
@@ -60,7 +60,7 @@ class Wakes(NamedTuple):
 
     Attributes:
         jets: wakes of each fleet, None for a fleet without.
-        reaching: vehicles of each fleet whose wakes may reach another; None in small worlds, which compare all pairs.
+        reaching: vehicles of each fleet with wakes that may reach another; None in small worlds, which compare all.
     """
 
     jets: tuple[Jets | None, ...]
@@ -177,7 +177,7 @@ def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...],
 def _reaching(
     world: World, before: tuple[FleetState, ...], jets: tuple[Jets | None, ...], extent: Array
 ) -> tuple[_Reaching | None, ...]:
-    """Return the vehicles whose wakes may reach another flying vehicle with wake points up to ``extent`` [m] away."""
+    """Return the vehicles with wakes that may reach another in flight, with wake points up to ``extent`` [m] away."""
     flying = [state.violation.code == 0 for state in before]
     places = [fleet.vehicle.pose(state.vehicle).position_ned for fleet, state in zip(world.fleets, before, strict=True)]
     # NaN: infinitely far from all others.

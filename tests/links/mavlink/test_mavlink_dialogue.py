@@ -25,8 +25,8 @@ from qrsim.models.site import Site
 DT = 0.02
 NAN = math.nan
 CLIENT = (245, 190)
-# Latitude, longitude [1e-7 deg] and height [mm] of the default site.
-ORIGIN = (517119000, -2105200, 0)
+# Latitude, longitude [1e-7 deg] and altitude above the sea [mm] of the default site, which is on the ellipsoid.
+ORIGIN = (517119000, -2105200, -46288)
 
 
 class Wire:

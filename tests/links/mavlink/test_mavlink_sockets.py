@@ -35,7 +35,7 @@ ACCEPTED, LATER, DENIED, UNSUPPORTED, FAILED = range(5)
 CONTENT = {
     "name": "many",
     "duration": 600.0,
-    "site": {"latitude_deg": 47.4, "longitude_deg": 8.5, "height": 400.0},
+    "site": {"latitude_deg": 47.4, "longitude_deg": 8.5, "height_amsl": 400.0},
     "world": {
         "area": {"type": "box", "x_min": -100, "x_max": 100, "y_min": -100, "y_max": 200, "z_min": -100, "z_max": 0}
     },

@@ -17,6 +17,7 @@ from qrsim.links.mavlink.link import Link
 from qrsim.links.mavlink.server import Server, Wire
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.streams import Streams
+from qrsim.links.mavlink.telemetry import ENCODERS
 from qrsim.links.mavlink.world import FlownWorld
 from qrsim.scenarios.scenario import load_scenario
 
@@ -51,11 +52,16 @@ EVERYTHING = dict.fromkeys(
 )  # fmt: skip
 
 
+# Height of EGM96 above the ellipsoid at the site [m], 46.25 to 46.27 within a kilometre.
+GEOID = 46.261
+
+
 class Air:
     """The world, and what each vehicle sends."""
 
-    def __init__(self):
-        self.world = FlownWorld(prepared(load_scenario(CONTENT)), FlightStack, seed=4, first_system=7, truth=True)
+    def __init__(self, datum="sea"):
+        scenario = prepared(load_scenario(CONTENT))
+        self.world = FlownWorld(scenario, FlightStack, seed=4, first_system=7, truth=True, datum=datum)
         self.sent = {system.number: [] for system in self.world.systems}
         for system in self.world.systems:
             streams = Streams(EVERYTHING, 0.02)
@@ -117,10 +123,10 @@ def test_one_is_flown_and_the_other_one_stays(air):
     assert air.world.simulation.truth.on_ground.tolist() == [True, True]
     air.run(100)
     air.command(7, 400, 1.0)
-    air.command(7, 22, NAN, NAN, NAN, NAN, NAN, NAN, 45.0)
+    air.command(7, 22, NAN, NAN, NAN, NAN, NAN, NAN, 45.0 - GEOID)
     found = air.run(400)
     height = -air.world.simulation.truth.position_ned[:, 2]
-    # The site is at 40 m, and the take-off to 45 m.
+    # The site is 40 m above the ellipsoid, and the take-off to 45 m.
     assert height == pytest.approx([5.0, 0.0], abs=0.4)
     assert found["EXTENDED_SYS_STATE"].landed_state == 2
     assert found["HEARTBEAT"].base_mode & 128
@@ -140,7 +146,7 @@ def test_what_is_sent_is_what_is_seen(air):
     assert (gps.lat, gps.lon) == pytest.approx(
         (reading.gnss.latitude_deg[0] * 1e7, reading.gnss.longitude_deg[0] * 1e7), abs=1.0
     )
-    assert gps.alt == pytest.approx(reading.gnss.height[0] * 1e3, abs=1.0)
+    assert gps.alt_ellipsoid == pytest.approx(reading.gnss.height[0] * 1e3, abs=1.0)
     assert (gps.satellites_visible, gps.fix_type) == (reading.gnss.satellites[0], 3)
     assert gps.eph == round(reading.gnss.hdop[0] * 100)
     local, place = found["LOCAL_POSITION_NED"], found["GLOBAL_POSITION_INT"]
@@ -148,7 +154,7 @@ def test_what_is_sent_is_what_is_seen(air):
     assert (local.x, local.y, local.z) == pytest.approx(truth.position_ned[0], abs=0.05)
     latitude, longitude, height = simulation.site.ned_to_geodetic([local.x, local.y, local.z])
     assert (place.lat, place.lon) == pytest.approx((np.degrees(latitude) * 1e7, np.degrees(longitude) * 1e7), abs=1.0)
-    assert place.alt == pytest.approx(float(height) * 1e3, abs=1.0)
+    assert place.alt == pytest.approx((float(height) - GEOID) * 1e3, abs=2.0)
     # Noon is two hours later.
     assert found["SYSTEM_TIME"].time_unix_usec == pytest.approx(1_782_036_000e6 + simulation.time * 1e6, abs=1.0)
     assert found["SYSTEM_TIME"].time_boot_ms == round(simulation.time * 1e3)
@@ -166,6 +172,36 @@ def test_what_is_sent_is_what_is_seen(air):
     assert 2.0 * (w * y - z * x) == pytest.approx(math.sin(pitch), abs=1e-6)
     assert math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) == pytest.approx(roll, abs=1e-6)
     assert math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)) == pytest.approx(yaw, abs=1e-6)
+
+
+def test_altitudes_are_above_the_sea_or_the_ellipsoid(air):
+    """The site is 40 m above the ellipsoid, which is -6.26 m above the sea."""
+    air.run(20)
+    for world, above in ((air.world, GEOID), (Air("ellipsoid").world, 0.0)):
+        world.tick(0.0)
+        view = world.systems[0].view
+        north_east_down = world.simulation.truth.position_ned[0]
+
+        def said(name, view=view):
+            layout = LAYOUTS[name]
+            return Frame(layout, ENCODERS[layout.number](view), 0, 1, 1, 2).message()
+
+        gps, place, home = said("GPS_RAW_INT"), said("GLOBAL_POSITION_INT"), said("HOME_POSITION")
+        assert gps.alt_ellipsoid - gps.alt == pytest.approx(1e3 * above, abs=2.0)
+        # Near the site the curvature of the Earth lifts nothing.
+        height = 40.0 - view.seen.position_ned[2]
+        assert place.alt == pytest.approx(1e3 * (height - above), abs=2.0)
+        assert said("VFR_HUD").alt == pytest.approx(height - above, abs=2e-3)
+        assert said("ALTITUDE").altitude_amsl == pytest.approx(height - above, abs=2e-3)
+        assert said("HIL_STATE_QUATERNION").alt == pytest.approx(1e3 * (40.0 - north_east_down[2] - above), abs=2.0)
+        origin = world.systems[0].stack.origin
+        assert said("GPS_GLOBAL_ORIGIN").altitude == pytest.approx(1e3 * (40.0 - origin[2] - above), abs=2.0)
+        assert home.altitude == pytest.approx(1e3 * (40.0 - above), abs=500.0)
+        assert place.alt - place.relative_alt == pytest.approx(home.altitude, abs=2.0)
+        # A place 50 m above the one or the other, seen from the site.
+        assert world.systems[0].stack.craft.geodesy.to_ned(51.7, -0.2, 50.0)[2] == pytest.approx(
+            -10.0 - above, abs=2e-3
+        )
 
 
 def test_over_loopback_by_udp_and_tcp(air):

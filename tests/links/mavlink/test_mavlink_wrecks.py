@@ -24,7 +24,7 @@ STILL = (
     "ODOMETRY",
 )
 EKF = 'fleets.field.estimator={"type": "ekf"}'
-# Of the site of mavlink_field [m].
+# Of the site of mavlink_field, above the sea [m].
 GROUND = 488.0
 
 

@@ -37,6 +37,8 @@ CONTENT = {
     },
 }  # fmt: skip
 OFFBOARD, TAKES_OFF, LOITER, LANDS = 14, 17, 4, 18
+# Height of EGM96 above the ellipsoid at the site [m].
+GEOID = 46.261
 ACCEPTED, REJECTED = 0, 1
 
 
@@ -150,6 +152,13 @@ def test_an_offboard_node_of_px4_takes_off_flies_and_lands(px4):
     assert [local.x, local.y, local.z] == pytest.approx([0.0, 0.0, -5.0], abs=0.15)
     assert local.heading == pytest.approx(1.57079, abs=0.05)
     assert (local.ref_lat, local.ref_lon) == pytest.approx((51.70018, -0.199855), abs=1e-5)
+    # The ground is 40 m above the ellipsoid.
+    place, fix = px4.last("/fmu/out/vehicle_global_position"), px4.last("/fmu/out/vehicle_gps_position")
+    home = px4.last("/fmu/out/home_position")
+    assert (place.alt, place.alt_ellipsoid) == pytest.approx((45.0 - GEOID, 45.0), abs=0.5)
+    assert place.alt_ellipsoid - place.alt == pytest.approx(GEOID, abs=2e-3)
+    assert fix.altitude_ellipsoid_m - fix.altitude_msl_m == pytest.approx(GEOID, abs=2e-3)
+    assert (local.ref_alt, home.alt) == pytest.approx((40.0 - GEOID, 40.0 - GEOID), abs=0.5)
     odometry = px4.last("/fmu/out/vehicle_odometry")
     # A quarter turn about down, of FRD axes in NED (w, x, y, z).
     assert odometry.q.tolist() == pytest.approx([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)], abs=0.03)
@@ -287,7 +296,14 @@ def test_an_offboard_node_of_mavros_takes_off_flies_and_lands(mavros):
     assert mavros.last("/pair_0/mavros/altitude").relative == pytest.approx(4.0, abs=0.2)
     inertial = mavros.last("/pair_0/mavros/imu/data")
     assert inertial.linear_acceleration.z == pytest.approx(9.81, abs=0.4)
+    # As mavros converts: heights of NavSatFix and HomePosition are above the ellipsoid, amsl is above the sea.
+    level = mavros.last("/pair_0/mavros/global_position/global").altitude
+    assert level == pytest.approx(44.0, abs=0.5)
+    for name, field in (("altitude", "amsl"), ("vfr_hud", "altitude")):
+        assert getattr(mavros.last(f"/pair_0/mavros/{name}"), field) == pytest.approx(level - GEOID, abs=0.2)
+    assert mavros.last("/pair_0/mavros/global_position/raw/fix").altitude == pytest.approx(level, abs=15.0)
     home = mavros.last("/pair_0/mavros/home_position/home")
+    assert home.geo.altitude == pytest.approx(40.0, abs=0.6)
     assert (home.geo.latitude, home.geo.longitude) == pytest.approx((51.70018, -0.199855), abs=1e-5)
     response = mavros.call("/pair_0/mavros/cmd/land")
     assert (response.success, response.result) == (True, 0)
@@ -336,8 +352,8 @@ def test_commands_of_mavros(mavros):
     response = mavros.call("/pair_0/mavros/cmd/command", command=31000)
     assert (response.success, response.result) == (False, 3)
     assert mavros.call("/pair_0/mavros/home_position/req_update").success
-    # By COMMAND_LONG an altitude is above mean sea level, here above the ellipsoid.
-    assert mavros.call("/pair_0/mavros/cmd/takeoff", altitude=43.0).success
+    # By COMMAND_LONG an altitude is above mean sea level, which is GEOID above the ellipsoid.
+    assert mavros.call("/pair_0/mavros/cmd/takeoff", altitude=43.0 - GEOID).success
     mavros.run(6.0)
     assert mavros.last("/pair_0/mavros/local_position/pose").pose.position.z == pytest.approx(3.0, abs=0.5)
 

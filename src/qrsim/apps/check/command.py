@@ -27,10 +27,10 @@ MOST_SEEDS = 6
 class Check:
     """Fly a scenario with many seeds and report failures: how often, with which seeds, when and where.
 
-    For the day before a field day: the fraction of runs in which any vehicle leaves the area, collides, runs out of
-    battery, breaks a state limit or loses GNSS, with the exact 95 % interval; and the narrowest margins over all runs.
-    For estimators with a covariance, also the actual errors compared with it. 'qrsim run SCENARIO --seed S' flies one
-    of the runs again.
+    For the day before a field day. A run fails if any vehicle leaves the area, collides, runs out of battery, breaks a
+    state limit or loses GNSS. Prints the fraction of these runs with the exact 95 % interval, and the narrowest margins
+    over all runs. For estimators with a covariance, also the actual errors compared with it. 'qrsim run SCENARIO --seed
+    S' flies one of the runs again.
 
     Exit code 0: no run failed; 1: at least one did.
 

@@ -38,10 +38,10 @@ BASELINE = "baseline"
 class Run:
     """Fly a scenario, record it, and show what happened.
 
-    Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table: distance
-    flown, tracking error (from the leg being flown), GNSS error (reported minus true position at the time of the fix),
-    worst wind, waypoints reached, and why a vehicle stopped. It also prints the smallest separation of two vehicles,
-    and for a task the score, as in 'qrsim score'.
+    Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table. It has
+    the distance flown, the tracking error (from the leg being flown), the GNSS error (reported minus true position at
+    the time of the fix) and the worst wind. It also has the waypoints reached, and the reason if a vehicle stopped.
+    Below it are the smallest separation of two vehicles and, for a task, the score, as in 'qrsim score'.
 
     Example:
       qrsim run

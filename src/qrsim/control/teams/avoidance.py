@@ -179,7 +179,7 @@ def _safe(value: Array) -> Array:
 class AvoidanceGuidance(TeamGuidance):
     """Flies to the last waypoint, or holds the start without one, and does its half of every avoidance.
 
-    Optimal reciprocal collision avoidance: as long as all do the same and know each other in time, nobody comes nearer
+    Optimal reciprocal collision avoidance: as long as all do the same and know each other in time, none comes nearer
     than twice the radius. Where no velocity is allowed by all, the one that is the least outside is taken.
     """
 

@@ -18,7 +18,7 @@ class CoverageGuidance(TeamGuidance):
     """Spreads over a rectangle: flies to the centroid of the part nearer to the vehicle than to its neighbours.
 
     J. Cortés, S. Martínez, T. Karataş, F. Bullo, Coverage control for mobile sensing networks, IEEE TRA 20 (2004),
-    eq. 9 with a uniform density; Lloyd's algorithm in continuous time. The rectangle is looked at in ``cells`` times
+    eq. 9 with a uniform density; Lloyd's algorithm in continuous time. The rectangle is sampled at ``cells`` times
     ``cells`` points.
     """
 

@@ -15,7 +15,7 @@ from qrsim.core.neighbours import always_room, neighbours
 from qrsim.core.tree import map_tree, quantity, record, replace
 from qrsim.core.vectors import Vec3, root
 
-KNOWS = "known neighbours; all: without loss or latency; heard: those whose beacons its radio has received"
+KNOWS = "known neighbours; all: without loss or latency; heard: those of the beacons that its radio has received"
 
 
 @record

@@ -37,7 +37,7 @@ def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
 class VicsekGuidance(TeamGuidance):
     """Flies at one speed in the mean direction of all neighbours, at the height of the first waypoint.
 
-    The noise of the model is that of wind, receivers and links; it draws none of its own.
+    The noise of the model is that of wind, receivers and links; it draws none itself.
     """
 
     speed: Array = parameter(default=3.0, unit="m/s", doc="speed", above=0.0, maximum=20.0)

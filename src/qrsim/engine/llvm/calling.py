@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from time import perf_counter
 
 import numpy as np
@@ -54,6 +54,9 @@ class Program:
         pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
         prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
         self._call = prototype(loaded.address("advance"))
+        rows = [ctypes.c_void_p, ctypes.c_int64] * 2
+        prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32, *rows)
+        self._call_keeping = prototype(loaded.address("advance_keeping"))
         prototype = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p, *[ctypes.c_int32] * 2)
         self._call_each = prototype(loaded.address("advance_each"))
 
@@ -98,14 +101,33 @@ class Program:
 
     def __call__(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
         """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
-        while self._quick and count > 0:
+        for first, ticks in self._portions(count):
+            self._call(*addresses, scratch, tick + first, ticks)
+
+    def keeping(self, addresses: Sequence[int], scratch: int, tick: int, rows: Buffers) -> None:
+        """Advance one world by as many ticks as there are rows, and write its state after each tick to the next row.
+
+        Args:
+            addresses: of the buffers of all inputs in order.
+            scratch: address of working memory.
+            tick: the first one.
+            rows: floats and integers, each (ticks, size) and contiguous.
+        """
+        for first, ticks in self._portions(len(rows[0])):
+            to = [number for part in rows for number in (part[first:].ctypes.data, part.strides[0])]
+            self._call_keeping(*addresses, scratch, tick + first, ticks, *to)
+
+    def _portions(self, count: int) -> Iterator[tuple[int, int]]:
+        """Yield ticks as (first, how many), which the caller runs; quick code gets few at once."""
+        first = 0
+        while self._quick and first < count:
             # Few enough that better code is used from the middle of a long call on.
-            ticks, begin = min(count, TICKS_AT_ONCE), perf_counter()
-            self._call(*addresses, scratch, tick, ticks)
+            ticks, begin = min(count - first, TICKS_AT_ONCE), perf_counter()
+            yield first, ticks
             self._ran(perf_counter() - begin)
-            tick, count = tick + ticks, count - ticks
-        if count > 0:
-            self._call(*addresses, scratch, tick, count)
+            first += ticks
+        if first < count:
+            yield first, count - first
 
     def each(self, table: NumpyArray, scratch: int, tick: int, count: int) -> None:
         """Do so for each row of a table of addresses, (rows, two for each input) uint64 and contiguous."""

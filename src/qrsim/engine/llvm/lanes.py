@@ -164,6 +164,12 @@ class LaneProgram:
         for done in others:
             done.result()
 
+    def keep(self, state: Lanes, tick: int, rows: Buffers) -> None:
+        """Run one world for as many ticks as there are rows, and write its state after each to the next row."""
+        if self._state is not state:
+            self._aim_at(state)
+        self._program.keeping(self._addresses[0], self._scratch, tick, rows)
+
     def _aim_at(self, state: Lanes) -> None:
         # To look an address up takes longer than to run a tick of a small world.
         first = [part.ctypes.data for part in self._shared]

@@ -14,6 +14,7 @@ from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.background import packed
 from qrsim.engine.llvm.compiler import machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
+from qrsim.engine.llvm.entries import for_each, keeping
 from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
 from qrsim.engine.llvm.in_state import InState
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
@@ -266,6 +267,7 @@ class Draft:
         for line in after_all:
             writer.do(line)
         writer.do("ret void")
+        writer.declarations.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
         functions = [kernels.function(name, lanes) for name, lanes in sorted(writer.kernels)]
         return "\n".join(
             [
@@ -278,43 +280,12 @@ class Draft:
                 *writer.lines,
                 "}",
                 # The stack is aligned for vectors that are spilled to it, and vectors of 512 bits are not cut in two.
-                *_for_each(2 * len(self.inputs)),
+                *for_each(2 * len(self.inputs)),
+                *keeping(2 * len(self.inputs)),
                 'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" '
                 '"denormal-fp-math"="preserve-sign,preserve-sign" }',
             ]
         )
-
-
-def _for_each(pointers: int) -> list[str]:
-    """Write the function that advances the worlds of each row of a table of addresses, one row after the other.
-
-    In Python the way from one vector of worlds to the next takes as long as a tick of them does.
-    """
-    arguments = [f"ptr %pointer.{i}" for i in range(pointers)]
-    return [
-        "define void @advance_each(ptr %table, i64 %rows, ptr %scratch, i32 %first, i32 %count) nounwind {",
-        "entry:",
-        "  br label %row",
-        "row:",
-        "  %now = phi i64 [0, %entry], [%next, %row]",
-        f"  %begin = mul i64 %now, {pointers}",
-        "  %place = getelementptr ptr, ptr %table, i64 %begin",
-        *(
-            line
-            for i in range(pointers)
-            for line in (
-                f"  %place.{i} = getelementptr ptr, ptr %place, i64 {i}",
-                f"  %pointer.{i} = load ptr, ptr %place.{i}",
-            )
-        ),
-        f"  call void @advance({', '.join(arguments)}, ptr %scratch, i32 %first, i32 %count)",
-        "  %next = add i64 %now, 1",
-        "  %more = icmp ult i64 %next, %rows",
-        "  br i1 %more, label %row, label %end",
-        "end:",
-        "  ret void",
-        "}",
-    ]
 
 
 def flushing(writer: Writer) -> tuple[list[str], list[str]]:

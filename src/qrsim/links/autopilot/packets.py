@@ -31,7 +31,7 @@ class Sensed:
         specific_force: [m/s^2], FRD; at rest (0, 0, -9.81).
         attitude: roll, pitch, yaw [rad].
         velocity_ned: [m/s].
-        place: latitude, longitude [deg], height [m].
+        place: latitude, longitude [deg], altitude above mean sea level [m].
         pressure: [Pa].
     """
 

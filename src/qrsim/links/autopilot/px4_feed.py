@@ -121,10 +121,10 @@ class Px4Feed:
         air = differential = None
         column = s.PRESSURE if s.PRESSURE in news else s.HEIGHT
         if column in news and news[column][i] and row[column] == row[column]:
-            height = self._sight.origin[2] + row[s.HEIGHT]
+            altitude = self._sight.altitude + row[s.HEIGHT]
             warmth = row[s.TEMPERATURE]
-            warmth = warmth if warmth == warmth else TEMPERATURE - LAPSE * height
-            air = (pressure_of(row, self._sight.origin[2]), warmth, height)
+            warmth = warmth if warmth == warmth else TEMPERATURE - LAPSE * altitude
+            air = (pressure_of(row, self._sight.altitude), warmth, altitude)
         if s.DIFFERENTIAL in news and news[s.DIFFERENTIAL][i] and row[s.DIFFERENTIAL] == row[s.DIFFERENTIAL]:
             differential = row[s.DIFFERENTIAL]
         force, field = (self._vector(i, row, column, news) for column in (s.FORCE, s.FIELD))
@@ -136,6 +136,7 @@ class Px4Feed:
             return None
         places = np.array([row[s.FIX_POSITION : s.FIX_POSITION + 3] for row in rows])
         latitude, longitude, height = self._simulation.site.ned_to_geodetic(places)
+        altitude = height - self._sight.geoid.undulation(places[:, 0], places[:, 1])
         found: list[bytes | None] = []
         for i, (row, fresh) in enumerate(zip(rows, new, strict=True)):
             if not fresh:
@@ -143,7 +144,7 @@ class Px4Feed:
                 continue
             fix = None
             if row[s.FIX_POSITION] == row[s.FIX_POSITION]:
-                place = (float(np.degrees(latitude[i])), float(np.degrees(longitude[i])), float(height[i]))
+                place = (float(np.degrees(latitude[i])), float(np.degrees(longitude[i])), float(altitude[i]))
                 fix = fix_of(row, place)
             unix = self._start_usec + round(1e6 * self._sent[s.FIX_POSITION][i])
             found.append(messages.hil_gps(unix, fix))
@@ -188,7 +189,7 @@ def _number(value: object, i: int) -> float:
 
 
 def fix_of(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:
-    """Return the fix of a vehicle's numbers by column, at a latitude, longitude [deg] and height [m]."""
+    """Return the fix of a vehicle's numbers by column, at a latitude, longitude [deg] and altitude [m]."""
     horizontal, vertical = row[s.HORIZONTAL], row[s.VERTICAL]
     if horizontal != horizontal:
         horizontal, vertical = (max(row[at], LEAST_ACCURACY) for at in (s.HDOP, s.VDOP))

@@ -119,7 +119,7 @@ class Fix:
     Attributes:
         type: 0 or 1 for none, 2, 3 and above as GPS_FIX_TYPE has them.
         latitude, longitude: [deg].
-        height: [m].
+        altitude: above mean sea level [m].
         horizontal, vertical: accuracies [m].
         velocity_ned: [m/s].
         satellites: number used.
@@ -128,7 +128,7 @@ class Fix:
     type: int
     latitude: float
     longitude: float
-    height: float
+    altitude: float
     horizontal: float
     vertical: float
     velocity_ned: Sequence[float]
@@ -146,7 +146,7 @@ def hil_gps(unix_usec: int, fix: Fix | None, id: int = 0) -> bytes:
         unix_usec,
         round(fix.latitude * 1e7),
         round((fix.longitude + 180.0) % 360.0 * 1e7) - 1_800_000_000,
-        round(fix.height * 1e3),
+        round(fix.altitude * 1e3),
         _whole(fix.horizontal * 100.0, 1, 65534),
         _whole(fix.vertical * 100.0, 1, 65534),
         _whole(ground * 100.0, 0, 65534),
@@ -209,7 +209,7 @@ def true_state(
         time_usec: boot clock [us].
         quaternion: w, x, y, z, from FRD to NED.
         rates: p, q, r [rad/s].
-        place: latitude, longitude [deg], height [m].
+        place: latitude, longitude [deg], altitude above mean sea level [m].
         velocity_ned: [m/s].
         airspeed: true [m/s].
         acceleration_ned: coordinate acceleration [m/s^2], which PX4 reads in NED and mm/s^2.

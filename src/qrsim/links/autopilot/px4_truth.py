@@ -9,6 +9,7 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.links.autopilot import px4_messages as messages
+from qrsim.models.geoid import GeoidPlane
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.simulation import Simulation
 
@@ -28,6 +29,11 @@ def geodetic(point: tuple[float, float, float]) -> tuple[float, float, float]:
     sine, cosine = math.sin(latitude), math.cos(latitude)
     height = away * cosine + z * sine - _A * math.sqrt(1.0 - _E2 * sine * sine)
     return math.degrees(latitude), math.degrees(math.atan2(y, x)), height
+
+
+def above(place: tuple[float, float, float], undulation: float) -> tuple[float, float, float]:
+    """Return a place with its altitude [m] above a sea that is ``undulation`` [m] above the ellipsoid."""
+    return place[0], place[1], place[2] - undulation
 
 
 def turned(quaternion: NumpyArray, vectors: NumpyArray) -> NumpyArray:
@@ -61,6 +67,7 @@ class TrueStates:
         vehicle_model = cast(Multirotor, fleet.vehicle)
         self._gravity = np.broadcast_to(np.asarray(vehicle_model.gravity, np.float64), (fleet.size,))
         site = simulation.site
+        self._geoid = GeoidPlane.at(site)
         self._origin, self._to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
 
     def payloads(self, usec: int) -> list[bytes]:
@@ -72,11 +79,12 @@ class TrueStates:
         acceleration = turned(quaternion, rows[:, FORCE:WIND])
         acceleration[:, 2] += self._gravity
         air = velocity - rows[:, WIND:GUST] - rows[:, GUST:]
+        undulations = self._geoid.undulation(rows[:, PLACE], rows[:, PLACE + 1])
         earth = self._origin + rows[:, PLACE:QUATERNION] @ self._to_ned
         return [
-            messages.true_state(usec, row[QUATERNION:VELOCITY], row[RATES:FORCE], geodetic(point), *moving)
-            for row, point, *moving in zip(
-                rows.tolist(), earth.tolist(), velocity.tolist(), np.sqrt((air * air).sum(axis=1)).tolist(),
-                acceleration.tolist(), strict=True,
+            messages.true_state(usec, row[QUATERNION:VELOCITY], row[RATES:FORCE], above(geodetic(point), sea), *moving)
+            for row, point, sea, *moving in zip(
+                rows.tolist(), earth.tolist(), undulations.tolist(), velocity.tolist(),
+                np.sqrt((air * air).sum(axis=1)).tolist(), acceleration.tolist(), strict=True,
             )
         ]  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.errors import UsageError
 from qrsim.links.autopilot.packets import PRESSURE_PA, Sensed, pressure_at
 from qrsim.links.shared import sight as s
+from qrsim.models.geoid import GeoidPlane
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
@@ -32,6 +33,8 @@ class FleetSight:
     Attributes:
         sensors: by column of ``links.shared.sight`` the number of the sensor that it is of; None for the truth.
         stopped: after ``read``, which vehicles lie as wrecks.
+        geoid: mean sea level near the site, from which firmware measures altitudes.
+        altitude: of the site above it [m].
     """
 
     def __init__(self, simulation: Simulation, number: int, truth: bool = True):
@@ -55,8 +58,8 @@ class FleetSight:
             np.array([np.arange(layout.slices[leaf].start, layout.slices[leaf].stop) for leaf in leaves])
             for leaves in ((force.x, force.y, force.z), (state.violation.code,))
         )
-        origin = self._site.ned_to_geodetic(np.zeros((1, 3)))
-        self.origin = tuple(float(np.ravel(part)[0]) for part in origin)
+        self.geoid = GeoidPlane.at(self._site)
+        self.altitude = self._site.height - self.geoid.height
         self._now = np.full((fleet.size, WIDTH), math.nan)
         self._last = np.zeros((fleet.size, WIDTH))
         self._last[:, s.PRESSURE] = math.nan
@@ -90,25 +93,31 @@ class FleetSight:
         return self._last[:, s.POSITION : s.POSITION + 3].tolist()
 
     def _sensed(self, row: list[float]) -> Sensed:
-        latitude, longitude, height = self.origin
+        latitude, longitude = self._site.latitude_rad, self._site.longitude_rad
         north, east, down = row[s.POSITION : s.POSITION + 3]
         # The firmware takes the place to no more than a number to show: a sphere is enough.
         latitude += north / 6.371e6
         longitude += east / (6.371e6 * math.cos(latitude))
+        altitude = self._site.height - down - self.geoid.undulation(north, east)
         return Sensed(
             row[s.RATES : s.RATES + 3],
             row[s.FORCE : s.FORCE + 3],
             row[s.ATTITUDE : s.ATTITUDE + 3],
             row[s.VELOCITY : s.VELOCITY + 3],
-            (math.degrees(latitude), math.degrees(longitude), height - down),
-            pressure_of(row, height) or PRESSURE_PA,
+            (math.degrees(latitude), math.degrees(longitude), altitude),
+            pressure_of(row, self.altitude) or PRESSURE_PA,
         )
 
 
-def pressure_of(row: Sequence[float], origin_height: float) -> float:
-    """Return the pressure [Pa] that a barometer reads, or that of the height it reads above the site's origin [m]."""
+def pressure_of(row: Sequence[float], site_altitude: float) -> float:
+    """Return the pressure [Pa] that a barometer reads, or that of the height it reads above the site.
+
+    Args:
+        row: numbers of a vehicle, by column.
+        site_altitude: of the site above mean sea level [m].
+    """
     pressure = row[s.PRESSURE]
-    return pressure if pressure == pressure else pressure_at(origin_height + row[s.HEIGHT])
+    return pressure if pressure == pressure else pressure_at(site_altitude + row[s.HEIGHT])
 
 
 def _leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:

@@ -22,6 +22,7 @@ from qrsim.links.shared.sight import (
     VOLTAGE,
     Sight,
 )
+from qrsim.models.geoid import GeoidPlane
 from qrsim.simulation.simulation import Simulation
 
 # What says that a sensor is there and works.
@@ -44,9 +45,11 @@ class StackSight(Sight):
 
     Args:
         simulation: reset.
+        geoid: surface that altitudes are measured from.
     """
 
-    def __init__(self, simulation: Simulation):
+    def __init__(self, simulation: Simulation, geoid: GeoidPlane):
+        self._geoid = geoid
         self._seen = [Seen() for _ in range(simulation.size)]
         self._present = [0] * simulation.size
         super().__init__(simulation)
@@ -72,7 +75,8 @@ class StackSight(Sight):
             seen.position_ned, seen.velocity_ned = (row[0], row[1], row[2]), (row[3], row[4], row[5])
             seen.attitude = (row[6], row[7], row[8])
             seen.rates = (row[9], row[10], row[11]) if row[9] == row[9] else (0.0, 0.0, 0.0)
-            seen.latitude, seen.longitude, seen.altitude = row[12], row[13], row[14]
+            seen.latitude, seen.longitude = row[12], row[13]
+            seen.altitude = row[14] - self._geoid.undulation(row[0], row[1])
             seen.fix_type = int(row[15]) if row[15] == row[15] else 0
             seen.horizontal_accuracy, seen.vertical_accuracy = row[16], row[17]
             seen.charge, seen.voltage = row[18], row[19]

@@ -84,9 +84,10 @@ def gps_raw_int(v: View) -> Payload:
     if not v.seen.present & Sensor.GPS:
         return None
     fix = v.seen.fix_type
-    place = (0, 0, 0)
+    place, height = (0, 0, 0), 0
     if fix >= 3 and row[s.FIX_PLACE] == row[s.FIX_PLACE]:
-        place = (round(row[s.FIX_PLACE] * 1e7), round(row[s.FIX_PLACE + 1] * 1e7), round(row[s.FIX_PLACE + 2] * 1e3))
+        place = (round(row[s.FIX_PLACE] * 1e7), round(row[s.FIX_PLACE + 1] * 1e7), round(v.fix_altitude * 1e3))
+        height = round(row[s.FIX_PLACE + 2] * 1e3)
     north, east = row[s.FIX_VELOCITY], row[s.FIX_VELOCITY + 1]
     moving = north == north and east == east
     speed = math.hypot(north, east) if moving else NAN
@@ -94,7 +95,7 @@ def gps_raw_int(v: View) -> Payload:
     satellites = row[s.SATELLITES]
     return _STRUCT["GPS_RAW_INT"](
         int(v.fix_time * 1e6 + 0.5), *place, _unsigned(row[s.HDOP], 100.0), _unsigned(row[s.VDOP], 100.0),
-        _unsigned(speed, 100.0), course, fix, 255 if satellites != satellites else min(int(satellites), 254), place[2],
+        _unsigned(speed, 100.0), course, fix, 255 if satellites != satellites else min(int(satellites), 254), height,
         _accuracy(row[s.HORIZONTAL]), _accuracy(row[s.VERTICAL]), _accuracy(row[s.SPEED]), 0, 0,
     )  # fmt: skip
 
@@ -360,11 +361,11 @@ def hil_state_quaternion(v: View) -> Payload:
     """HIL_STATE_QUATERNION: the truth, where the server was asked to send it."""
     if v.truth is None:
         return None
-    quaternion, rates, (latitude, longitude, height) = v.truth[:4], v.truth[4:7], v.truth[7:10]
+    quaternion, rates, (latitude, longitude, above) = v.truth[:4], v.truth[4:7], v.truth[7:10]
     velocity, airspeed, force = v.truth[10:13], v.truth[13], v.truth[14:17]
     speed = _unsigned(airspeed, 100.0)
     return _STRUCT["HIL_STATE_QUATERNION"](
-        v.boot_us, *quaternion, *rates, round(latitude * 1e7), round(longitude * 1e7), round(height * 1e3),
+        v.boot_us, *quaternion, *rates, round(latitude * 1e7), round(longitude * 1e7), round(above * 1e3),
         *(_short(x, 100.0) for x in velocity), speed, speed, *(_short(x, 1e3 / GRAVITY) for x in force),
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack, Triple
 from qrsim.links.shared import sight as s
 from qrsim.links.shared.around import Around
+from qrsim.models.geoid import GeoidPlane
 
 
 class View:
@@ -24,7 +25,9 @@ class View:
         fix_time: when its last fix was true [s].
         unix: when the scenario starts, in seconds since 1970.
         load: share of a tick's time that computing takes, in 1/1000.
-        truth: true state, for HIL_STATE_QUATERNION: position, velocity NED, quaternion, rates, force, place; else None.
+        truth: true state, for HIL_STATE_QUATERNION: quaternion, rates, latitude, longitude, altitude, velocity NED,
+            airspeed, specific force; else None.
+        geoid: surface that altitudes are measured from.
         around: what it perceives, by its row ``number`` in the world; None where nothing does.
         turn: which of the other vehicles that it sees was sent last.
     """
@@ -39,6 +42,7 @@ class View:
         self.fix_time = 0.0
         self.load = 0
         self.truth: tuple[float, ...] | None = None
+        self.geoid = GeoidPlane()
         self.around: Around | None = None
         self.number = self.turn = 0
 
@@ -59,6 +63,16 @@ class View:
         return north - origin[0], east - origin[1], down - origin[2]
 
     @property
+    def height(self) -> float:
+        """Height of the estimate above the ellipsoid [m]."""
+        return self.seen.altitude + self.geoid.undulation(*self.seen.position_ned[:2])
+
+    @property
+    def fix_altitude(self) -> float:
+        """Altitude above mean sea level of the last fix [m]."""
+        return self.row[s.FIX_PLACE + 2] - self.geoid.undulation(*self.row[s.FIX_POSITION : s.FIX_POSITION + 2])
+
+    @property
     def boot_ms(self) -> int:
         """Simulated time since the reset [ms]."""
         return int(self.seen.time * 1e3 + 0.5) & 0xFFFFFFFF
@@ -70,6 +84,6 @@ class View:
 
     @property
     def home_altitude(self) -> float:
-        """Altitude of home [m], else the vehicle's own."""
+        """Altitude of home above mean sea level [m], else the vehicle's own."""
         home = self.stack.home
         return self.seen.altitude if home is None else home.altitude

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.simulated import SimParameters, SimWind
 from qrsim.links.mavlink.stack.codes import Severity
-from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
+from qrsim.links.mavlink.stack.contracts import NEEDED, Datum, Facts, Stack, Text
 from qrsim.links.mavlink.stack.flight import Flight
+from qrsim.links.mavlink.stack.geodesy import geoid_of
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared.around import Around
 from qrsim.links.shared.latches import Latches
@@ -44,6 +46,7 @@ class FlownWorld:
         factor: simulated seconds per second of the wall clock.
         truth: whether vehicles may tell their true state.
         respawn: whether vehicles that have crashed are put back to where they began, by themselves.
+        datum: what altitudes of messages are measured from.
         log: told one line of what clients are told.
 
     Raises:
@@ -64,19 +67,20 @@ class FlownWorld:
         factor: float = 1.0,
         truth: bool = False,
         respawn: bool = False,
+        datum: Datum = "sea",
         log: Callable[[str], None] = lambda line: None,
     ):
         world, site = scenario.world(), scenario.site
         known = systems_of(world, first_system)
         self.simulation = Simulation(world, seed=seed, name=scenario.name, site=site)
         self.simulation.reset()
-        self._truth = truth
+        self._truth, self._geoid = truth, geoid_of(site, datum)
         self._latches = Latches(world.fleets, self.simulation.dtype)
         self.systems: list[System] = []
         self._rows: list[int] = []
         unix, rally = scenario.spec.start_time.timestamp(), start_rally(scenario, world)
         for row, facts in known:
-            stack = make_stack(facts, site)
+            stack = make_stack(replace(facts, datum=datum), site)
             stack.factor = factor
             if isinstance(stack, Flight):
                 self._start_parameters(stack, row)
@@ -90,10 +94,10 @@ class FlownWorld:
         for system in self.systems:
             if isinstance(system.stack, Flight) and system.stack.flavour.name == "ardupilot":
                 system.booted = SimParameters(self.simulation, system.stack.craft, self._air).again
-        self._sight = StackSight(self.simulation)
+        self._sight = StackSight(self.simulation, self._geoid)
         around = Around(self.simulation, self._sight)
         for row, system in zip(self._rows, self.systems, strict=True):
-            system.view.around, system.view.number = around, row
+            system.view.around, system.view.number, system.view.geoid = around, row, self._geoid
         self._busy = 0.0
         self._respawn = respawn
         self._restarts = self._fresh_restarts()
@@ -144,7 +148,7 @@ class FlownWorld:
             system.view.order = None
             system.booted()
         self._air.again()
-        self._sight, self._restarts = StackSight(self.simulation), self._fresh_restarts()
+        self._sight, self._restarts = StackSight(self.simulation, self._geoid), self._fresh_restarts()
         self._command()
 
     def _command(self) -> None:
@@ -180,9 +184,10 @@ class FlownWorld:
         system.view.order = order
 
     def _true_states(self) -> Sequence[Sequence[float]]:
-        """Return for each vehicle quaternion, rates, latitude, longitude, height, velocity, airspeed, force."""
+        """Return for each vehicle quaternion, rates, latitude, longitude, altitude, velocity, airspeed, force."""
         truth, site = self.simulation.truth, self.simulation.site
         latitude, longitude, height = site.ned_to_geodetic(truth.position_ned)
+        altitude = height - self._geoid.undulation(truth.position_ned[:, 0], truth.position_ned[:, 1])
         velocity = truth.velocity_ned
         airspeed = np.linalg.norm(velocity - truth.wind_ned, axis=1)
         quaternion = quaternion_of(np.asarray(truth.attitude))
@@ -191,7 +196,7 @@ class FlownWorld:
             truth.rates_body,
             np.degrees(latitude)[:, None],
             np.degrees(longitude)[:, None],
-            height[:, None],
+            altitude[:, None],
             velocity,
             airspeed[:, None],
             truth.specific_force,

@@ -47,7 +47,7 @@ class BuildingWakes(Updraft):
         """Return the wakes of obstacles.
 
         Raises:
-            UsageError: there are none that are high enough, or too many.
+            UsageError: no obstacle is high enough, or there are too many.
         """
         least = self.least_height
         tall = [solid for solid in solids if solid.bottom - solid.top >= least]

@@ -189,7 +189,7 @@ class Updraft(Protocol):
             solids: the obstacles, upright.
 
         Raises:
-            UsageError: it cannot be in such a world; the message begins with the parameter.
+            UsageError: it cannot be in this world; the message begins with the parameter.
         """
         return self
 

@@ -344,7 +344,7 @@ class Dryden(Turbulence):
         )
 
     def gust_ned(self, state: DrydenState, height_agl: Array) -> Vec3:
-        """Return the gust [m/s], the air's velocity beside the mean wind, in NED for each of (n,) vehicles."""
+        """Return the gust [m/s], the air's velocity in addition to the mean wind, in NED for each of (n,) vehicles."""
         _, sigma = self._scales(height_agl)
         return wind_to_ned(
             sigma.x * state.along, sigma.y * state.across.gust(), sigma.z * state.down.gust(), self.wind_from_rad

@@ -80,7 +80,11 @@ class DrydenField(Turbulence):
         nullable=True,
     )
     convection_height: Array = parameter(
-        default=CONVECTION_HEIGHT, unit="m", doc="height whose mean wind carries the field", minimum=1.0, maximum=300.0
+        default=CONVECTION_HEIGHT,
+        unit="m",
+        doc="height of the mean wind that carries the field",
+        minimum=1.0,
+        maximum=300.0,
     )
     sweep: Array = parameter(
         default=0.0,
@@ -369,7 +373,7 @@ def _back(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
 
 
 def _heading(velocity_ned: Vec3) -> tuple[Array, Array]:
-    """Return cosine and sine of the bearing of horizontal velocities (n,), north where there is none."""
+    """Return cosine and sine of the bearing of horizontal velocities (n,), north if it is zero."""
     square = velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y
     moves = square > 1e-6
     speed = jnp.sqrt(jnp.where(moves, square, 1.0))

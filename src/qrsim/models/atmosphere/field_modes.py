@@ -1,4 +1,4 @@
-"""A fixed set of waves whose sum is a turbulent field: doubling chains of helical modes.
+"""A fixed set of waves that add up to a turbulent field: doubling chains of helical modes.
 
 A helical mode of wave vector k = |k| n is v = a (e1 cos(phi) - eps e2 sin(phi)) with phi = k.x + theta, (e1, e2, n)
 right-handed and eps = +1 or -1: its divergence is zero and its curl is eps |k| v, exactly. A chain has modes at k, 2 k,
@@ -97,7 +97,7 @@ def modes(chains: int, octaves: int) -> Modes:
 
 
 class _Numbers:
-    """Uniform numbers from the words of a generator whose stream will not change."""
+    """Uniform numbers from the words of a generator with a stream that will not change."""
 
     def __init__(self, seed: int):
         self._words = np.random.PCG64(seed)

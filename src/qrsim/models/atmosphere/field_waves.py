@@ -1,6 +1,6 @@
 """Random draws of a world's turbulent field: phases, frequencies and lifetimes of its chains of waves.
 
-A sum of a few hundred waves that last for ever is a set of tones for a vehicle that hovers. With a lifetime T the
+A sum of a few hundred permanent waves is a set of tones for a vehicle that hovers. With a lifetime T the
 amplitude of each chain goes with sin^2 of half a turn in T. At each zero the chain's phase is replaced by a hash of its
 first phase and the number of the lifetime. The field remains a function of place and time, without divergence and with
 continuous first derivatives. Chains are staggered evenly, in an order in which groups of four neighbours have the same

@@ -47,7 +47,7 @@ class RidgeLift(Updraft):
             position_ned, height_agl: (n,) [m].
             wind_ned: mean wind (n,) [m/s].
             seconds, fraction: not read.
-            ground: a ``Ground``, whose slopes.
+            ground: a ``Ground``, for its slopes.
         """
         height = jnp.maximum(height_agl, 0.0)
         half = jnp.minimum(PER_HEIGHT * height + AT_GROUND, FARTHEST)

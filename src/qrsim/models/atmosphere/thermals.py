@@ -58,7 +58,7 @@ class Thermals(Updraft):
     )
     drifts: bool = setting(default=True, doc="thermals drift with the wind; if false, they stay in place")
     drift_height: Array = parameter(
-        default=100.0, unit="m", doc="height whose mean wind carries the thermals", minimum=1.0, maximum=3000.0
+        default=100.0, unit="m", doc="height of the mean wind that carries the thermals", minimum=1.0, maximum=3000.0
     )
     sink: bool = setting(default=True, doc="sinking air between thermals balances the rising air")
     corner: Any = derived(default=None, doc="north and east of the area's south-western corner [m]")

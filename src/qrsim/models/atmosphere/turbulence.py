@@ -111,7 +111,7 @@ class DrydenFirstOrder(Turbulence):
         inherits="world.wind.wind_from_rad",
     )
     discretisation: Literal["exact", "euler"] = setting(
-        default="exact", doc="'euler' is the published recursion, whose variance is 0.8 to 22 % too large"
+        default="exact", doc="'euler' is the published recursion; its variance is 0.8 to 22 % too large"
     )
     airspeed: Literal["relative", "ground"] = setting(
         default="relative",

@@ -50,7 +50,7 @@ class Calm(Wind):
 
 @record
 class LogShear(Wind):
-    """A steady wind whose speed grows with the logarithm of height."""
+    """A steady wind; its speed grows with the logarithm of height."""
 
     speed_20ft: Array = parameter(unit="m/s", doc="speed 20 ft (6.096 m) above the ground", minimum=0.0, maximum=50.0)
     wind_from_rad: Array = parameter(

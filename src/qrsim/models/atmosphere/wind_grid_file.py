@@ -1,4 +1,4 @@
-"""Velocities of the air on a grid, read from a NetCDF file whose units and frame are checked."""
+"""Velocities of the air on a grid, read from a NetCDF file after checks of units and frame."""
 
 from __future__ import annotations
 

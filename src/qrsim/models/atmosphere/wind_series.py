@@ -119,7 +119,7 @@ def read_wind(path: Path, max_gap: float) -> tuple[NumpyArray, NumpyArray]:
 
 @record
 class VeeringShear(Wind):
-    """A steady wind whose speed follows a law of height and whose bearing turns evenly with height."""
+    """A steady wind; its speed follows a law of height, and its bearing turns evenly with height."""
 
     speed_20ft: Array = parameter(unit="m/s", doc="speed 20 ft (6.096 m) above the ground", minimum=0.0, maximum=50.0)
     wind_from_rad: Array = parameter(

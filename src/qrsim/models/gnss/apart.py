@@ -47,7 +47,7 @@ def apart_init(budget: ErrorBudget, draw: Draw, slots: Slots) -> Apart:
 
 
 def apart_step(budget: ErrorBudget, state: Apart, draw: Draw, slots: Slots, same: Array, dt: float) -> Apart:
-    """Advance by dt [s]; a satellite in a new slot begins anew."""
+    """Advance by dt [s]; a satellite in a new slot starts again."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
     found = []

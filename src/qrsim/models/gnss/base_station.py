@@ -1,4 +1,4 @@
-"""A base station, whose corrections take away what receivers near it have in common with it.
+"""A base station; its corrections remove the errors that receivers near it have in common with it.
 
 See docs/howto/corrections.md.
 """

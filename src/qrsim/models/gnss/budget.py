@@ -43,8 +43,8 @@ def _time(default: float, doc: str) -> Array:
 class ErrorBudget(RangeErrors):
     """Range errors by their causes: satellites, ionosphere, troposphere; each a second-order process.
 
-    The receivers of a world share them. ``common: per_vehicle`` gives every ``gnss`` receiver errors of its own with
-    the same statistics, for studies that need independent ones. The ionosphere leaves less to receivers of two
+    The receivers of a world share them. ``common: per_vehicle`` gives every ``gnss`` receiver separate errors with the
+    same statistics, for studies that need independent ones. The ionosphere leaves less to receivers of two
     frequencies; its terms that end in ``_dual`` are for these.
     """
 

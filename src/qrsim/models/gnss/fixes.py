@@ -69,7 +69,7 @@ class GnssFix(GnssReading):
 class GnssState:
     """State of n receivers."""
 
-    geometry: Any = quantity(doc="Geometry that all of them share; None where receivers see satellites of their own")
+    geometry: Any = quantity(doc="Geometry that all of them share; None where receivers see different satellites")
     age: Any = quantity(doc="(K, n) time [s] for which each has seen a satellite, where they differ, else None")
     ids: Array = quantity(doc="(K,) uint32 number of the satellite in each slot")
     fast: Array = quantity(unit="1", doc="(K, n) multipath that changes soon")

@@ -171,7 +171,7 @@ class Interference:
         return bool(self.jammers or self.discs or self.spoofers or self.outages)
 
     def at(self, places: Array, seconds: Array, fraction: Array) -> Interfering | None:
-        """Return the interference at an epoch, for the satellites of numbers ``places`` (K,); None if there is none."""
+        """Return the interference at an epoch, for the satellites of numbers ``places`` (K,); None without any."""
         if not self.local:
             return None
 

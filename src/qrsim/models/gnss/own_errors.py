@@ -1,4 +1,4 @@
-"""Errors of a solution by what receivers of type ``gnss`` share, and by what each has for itself."""
+"""Errors of a solution: those that receivers of type ``gnss`` share, and those of each alone."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: 
 def step_multipath(
     receiver: ReceiverParameters, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
 ) -> tuple[Array, Array]:
-    """Advance both halves of the multipath (K, n) by a period; that of a satellite in a new slot begins anew."""
+    """Advance both halves of the multipath (K, n) by a period; that of a satellite in a new slot starts again."""
     # Not normal, which would take half of a fix's time: the sums over time and satellites are.
     drawn = draw.uniform_pairs(slots.ids + jnp.uint32(MULTIPATH_PAIRS))
     way = velocity_ned.norm() * (receiver.period / receiver.multipath_length)

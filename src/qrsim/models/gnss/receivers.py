@@ -251,7 +251,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
+        """Return the first fix of receivers at new places, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
         moved = velocity_ned * since

@@ -1,4 +1,4 @@
-"""The sensor ``gnss``: a receiver whose errors have a part of its own, and a filter (docs/howto/choose_a_receiver.md).
+"""The sensor ``gnss``: a receiver with partly independent errors, and a filter (docs/howto/choose_a_receiver.md).
 
 What it measures is truth plus error, and the error is what is computed: a weighted solution of range errors goes
 through two lags that carrier phase carries along. With the place it differs by the ionosphere's slope only.
@@ -51,7 +51,7 @@ _BIAS_PAIR = 8
 class Gnss(ReceiverParameters, Sensor):
     """A GNSS receiver with shared and independent errors, a filter, and reported accuracies.
 
-    It needs a sky with slots, which every scenario with such a sensor has. ``velocity: differenced`` takes the velocity
+    It needs a sky with slots, which every scenario with this sensor has. ``velocity: differenced`` takes the velocity
     from successive fixes. With fewer than 4 satellites it coasts on its last velocity for a while.
     """
 
@@ -83,13 +83,13 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
+        """Return the first fix of receivers at new places, ``since`` [s] after an epoch."""
         shared = state.geometry
         fresh, reading = self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, shared)
         return replace(fresh, true_ned=fresh.true_ned - velocity_ned * since), reading
 
     def placed(self, chosen: Array, fresh: GnssState, before: GnssState) -> GnssState:
-        """Return the state in which only chosen receivers (n,) were placed anew; what all share stays."""
+        """Return the state in which only chosen receivers (n,) have new places; what all share stays."""
         shared: dict[str, object] = {"geometry": before.geometry, "ids": before.ids}
         if fresh.tracking is not None and before.tracking is not None:
             shared["tracking"] = before.tracking.placed(chosen, fresh.tracking)

@@ -54,7 +54,7 @@ class CommonErrors:
 class Scales:
     """Standard deviations of the common errors, as a receiver that reports its accuracy takes them to be."""
 
-    signal: Array = quantity(unit="m", doc="(S,) of what each satellite has of its own")
+    signal: Array = quantity(unit="m", doc="(S,) of the part of each satellite alone")
     troposphere: Array = quantity(unit="m", doc="() at the zenith")
     vertical: tuple[Array, Array] = quantity(unit="m", doc="() vertical ionosphere; one frequency, two")
     gradient: tuple[Array, Array] = quantity(unit="m/km", doc="() of the ionosphere, on a large scale; one, two")

@@ -43,7 +43,7 @@ class Skyline:
     )
 
     def sees(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return whether no obstacle stands between receivers (n,) and a place, exactly."""
+        """Return whether no obstacle is between receivers (n,) and a place, exactly."""
         if self.solids is None:
             return jnp.ones(position_ned.x.shape, bool)
         return line_of_sight(self.solids, position_ned, point_ned)

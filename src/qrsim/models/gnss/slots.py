@@ -76,7 +76,7 @@ class SlottedMemory:
 
 @record
 class SlottedSky(Sky):
-    """A sky whose satellites in view have slots; receivers of the older kind see it as they see any other."""
+    """A sky with slots for its satellites in view; receivers of the older kind see it as they see any other."""
 
     orbits: Orbits = quantity(doc="satellite positions as seen from the site")
     errors: RangeErrors = quantity(doc="range errors")

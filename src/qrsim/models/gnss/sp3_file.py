@@ -127,7 +127,7 @@ class _Lines:
 def read_sp3(path: str | Path) -> Sp3File:
     """Read an SP3 file of version a, c or d.
 
-    A position of zeros and a clock of 999999 us mean that there is none; a satellite without a line at an epoch has
+    A position of zeros and a clock of 999999 us mean a missing value; a satellite without a line at an epoch has
     none there, and an epoch left out of the regular spacing has none of any satellite. Notes and gaps record these.
 
     Raises:

@@ -34,8 +34,8 @@ def starts(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array,
 def _listened(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the start (n,) [s] of each packet in the period and whether it is sent, with carrier sensing (CSMA).
 
-    Every vehicle draws a start. One that hears a transmission then draws a later one in the rest of the period. After
-    ``mac.attempts`` draws it waits for the next period.
+    Every vehicle draws a start. One that receives a transmission then draws a later one in the rest of the period.
+    After ``mac.attempts`` draws it waits for the next period.
     """
     neighbour, hears = audible
     last = max(mac.period - air, 0.0)

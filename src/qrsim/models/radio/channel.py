@@ -1,4 +1,4 @@
-"""The channel that all radios of a world share, and what fleets have of their own.
+"""The channel that all radios of a world share, and the part of each fleet.
 
 See docs/explanation/models/radio.md.
 """
@@ -109,5 +109,5 @@ class Channel:
 
     @property
     def periods_on_the_way(self) -> int:
-        """Number of periods (F) whose packets may still be on their way."""
+        """Number of periods (F) with packets that may still be on their way."""
         return max(1, math.ceil(self.latest / self.mac.period - 1e-9))

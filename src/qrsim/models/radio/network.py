@@ -1,4 +1,4 @@
-"""The radio of a world: who hears whom, and when (docs/howto/radio.md)."""
+"""The radio of a world: which messages arrive where, and when (docs/howto/radio.md)."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def with_man_made(noise_figure_db: Array, frequency_mhz: Array, land: str) -> Ar
 
 @record
 class ShadowField:
-    """Waves whose sum over both ends of a link is its shadowing: a function of the two places, without a memory."""
+    """Waves that add up to the shadowing of a link over both ends: a function of the two places, without a memory."""
 
     here: Vec3 = quantity(doc="(M,) wave numbers of one end, in turns per correlation distance")
     there: Vec3 = quantity(doc="(M,) wave numbers of the other end")
@@ -186,7 +186,7 @@ def bpsk_bit_error(per_bit: Array) -> Array:
 
 
 def packet_error(bit_error: Array, bits: float) -> Array:
-    """Return the chance that one of so many bits is wrong."""
+    """Return the chance that one of a number of bits is wrong."""
     # What is left of one minus a small number is rounded; its logarithm is not.
     small = -bit_error * (1.0 + bit_error * (0.5 + bit_error * (1.0 / 3.0)))
     kept = jnp.where(bit_error < 0.01, small, log(1.0 - bit_error))
@@ -206,7 +206,7 @@ def lora_air_time(
     preamble: int = 8,
     implicit_header: bool = False,
 ) -> float:
-    """Return the time [s] that a LoRa packet of so many bytes is on the air.
+    """Return the time [s] that a LoRa packet of a number of bytes is on the air.
 
     Semtech, "LoRa modem designer's guide", AN1200.13, section 4: with a check sum, with the low data rate optimisation
     where a symbol lasts longer than 16 ms.

@@ -49,7 +49,7 @@ def newest(heard: Heard, counts: Array, size: int) -> Heard:
 
     Args:
         heard: in order, the newest first.
-        counts: (E, n) which of them are looked at.
+        counts: (E, n) which of them count.
         size: rows of the result.
     """
     library = library_of(heard.sender)
@@ -75,7 +75,7 @@ def first_of(which: Array, size: int) -> Array:
 
 
 def taken(heard: Heard, chosen: Array) -> Heard:
-    """Return chosen rows (K, n) of messages; the number of rows stands for none."""
+    """Return chosen rows (K, n) of messages; the number of rows means none."""
     library = library_of(heard.sender)
     rows = heard.sender.shape[0]
     there = chosen < rows

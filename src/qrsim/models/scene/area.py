@@ -190,7 +190,7 @@ def collisions(
 ) -> Violation:
     """Return which vehicles (n,) of a world are closer to another than collision_distance [m].
 
-    Looks at all positions together, so the result does not depend on the order of the vehicles, and counts
+    Compares all positions together, so the result does not depend on the order of the vehicles, and counts
     vehicles that have already stopped.
 
     Args:

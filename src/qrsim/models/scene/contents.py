@@ -1,4 +1,4 @@
-"""Contents of a world besides vehicles: plume, ground cover, persons."""
+"""Contents of a world other than vehicles: plume, ground cover, persons."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, r
 
 
 def upward(north: Array, east: Array) -> Vec3:
-    """Return the unit normal of a surface whose down coordinate has these slopes [m/m] to north and east."""
+    """Return the unit normal of a surface, from the slopes [m/m] of its down coordinate to north and east."""
     scale = 1.0 / jnp.sqrt(1.0 + north * north + east * east)
     return Vec3(north * scale, east * scale, -scale)
 

@@ -18,7 +18,7 @@ _FLAT = 1e-9
 
 @record
 class PolygonArea(Area):
-    """An upright prism over a polygon whose edges do not cross; z = 0 is the ground."""
+    """An upright prism over a polygon without crossing edges; z = 0 is the ground."""
 
     north: Array = quantity(unit="m", doc="(V,) corners in order, either way round; the last is joined to the first")
     east: Array = quantity(unit="m", doc="(V,) corners")

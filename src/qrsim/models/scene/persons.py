@@ -31,7 +31,7 @@ class PersonsState:
 
     north: Array = quantity(unit="m", doc="north coordinate of the middle")
     east: Array = quantity(unit="m", doc="east coordinate of the middle")
-    there: Array = quantity(doc="bool: this episode has so many")
+    there: Array = quantity(doc="bool: this episode has this person")
     found_tick: Array = quantity(doc="int32 tick at which it was found, -1 before")
 
     def missing(self, tick: Array | None = None) -> Array:

@@ -98,7 +98,7 @@ class RingPlaces(Placement):
 
 
 def _unplaced(size: int, apart: Array, tries: int) -> str:
-    """Say that so many tries found no place for so many vehicles, some distance [m] apart."""
+    """Say that a number of tries found no place for all vehicles, some distance [m] apart."""
     return (
         f"no place for {size} vehicles at least {float(apart):g} m apart in {tries} tries; take another seed, fewer "
         "vehicles, more tries or less distance"

@@ -108,7 +108,7 @@ class GaussianState:
     """Gaussian sources of an episode, (S,)."""
 
     sources: Sources = quantity(doc="middles and peaks")
-    std: Vec3 = quantity(unit="m", doc="standard deviation along each of its own axes")
+    std: Vec3 = quantity(unit="m", doc="standard deviation along each of its axes")
     yaw: Array = quantity(unit="rad", doc="heading of its first axis")
 
 

@@ -1,4 +1,4 @@
-"""Collisions on the way of a time step, not at its end alone: whoever is fast would pass through what is thin."""
+"""Collisions on the way of a time step, not at its end alone: a fast vehicle would pass through a thin wall."""
 
 from __future__ import annotations
 

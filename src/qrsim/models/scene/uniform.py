@@ -13,7 +13,7 @@ def uniform(draw: Draw, index: int | Array, low: Array | float = 0.0, high: Arra
 
     Args:
         draw: a stream at a tick.
-        index: which of its numbers; whoever draws several takes different ones.
+        index: which of its numbers; several draws take different ones.
         low, high: bounds, () or (n,).
     """
     word, _ = draw.stream.words(draw.tick, index)

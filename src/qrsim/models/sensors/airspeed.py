@@ -30,7 +30,7 @@ class AirspeedReading(Explained):
         unit="m/s", doc="indicated airspeed: that of the same pressure at sea level, unsigned; NaN below speed_min"
     )
     true_airspeed: Array = quantity(
-        unit="m/s", doc="true airspeed, for the standard density at that height, unsigned; NaN below speed_min"
+        unit="m/s", doc="true airspeed, for the standard density at its height, unsigned; NaN below speed_min"
     )
 
     def reason(self, vehicle: int) -> str:
@@ -50,8 +50,8 @@ class AirspeedState:
 class Airspeed(Sensor):
     """Dynamic pressure of the air from ahead, and the airspeeds computed from it.
 
-    Parameters that are not given are those of the preset. A root has no sign, so the speeds have none, and below
-    ``speed_min``, where noise and offset are as large as what is measured, there are none.
+    Parameters that are not given are those of the preset. The speeds are unsigned. Below ``speed_min``, where
+    noise and offset are as large as the pressure, they are NaN.
     """
 
     preset: Literal["ms4525do", "sdp33"] = setting(default="sdp33", doc="chip that provides the parameters left out")
@@ -100,7 +100,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return a reading of the same sensors on vehicles placed anew."""
+        """Return a reading of the same sensors on vehicles at new places."""
         white, _, _ = draw.normals(3)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 

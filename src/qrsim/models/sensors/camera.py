@@ -298,6 +298,6 @@ class Camera(Sensor):
 
 @record
 class IdealCamera(Camera):
-    """A camera whose classifier always gives the mean score."""
+    """A camera with a classifier that always gives the mean score."""
 
     noisy: ClassVar[bool] = False

@@ -119,7 +119,7 @@ class Sensor(Protocol):
 
 
 class Memoryless(Sensor):
-    """Base of sensors without a state, whose readings are all made as the first one is."""
+    """Base of sensors without a state: all readings are made as the first one is."""
 
     def step(self, state: object, draw: object, *args: Any, **reads: Any) -> tuple[object, Record]:
         """Return the reading (n,) of now, as ``init`` does."""

@@ -79,7 +79,7 @@ def inclination(field_ned: npt.ArrayLike) -> float:
 
 
 def compass_heading(field_body: Vec3, roll: object, pitch: object, declination: Array | float = 0.0) -> Array:
-    """Return the heading (n,) [rad], from -pi to pi, of a magnetometer whose tilt is known: a levelled compass.
+    """Return the heading (n,) [rad], from -pi to pi, of a magnetometer with a known tilt: a levelled compass.
 
     With a declination it is against true north, else against magnetic north. An error of the tilt turns it by about the
     error times the tangent of the inclination.

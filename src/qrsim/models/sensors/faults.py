@@ -252,7 +252,7 @@ class Fault(_Fault):
 
 @record
 class FaultSlot(_Fault):
-    """Room for one fault of one sensor of each vehicle, whose kind is data."""
+    """Room for one fault of one sensor of each vehicle; its kind is data."""
 
     kinds: Array = quantity(default=0, doc="(n,) int32: places in KINDS")
 

@@ -73,7 +73,7 @@ class ImuState:
     g_sensitivity: tuple[Vec3, Vec3, Vec3] = quantity(unit="s/m", doc="rows of G")
     wandering: tuple[Six, ...] = quantity(unit="1", doc="bias instability of each axis, of variance 1 each")
     walk: Six = quantity(unit="rad/s or m/s^2", doc="turn-on bias and random walk of each axis")
-    turn: Array = quantity(unit="1", doc="axis whose slow errors move on next")
+    turn: Array = quantity(unit="1", doc="axis of the slow errors that move on next")
     rates: Vec3 = quantity(unit="rad/s", doc="true rates at the last reading")
     angle: Vec3 = quantity(unit="rad", doc="last measured step of the angle")
     low_pass: Any = quantity(doc="two memories of each axis; None without a filter")
@@ -205,7 +205,7 @@ class Imu(Sensor):
     def restart(
         self, state: ImuState, draw: Noise, since: Array, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[ImuState, ImuReading]:
-        """Return state and reading of the same chips on vehicles placed anew: they stay turned on, with their bias."""
+        """Return state and reading of the same chips at new places: they stay turned on, with their bias."""
         zero = jnp.zeros_like(rates_body.x)
         moved = replace(state, rates=rates_body, angle=Vec3(zero, zero, zero))
         normals = draw.normals(self.first_normals)[_START:]
@@ -222,7 +222,7 @@ class Imu(Sensor):
         return self._measure(state, normals, rates_body, specific_force, load)
 
     def _moved_on(self, state: ImuState, normals: tuple[Array, ...]) -> tuple[tuple[Six, ...], Six]:
-        """Return bias instability and walk, six periods later for the axis whose turn it is."""
+        """Return bias instability and walk, six periods later for the axis that is due."""
         span = AXES * self.period
         root = math.sqrt(span)
         steps = (self.gyroscope_random_walk,) * 3 + (self.accelerometer_random_walk,) * 3

@@ -156,7 +156,7 @@ class Magnetometer(Sensor):
     def restart(
         self, state: MagnetometerState, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Return state and reading of the same chips on vehicles placed anew."""
+        """Return state and reading of the same chips on vehicles at new places."""
         normals = draw.normals(self.first_normals)[_ONCE:]
         return state, self._measured(state, normals, position_ned, attitude, load)
 

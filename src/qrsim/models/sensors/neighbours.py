@@ -100,7 +100,7 @@ class Looking(Sensor):
         return self.step(state, draw, *args, **scene)
 
     def overfull(self, state: Array | None) -> Array | None:
-        """Return the number of readings (n,) whose search overflowed; None: it cannot overflow."""
+        """Return the number of readings (n,) with an overflow of the search; None: it cannot overflow."""
         return state
 
     @abstractmethod

@@ -30,7 +30,7 @@ def _port(side: str) -> Array:
 
 @record
 class PressureReading:
-    """Static pressure, and the height that it stands for in the standard atmosphere."""
+    """Static pressure, and the height that it means in the standard atmosphere."""
 
     height: Array = quantity(unit="m", doc="pressure altitude above that of the site's origin, positive up")
     height_rate: Array = quantity(unit="m/s", doc="rate of change of that altitude, low-passed, positive up")
@@ -123,7 +123,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return a stationary first drift, the chip's offset, and a reading whose rate is the true one."""
+        """Return a stationary first drift, the chip's offset, and a reading with the true rate."""
         white, drift, offset = draw.normals(3)
         state = PressureState(self.drift_std * drift, self.offset_std * offset, drift, drift)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
@@ -144,7 +144,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return state and reading of the same altimeters, in the same weather, on vehicles placed anew."""
+        """Return state and reading of the same altimeters, in the same weather, on vehicles at new places."""
         white, _, _ = draw.normals(3)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
         height, pressure, warmth = self._measured(state, white, *flow)

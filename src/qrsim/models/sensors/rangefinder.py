@@ -155,7 +155,7 @@ def met_by(
 ) -> tuple[Array, Array]:
     """Return the length [m] of beams (n,) to the first surface, and the cosine of the angle of incidence there.
 
-    The slant of an obstacle is that between the beam and two beside it; an edge between them is a wall along the beam.
+    The slant of an obstacle is that between the beam and two next to it; an edge between them is a wall along the beam.
 
     Args:
         obstacles, ground: of the world.

@@ -230,7 +230,7 @@ class Partners:
         return int(self.distance.shape[0])
 
     def exchange(self) -> tuple[Array, int]:
-        """Return the number (P, n) of each exchange in a round, and the length of a round; to itself there is none."""
+        """Return the number (P, n) of each exchange in a round, and the length of a round; without one to itself."""
         rows, vehicles = self.distance.shape
         others = rows - self.beacons
         each = self.beacons + max(others - 1, 0)

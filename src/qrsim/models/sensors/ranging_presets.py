@@ -1,4 +1,4 @@
-"""Presets of the sensor ``ranging``; where their numbers come from stands in docs/howto/sensors_looking_around.md."""
+"""Presets of the sensor ``ranging``; docs/howto/sensors_looking_around.md has the sources of their numbers."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class _Balance:
 
 
 def _specific_force(vehicle: Vehicle, airspeed: Array, tilt: Array, thrust: Array) -> tuple[Array, Array]:
-    """Return the specific force (n,), north and down, of a vehicle that stands still in a wind from the north."""
+    """Return the specific force (n,), north and down, of a vehicle at rest in a wind from the north."""
     zero = jnp.zeros_like(airspeed)
     none = Vec3(zero, zero, zero)
     vehicle = map_tree(jnp.asarray, vehicle)

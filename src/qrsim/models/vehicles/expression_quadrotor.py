@@ -1,4 +1,4 @@
-"""A quadrotor whose laws are expressions, as ``qrsim discover`` finds them; the rest is the identified quadrotor."""
+"""A quadrotor with expressions as laws, as ``qrsim discover`` finds them; the rest is the identified quadrotor."""
 
 from __future__ import annotations
 

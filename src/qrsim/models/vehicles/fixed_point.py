@@ -35,7 +35,7 @@ class FixedPoint(Uncommanded):
     adds_position: ClassVar[bool] = True
 
     def prepared(self, duration: float) -> Vehicle:
-        """Return itself, or the point that a path of its own carries.
+        """Return itself, or the point that its path carries.
 
         Raises:
             UsageError: the file of the path cannot be used.
@@ -63,10 +63,10 @@ class FixedPoint(Uncommanded):
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedPointState, Vec3]:
-        """Return the state as it is, and the specific force of what stands: (0, 0, -g)."""
+        """Return the state unchanged, and the specific force at rest: (0, 0, -g)."""
         zero = jnp.zeros_like(state.heading)
         return state, Vec3(zero, zero, zero - self.gravity)
 
     def stopped(self, state: FixedPointState) -> FixedPointState:
-        """Return the state as it is."""
+        """Return the state unchanged."""
         return state

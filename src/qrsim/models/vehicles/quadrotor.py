@@ -113,17 +113,17 @@ class Quadrotor(Vehicle):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> QuadrotorState:
-        """Return a state whose thrust carries the weight."""
+        """Return a state with a thrust that carries the weight."""
         weight = jnp.asarray(self.mass * self.gravity)
         thrust = jnp.broadcast_to(weight, position_ned.x.shape)
         return QuadrotorState(position_ned, attitude, velocity_body, rates_body, thrust)
 
     def with_wrapped_yaw(self, state: QuadrotorState) -> QuadrotorState:
-        """Return a state whose yaw is within -pi and pi."""
+        """Return a state with its yaw within -pi and pi."""
         return replace(state, attitude=replace(state.attitude, yaw=wrap_angle(state.attitude.yaw)))
 
     def with_thrust(self, state: QuadrotorState, thrust: Array) -> QuadrotorState:
-        """Return a state at a thrust (n,) [N]; a NaN leaves it as it is."""
+        """Return a state at a thrust (n,) [N]; a NaN leaves it unchanged."""
         return replace(state, thrust=jnp.where(jnp.isfinite(thrust), thrust, state.thrust))
 
     def idle_command(self, like: Array) -> Command:
@@ -132,7 +132,7 @@ class Quadrotor(Vehicle):
         return Command(zero, zero, jnp.full_like(like, IDLE_THROTTLE), zero, jnp.full_like(like, IDLE_BATTERY))
 
     def clip(self, command: Command, powered: bool = False) -> tuple[Command, Array]:
-        """Bring a command into its limits; the voltage of a battery is what it is, whatever may be commanded."""
+        """Bring a command into its limits; the voltage of a battery stays, whatever may be commanded."""
         return clipped(command, ("battery",) if powered else ())
 
     def powered(self, command: Command, voltage: Array | None) -> Command:
@@ -230,7 +230,7 @@ class Quadrotor(Vehicle):
             air_velocity: attitude -> air velocity in body axes [m/s].
             noise: held during the whole step.
             dt: step [s].
-            around: nothing of it is looked at.
+            around: not read.
 
         Returns:
             The state after the step and the mean specific force [m/s^2] during it, in body axes.

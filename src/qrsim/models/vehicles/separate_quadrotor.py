@@ -1,4 +1,4 @@
-"""The identified quadrotor with pitch constants of its own: frames longer than wide, or with a load slung across."""
+"""The identified quadrotor with separate pitch constants: frames longer than wide, or with a load slung across."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def jet_strength(thrust: Array) -> Array:
 
 
 def half_width(wake: Wake, along: Array) -> Array:
-    """Return the half width [m] of a wake: that of a jet, at least that whose speed is twice the induced velocity."""
+    """Return the half width [m] of a wake: that of a jet, at least that at a speed of twice the induced velocity."""
     return jnp.maximum(SPREAD * along, jnp.sqrt(wake.disc_area * (1.5 * _PROFILE / math.pi)))
 
 

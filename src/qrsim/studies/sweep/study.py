@@ -46,7 +46,7 @@ class SamplingSpec(Part):
     points: int | None = Field(
         None, description="number of points; of saltelli, of the base sample", ge=1, le=MOST_POINTS
     )
-    seed: int = Field(0, description="of the sample", ge=0)
+    seed: int = Field(0, description="seed of the sample", ge=0)
 
     @model_validator(mode="after")
     def _points(self) -> SamplingSpec:
@@ -92,7 +92,7 @@ class StudySpec(Part):
     estimator: str | None = Field(None, description="MODULE:NAME or FILE.py:NAME, in place of the sensors")
     policy_ticks: int = Field(1, description="the policy is asked at every so-many-th tick", ge=1)
     vary: dict[str, VarySpec] = Field(description="parameters by path", min_length=1)
-    sampling: SamplingSpec | None = Field(None, description="of the parameters that have a range")
+    sampling: SamplingSpec | None = Field(None, description="how the parameters with a range are sampled")
     seeds: int = Field(description="episodes at each point", ge=1, le=10**7)
     first_seed: int = Field(0, description="seed of the first one; the others follow", ge=0, lt=2**62)
     metrics: list[str] = Field(description="metrics that are kept of each episode", min_length=1)

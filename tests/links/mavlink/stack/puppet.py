@@ -13,7 +13,8 @@ from qrsim.models.site import Site
 
 DT = 0.02
 # Zurich, whose scale is: one degree of latitude is 111.2 km, one of longitude 75.4 km (WGS-84).
-SITE = Site.from_degrees(47.397742, 8.545594, 488.0)
+# 488 m above the sea: the geoid is 47.22 m above the ellipsoid there.
+SITE = Site.from_degrees(47.397742, 8.545594, 488.0 + 47.21997)
 NORTH_DEG, EAST_DEG = 1.0 / 111_180.0, 1.0 / 75_441.0
 
 

@@ -14,6 +14,7 @@ from qrsim.links.mavlink.stack.contracts import NAN
 from qrsim.links.mavlink.stack.fence import Fence, in_polygon
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.modes import Mode
+from qrsim.models.geoid import undulation
 
 TAKEOFF, WAYPOINT, LAND, RETURN, SPEED, DELAY, JUMP, LOITER_TIME, TURNS, TO_ALTITUDE = (
     22, 16, 21, 20, 178, 93, 177, 19, 18, 31
@@ -359,15 +360,21 @@ def test_a_return_goes_to_the_nearest_rally_point():
     assert puppet.seen.position_ned[:2] == pytest.approx((60.0, 20.0), abs=0.5)
 
 
-def test_places_are_those_of_the_ellipsoid():
-    geodesy = Geodesy(SITE)
+@pytest.mark.parametrize("datum", ["sea", "ellipsoid"])
+def test_places_are_those_of_the_ellipsoid_and_altitudes_above_the_sea(datum):
+    """Of the far place the geoid is extrapolated: to and fro agree, but it is not that of the place."""
+    geodesy = Geodesy(SITE, datum)
     for north, east, down in ((0.0, 0.0, 0.0), (1500.0, -2300.0, -120.0), (-40_000.0, 30_000.0, 5.0)):
         latitude, longitude, height = SITE.ned_to_geodetic([north, east, down])
-        degrees = math.degrees(latitude), math.degrees(longitude), float(height)
-        assert geodesy.to_ned(*degrees) == pytest.approx((north, east, down), abs=1e-3)
+        degrees = math.degrees(latitude), math.degrees(longitude)
         found = geodesy.to_geodetic((north, east, down))
-        assert found[:2] == pytest.approx(degrees[:2], abs=1e-8)
-        assert found[2] == pytest.approx(degrees[2], abs=1e-3)
-    assert geodesy.to_ned(47.397742 + 100 * NORTH_DEG, 8.545594 + 100 * EAST_DEG, 488.0) == pytest.approx(
+        assert found[:2] == pytest.approx(degrees, abs=1e-8)
+        if datum == "ellipsoid":
+            assert found[2] == pytest.approx(float(height), abs=1e-3)
+        elif north > -40_000.0:
+            assert float(height) - found[2] == pytest.approx(undulation(*degrees), abs=0.01)
+        assert geodesy.to_ned(*degrees, found[2]) == pytest.approx((north, east, down), abs=1e-3)
+    above = {"sea": 488.0, "ellipsoid": 535.22}[datum]
+    assert geodesy.to_ned(47.397742 + 100 * NORTH_DEG, 8.545594 + 100 * EAST_DEG, above) == pytest.approx(
         (100.0, 100.0, 0.0), abs=0.1
     )

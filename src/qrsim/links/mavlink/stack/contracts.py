@@ -31,6 +31,8 @@ Quadruple = tuple[float, float, float, float]
 FlavourName = Literal["px4", "ardupilot"]
 # Where the local frame of a vehicle begins: where it was when its estimator began, or at the scenario's site.
 LocalOrigin = Literal["start", "site"]
+# What altitudes are measured from: mean sea level, the geoid EGM96, or the WGS-84 ellipsoid.
+Datum = Literal["sea", "ellipsoid"]
 NAN = math.nan
 # Kinds of orders by which a stack flies a vehicle itself.
 NEEDED = frozenset({"path", "velocity", "attitude"})
@@ -59,6 +61,7 @@ class Facts:
         local_origin: where its local frame begins.
         ground_down: returns the down coordinate of the ground (...) at places north and east (...) [m]; None: it is the
             plane z = 0.
+        datum: what altitudes of messages are measured from; "above mean sea level" here means above that.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Facts:
     loiter_radius: float = 0.0
     local_origin: LocalOrigin = "start"
     ground_down: GroundDown | None = None
+    datum: Datum = "sea"
 
 
 @dataclass(slots=True)
@@ -97,7 +101,7 @@ class Seen:
         fix_type: GPS_FIX_TYPE, 3 and more is a position in three dimensions; 0 without a receiver.
         horizontal_accuracy, vertical_accuracy: as the receiver says [m]; NaN where it does not.
         latitude, longitude: of the estimate [deg].
-        altitude: of the estimate above the ellipsoid, which stands for mean sea level here [m].
+        altitude: of the estimate above mean sea level [m].
         charge: of the battery, 0 to 1; NaN without one.
         voltage: of it [V].
         on_ground: whether it stands on the ground.
@@ -292,7 +296,7 @@ class Stack(Protocol):
         """Origin of its local frame, in the site's frame NED [m]."""
 
     def place(self, position_ned: Triple) -> Triple:
-        """Return latitude and longitude [deg] and altitude [m] of a position NED [m]."""
+        """Return latitude and longitude [deg] and altitude above mean sea level [m] of a position NED [m]."""
 
     def tick(self, seen: Seen) -> Order | None:
         """Advance by one tick; return the order for the vehicle, None where the last one holds."""

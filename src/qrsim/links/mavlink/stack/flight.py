@@ -70,7 +70,7 @@ class Flight:
                 start["NAV_LOITER_RAD"] = facts.loiter_radius
             parameters = Parameters(start, TABLE + SIM_TABLE * (flavour == "ardupilot"))
         self.parameters, self.flavour = parameters, self._flavours[flavour]
-        self.craft = Craft(facts, self.parameters, Geodesy(site))
+        self.craft = Craft(facts, self.parameters, Geodesy(site, facts.datum))
         self.plan: Mission = self._plan(flavour)
         self.rally: tuple[Item, ...] = ()
         self.reset()

@@ -4,28 +4,47 @@ from __future__ import annotations
 
 import math
 
-from qrsim.links.mavlink.stack.contracts import Triple
+from qrsim.links.mavlink.stack.contracts import Datum, Triple
+from qrsim.models.geoid import GeoidPlane
 from qrsim.models.site import Site
 
 # WGS-84: equatorial radius [m] and first eccentricity squared.
 RADIUS, ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
 
 
+def geoid_of(site: Site, datum: Datum) -> GeoidPlane:
+    """Return the surface that altitudes of messages are measured from, near a site."""
+    return GeoidPlane.at(site) if datum == "sea" else GeoidPlane()
+
+
 class Geodesy:
     """From latitude, longitude and altitude to a site's NED frame, and back.
 
-    Altitudes above mean sea level are heights above the ellipsoid: there is no geoid.
+    Args:
+        site: origin of the frame, with its height above the ellipsoid.
+        datum: what altitudes are measured from.
+
+    Attributes:
+        height: altitude of the site [m].
     """
 
-    def __init__(self, site: Site):
+    def __init__(self, site: Site, datum: Datum = "sea"):
         self._latitude, self._longitude = site.latitude_rad, site.longitude_rad
-        self.height = site.height
+        self._geoid = geoid_of(site, datum)
+        self.height = site.height - self._geoid.height
+        self._height = site.height
         self._sin, self._cos = math.sin(site.latitude_rad), math.cos(site.latitude_rad)
         self._origin = _ecef(site.latitude_rad, site.longitude_rad, site.height)
 
     def to_ned(self, latitude: float, longitude: float, altitude: float) -> Triple:
         """Return the position NED [m] of a latitude and longitude [deg] and an altitude [m]."""
-        x, y, z = _ecef(math.radians(latitude), math.radians(longitude), altitude)
+        geoid = self._geoid
+        north, east, _ = self._to_ned(latitude, longitude, altitude + geoid.height)
+        return self._to_ned(latitude, longitude, altitude + geoid.undulation(north, east))
+
+    def _to_ned(self, latitude: float, longitude: float, height: float) -> Triple:
+        """Return the position NED [m] of a latitude and longitude [deg] and a height above the ellipsoid [m]."""
+        x, y, z = _ecef(math.radians(latitude), math.radians(longitude), height)
         dx, dy, dz = x - self._origin[0], y - self._origin[1], z - self._origin[2]
         sine, cosine = math.sin(self._longitude), math.cos(self._longitude)
         outward = cosine * dx + sine * dy
@@ -38,13 +57,14 @@ class Geodesy:
     def to_geodetic(self, position_ned: Triple) -> Triple:
         """Return latitude and longitude [deg] and altitude [m] of a position NED [m]: the inverse of ``to_ned``."""
         north, east, down = position_ned
-        place = [math.degrees(self._latitude), math.degrees(self._longitude), self.height - down]
+        undulation = self._geoid.undulation(north, east)
+        place = [math.degrees(self._latitude), math.degrees(self._longitude), self._height - down]
         for _ in range(4):
-            n, e, d = self.to_ned(place[0], place[1], place[2])
+            n, e, d = self._to_ned(place[0], place[1], place[2])
             place[0] += math.degrees((north - n) / RADIUS)
             place[1] += math.degrees((east - e) / (RADIUS * max(self._cos, 1e-6)))
             place[2] -= down - d
-        return place[0], place[1], place[2]
+        return place[0], place[1], place[2] - undulation
 
 
 def _ecef(latitude: float, longitude: float, height: float) -> Triple:

@@ -113,7 +113,9 @@ def _home(view: View) -> tuple[float, ...] | None:
     # As mavros turns it: from NED to ENU, but not from FRD to FLU.
     cosine, sine = f.HALF_ROOT * math.cos(0.5 * home.yaw), f.HALF_ROOT * math.sin(0.5 * home.yaw)
     turn = (cosine + sine, cosine - sine, 0.0, 0.0)
-    return home.latitude, home.longitude, home.altitude, *f.enu(view.local(home.position_ned)), *turn
+    # Messages of ROS have heights above the ellipsoid, to which mavros converts.
+    height = home.altitude + view.geoid.undulation(*home.position_ned[:2])
+    return home.latitude, home.longitude, height, *f.enu(view.local(home.position_ned)), *turn
 
 
 Maker = Callable[..., Told]
@@ -163,7 +165,7 @@ def _global(types: Types, told: Maker) -> Iterator[Told]:
         if not seen.valid:
             return None
         status = 0 if seen.fix_type >= 3 else _NO_FIX
-        return status, seen.latitude, seen.longitude, seen.altitude, *covariance(view)
+        return status, seen.latitude, seen.longitude, view.height, *covariance(view)
 
     def fix(view: View) -> tuple[float, ...] | None:
         where = view.row[s.FIX_PLACE : s.FIX_PLACE + 3]

@@ -224,7 +224,7 @@ class _Origin:
         self._origin: Triple | None = None
 
     def of(self, view: View) -> Triple:
-        """Return latitude and longitude [deg], and altitude [m]."""
+        """Return latitude and longitude [deg], and altitude above mean sea level [m]."""
         if view.stack.origin != self._origin:
             self._origin = view.stack.origin
             self._place = view.stack.place(self._origin)
@@ -280,7 +280,7 @@ def _global_position(view: View) -> Fields | None:
         "lat": seen.latitude,
         "lon": seen.longitude,
         "alt": seen.altitude,
-        "alt_ellipsoid": seen.altitude,
+        "alt_ellipsoid": view.height,
         "eph": eph,
         "epv": epv,
         "terrain_alt": NAN,
@@ -331,7 +331,7 @@ def _fix(view: View) -> Fields | None:
     return {
         "latitude_deg": latitude,
         "longitude_deg": longitude,
-        "altitude_msl_m": height,
+        "altitude_msl_m": view.fix_altitude,
         "altitude_ellipsoid_m": height,
         "s_variance_m_s": row[s.SPEED],
         "fix_type": seen.fix_type,

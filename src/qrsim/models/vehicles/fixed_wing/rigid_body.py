@@ -53,7 +53,7 @@ def substep(
 ) -> tuple[Motion, Vec3]:
     """Advance by dt [s] with the classical Runge-Kutta rule; the quaternion is normalised after it.
 
-    The four stages are turns of one loop, whose program is a quarter as long.
+    The four stages are turns of one loop, so that the program is a quarter as long.
 
     Returns:
         The motion, and the mean specific force (n,) [m/s^2].

@@ -56,7 +56,7 @@ def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: flo
 
 
 def combined(*terms: tuple[float, Array]) -> Number:
-    """Return the sum of known factors times arrays, without the terms whose factor is zero; 0.0 where none is left."""
+    """Return the sum of known factors times arrays, without the terms of a zero factor; 0.0 where none is left."""
     total: Number = 0.0
     for factor, array in terms:
         if factor == 0.0:

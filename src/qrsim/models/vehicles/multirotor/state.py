@@ -48,7 +48,7 @@ class Motion:
 
 @record
 class Ground:
-    """The plane that stands for the ground during a step; each array of shape (n,)."""
+    """The plane that replaces the ground during a step; each array of shape (n,)."""
 
     height: Array = quantity(unit="m", doc="of the centre of mass over it when the step began, along its normal")
     normal: Vec3 = quantity(unit="1", doc="upwards, NED")

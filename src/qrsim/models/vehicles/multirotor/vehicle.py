@@ -64,13 +64,13 @@ class Multirotor(Airframe, Vehicle):
     default_controller: ClassVar[str] = "cascade"
 
     def in_air(self, air: SiteAir) -> Multirotor:
-        """Return the vehicle at a site, whose air its autopilot has learned to hover in."""
+        """Return the vehicle at a site; its autopilot has learned to hover in the air there."""
         return replace(self, site_air=air)
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> MultirotorState:
-        """Return a state whose rotors carry the weight."""
+        """Return a state in which the rotors carry the weight."""
         like = jnp.asarray(position_ned.x)
         zero = jnp.zeros_like(like)
         lift = self.thrust_coefficient * self.lift_share * self.share(position_ned)
@@ -90,7 +90,7 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def with_thrust(self, state: MultirotorState, thrust: Array) -> MultirotorState:
-        """Return a state at a collective thrust (n,) [N]; a NaN leaves it as it is."""
+        """Return a state at a collective thrust (n,) [N]; a NaN leaves it unchanged."""
         lift = self.thrust_coefficient * self.lift_share * self.share(state.position_ned)
         speed = jnp.sqrt(jnp.maximum(thrust, 0.0) / lift)
         given = jnp.isfinite(thrust)

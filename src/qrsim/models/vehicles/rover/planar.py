@@ -50,7 +50,7 @@ def ground_of(around: Around | None, like: Array) -> Ground:
 
 
 def on_slope(heading: Array, normal: Vec3) -> Euler:
-    """Return the attitude (n,) of what stands at a heading [rad] on a plane with a unit normal (n,), upwards (D6)."""
+    """Return the attitude (n,) of a vehicle at a heading [rad] on a plane with a unit normal (n,), upwards (D6)."""
     sine, cosine = sincos(heading)
     pitch = arctan2(-(cosine * normal.x + sine * normal.y), -normal.z)
     # The right side is across the heading in the plane: its way down by its level part gives the roll.
