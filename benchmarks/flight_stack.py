@@ -31,10 +31,13 @@ class Vehicle:
     def __init__(self, number: int):
         from qrsim.links.mavlink.stack.contracts import Facts, Seen
         from qrsim.links.mavlink.stack.flight_stack import FlightStack
+        from qrsim.models.scene.zone import Zone
         from qrsim.models.site import Site
 
         area = ((-900.0, -900.0), (-900.0, 900.0), (900.0, 900.0), (900.0, -900.0))
-        self.stack = FlightStack(Facts(f"v{number}", number + 1, has_battery=True, fence=area), Site())
+        self.stack = FlightStack(
+            Facts(f"v{number}", number + 1, has_battery=True, zones=(Zone(True, (area,)),)), Site()
+        )
         self.seen = Seen(charge=0.9, present=0xF, healthy=0xF, latitude=51.7119, longitude=-0.21052)
         self.order: Any = None
 

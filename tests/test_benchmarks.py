@@ -42,6 +42,7 @@ NUMBERS = {
     "estimators": {"worlds", "vehicles", "ns", "throughput", "compile_seconds"},
     "flight_stack": {"microseconds", "core_percent"},
     "gnss": {"vehicles", "ns", "compile_seconds"},
+    "injections": {"median_ms", "most_ms", "tick_ms"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "light": {"runs", "cpu_s", "over_import_jax"},
     "looking": {"median_us", "step_us", "over_first"},
@@ -56,6 +57,8 @@ NUMBERS = {
     "slam_solver": {"states", "ours_cpu_s", "ours_iterations"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "stepping": {"us", "calls", "files"},
+    "terrain": {"wall_s", "cpu_s", "gdal_mb"},
+    "zones": {"us_per_vehicle_tick", "percent_of_box", "compile_s"},
     "throughput": {
         "vehicles",
         "worlds",
@@ -126,12 +129,23 @@ def test_turbulence():
 
 
 @pytest.mark.nightly
+def test_terrain():
+    assert [(row["files"], row["target_s"]) for row in rows("terrain")] == [("one tile", 1.0), ("four tiles", 4.0)]
+
+
+@pytest.mark.nightly
 def test_radio():
     (row,) = rows("radio")
     assert row["vehicles"] == 100
     assert row["compiler"] == "llvm"
     # About 26 of the others are within 300 m, at most 24 of them are looked at, and nothing is lost so near.
     assert 15.0 < row["heard"] < 24.0
+
+
+def test_zones():
+    box, zones = rows("zones")
+    assert (box["area"], zones["area"]) == ("box", "zones")
+    assert box["percent_of_box"] == 100
 
 
 @pytest.mark.nightly
@@ -206,6 +220,14 @@ def test_mavlink():
     # 2 s at 50 Hz, and what comes before and after; about 300 frames a second from each vehicle.
     assert row["ticks"] >= 50
     assert row["frames_per_second"] > 60
+
+
+@pytest.mark.nightly
+def test_injections():
+    without, with_them = rows("injections")
+    assert (without["requests"], with_them["requests"]) == (0, 50)
+    # A thousand keep less than 1 MB.
+    assert with_them["kept_kb"] - without["kept_kb"] < 52.0
 
 
 @pytest.mark.nightly

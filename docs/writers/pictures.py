@@ -65,6 +65,7 @@ OTHERS = {
     "slam_trajectories.png": "qrsim slam --seeds 8",
     "slam_allan.png": "qrsim slam --seeds 8",
     "slam_gain.png": "qrsim slam --vehicles 5 --seeds 8 --duration 60 --states poses",
+    "wind_profile.png": "qrsim show windy_day.yaml --wind wind_profile.png, with docs/howto/wind_of_the_day.md's files",
     "task_cats_and_mouse.png": "make pictures",
     "task_plume_mapping.png": "make pictures",
     "task_search_and_rescue.png": "make pictures",
@@ -92,6 +93,7 @@ OTHERS = {
     "turbulence_line.png": "make evidence field",
     "turbulence_gust.gif": "make evidence formation_gusts",
     "turbulence_spacing.png": "make evidence formation_gusts",
+    "zones.png": "qrsim run field_day.yaml",
 }
 
 

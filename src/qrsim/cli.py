@@ -15,8 +15,8 @@ import errno
 import inspect
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, make_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from typing import Annotated, Any, Protocol, Union
 
 import qrsim.starting  # noqa: F401 (before the others)
@@ -40,7 +40,6 @@ from qrsim.apps.plot import Plot
 from qrsim.apps.replay import Replay
 from qrsim.apps.ros2 import Ros2
 from qrsim.apps.run.command import Run
-from qrsim.apps.run.page import completed
 from qrsim.apps.scenario import List, Schema, Show
 from qrsim.apps.score import Score
 from qrsim.apps.serve import Serve
@@ -51,6 +50,7 @@ from qrsim.apps.validate import Validate
 from qrsim.apps.view import View
 from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened, visible
 from qrsim.files import interruptions
+from qrsim.view.flight import completed
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
 
@@ -249,8 +249,7 @@ def _parse(
 def _filled_in(entry: type[Command], program: str, arguments: list[str]) -> Command:
     """Return a command with its options."""
     given = completed(arguments) if entry is Run else arguments
-    named = [each.name for each in fields(entry) if "Positional" not in str(each.type)]  # type: ignore[arg-type]
-    options = [f"--{name.replace('_', '-')}" for name in named]
+    options = list(_options(entry))
 
     def parse() -> Command:
         description = _help_text(inspect.getdoc(entry) or "")
@@ -258,6 +257,15 @@ def _filled_in(entry: type[Command], program: str, arguments: list[str]) -> Comm
 
     with in_a_sentence(program, options, parse):
         return parse()
+
+
+def _options(entry: Any) -> Iterator[str]:
+    """Yield the options of a command, with those of its groups of options."""
+    for each in fields(entry):
+        if is_dataclass(each.default_factory):
+            yield from _options(each.default_factory)
+        elif "Positional" not in str(each.type):
+            yield f"--{each.name.replace('_', '-')}"
 
 
 def _with_the_only(commands: Mapping[str, type[Command] | Group], description: str) -> str:

@@ -14,6 +14,7 @@ import pytest
 from qrsim import cli
 from qrsim.links.autopilot import firmware
 from qrsim.links.autopilot.firmware import INSTALL
+from qrsim.runs import open_run
 
 
 @pytest.mark.parametrize(
@@ -28,6 +29,9 @@ from qrsim.links.autopilot.firmware import INSTALL
         (["mixed_team", "--fleet", "rovers"], "--fleet rovers: "),
         (["--binary", "/nowhere/at/all"], "--binary /nowhere/at/all: this is no program"),
         (["outdoor_patrl"], "did you mean 'outdoor_patrol'?"),
+        (["--injectable", "gnss"], "--injectable: faults are injected on the page; add --view, or inject a file"),
+        (["--injectabl", "gnss"], "no such option '--injectabl'; did you mean '--injectable'?"),
+        (["--inject", "/nowhere/at/all.yaml"], "/nowhere/at/all.yaml: No such file or directory"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]):
@@ -86,6 +90,10 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
         (["--px4", "/", "--port", "4570"], "use --first-instance"),
         (["mixed_team", "--fleet", "rovers"], "a rover is flown by no PX4 here"),
         (["mixed_team", "--fleet", "plane"], "did you mean 'planes'?"),
+        (
+            ["--view", "--injectable", "radio"],
+            "--injectable radio: no fleet has a radio; the scenario needs world.radio",
+        ),
     ],
 )
 def test_what_px4_cannot_do_is_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]):
@@ -131,12 +139,17 @@ def test_px4s_of_a_build_are_started_flown_and_ended(dies: bool, tmp_path: Path,
     program = STAND_IN.format(tests=tests, etc=str(build / "etc"), mortal=first + 1 if dies else -1)
     build_of(build, program)
     words = ["--px4", str(build), "--first-instance", str(first), "--duration", "3", "--realtime", "0", "--json"]
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("[{target: gnss, kind: slow, every: 2, at: 1}, {target: gnss, kind: ok, at: 2.4}]")
+    words += ["--inject", str(faults)]
     folder = tmp_path / "run"
     code = cli.main(["autopilot", "px4", *words, "--param", "MPC_XY_VEL_MAX=8", "--out", str(folder)])
     out, err = capsys.readouterr()
     result = json.loads(out)
     assert (result["run"], result["fleets"], result["simulated_s"]) == (str(folder), ["field"], 3.0)
     assert (tmp_path / "run-px4" / "field_4" / "px4.log").read_text().startswith("INFO  [init] a line")
+    made = [(entry["kind"], entry["tick"]) for entry in open_run(folder).injections]
+    assert made == [("slow", 249), ("ok", 599)]
     climbed = [row["distance_m"] > 0.5 for row in result["vehicles"]]
     assert climbed == [True, not dies, True, True, True]
     assert code == (1 if dies else 0)

@@ -13,10 +13,10 @@ from tests.interrupting import INTERRUPTIBLE
 from tests.small_worlds import bare_pair
 from tests.view.fetching import fetching
 
-from qrsim.apps.run.page import completed
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
 from qrsim.view.clock import Clock
+from qrsim.view.flight import completed
 from qrsim.view.live import LiveView
 from qrsim.view.recording import Recording
 

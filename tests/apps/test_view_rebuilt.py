@@ -12,10 +12,12 @@ import pytest
 
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
+from qrsim.scenarios.injection_file import read_injections
 from qrsim.scenarios.live_requests import wind
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
+from qrsim.view.frame import frame_of
 from qrsim.view.live import LiveView
 from qrsim.view.recording import Recording
 from qrsim.world.episode import develop, picture
@@ -116,6 +118,26 @@ def test_a_plume_goes_with_the_wind_that_was_asked_for(tmp_path: Path):
     winds = [recording.frame(time).beside.world.wind for time in (0.0, 6.0)]  # type: ignore[union-attr]
     assert [float(wind.speed_20ft) for wind in winds] == [1.0, 7.0]
     assert float(winds[1].wind_from_rad) == pytest.approx(np.pi / 2)
+
+
+def test_a_wind_changes_as_slowly_as_in_flight(tmp_path: Path):
+    events = "world.events=[{at: 1, wind: {speed_20ft: 3, over: 2}}]"
+    scenario, (request,) = read_injections(puffing("ranges=[]", events), injections(tmp_path))
+    fly(scenario, tmp_path / "run", seed=SEED, precision="float32", injections=[request])
+    recording = Recording(open_run(tmp_path / "run"))
+    winds = [recording.frame(time).beside.world.wind for time in (0.9, 2.0, 3.5, 4.5, 6.0)]  # type: ignore[union-attr]
+    # From 1 to 3 m/s within 2 s, then to 7 m/s within 1 s.
+    assert [float(wind.speed_20ft) for wind in winds] == pytest.approx([1.0, 2.0, 3.0, 5.0, 7.0])
+    live = simulated(scenario, 2.0)
+    frame = frame_of(live.state, live.time, live.world)
+    assert float(frame.beside.world.wind.speed_20ft) == pytest.approx(2.0)  # type: ignore[union-attr]
+
+
+def injections(folder: Path) -> Path:
+    """Write a file with a change of the wind."""
+    path = folder / "injections.yaml"
+    path.write_text("[{target: world, kind: wind, at: 4, speed_20ft: 7, over: 1}]")
+    return path
 
 
 def test_where_nothing_is_beside_the_vehicles_nothing_is_rebuilt(tmp_path: Path):

@@ -198,6 +198,19 @@ def test_how_high_a_return_flies(place: tuple[float, float, float], top: float |
 
 
 @pytest.mark.long
+def test_a_vehicle_that_was_flown_away_begins_where_it_is() -> None:
+    rig = Rig((20.0, 0.0, -60.0), COM_LOW_BAT_ACT="return_or_land")
+    rig.step(5, charge=jnp.full(1, 0.06))
+    assert (rig.action, int(rig.state.phase[0])) == (RETURN, FLY)
+    # 15 m from its path it goes back to it, 40 m from it to the height of a return and home.
+    asked = rig.step(estimate=rig.put(y=15.0))
+    assert (int(rig.state.phase[0]), float(asked.position_ned.y[0])) == (FLY, pytest.approx(0.0, abs=0.1))
+    asked = rig.step(estimate=rig.put(y=40.0, z=-30.0))
+    assert (int(rig.state.phase[0]), float(rig.state.goal_ned.z[0])) == (CLIMB, -60.0)
+    assert (float(asked.position_ned.y[0]), float(asked.position_ned.z[0])) == pytest.approx((40.0, -30.0), abs=0.1)
+
+
+@pytest.mark.long
 def test_a_hold_is_where_it_can_stop() -> None:
     rig = Rig((20.0, 0.0, -20.0), NAV_DLL_ACT="hold", COM_DL_LOSS_T=5.0)
     zero = jnp.zeros(1)

@@ -12,12 +12,13 @@ import pytest
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
+from qrsim.core.host import on_host
 from qrsim.core.vectors import Vec3
-from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _distance_from_circle, _nearest
+from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _clearances, _distance_from_circle, _nearest
 from qrsim.runs import open_run
 from qrsim.runs.separation import smallest_separation
 from qrsim.runs.summary import summarise, tracking_error
-from qrsim.scenarios.scenario import Scenario
+from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.world.state import State
 
@@ -288,3 +289,25 @@ def test_time_on_the_ground_is_no_endurance(tmp_path: Path) -> None:
     # 5 Ah at the 21 A that a hover takes are 857 s; the whole minute would be taken for 6350 s.
     assert 700.0 < flown["endurance_s"][0, 0] < 1000.0
     assert row.endurance_s == pytest.approx(flown["endurance_s"][0, 0], rel=1e-3)
+
+
+def test_a_floor_at_zero_over_lower_ground_is_none():
+    """A vehicle with feet stands 3 m below z = 0, where the floor of the box ends no flight: nor is it a distance."""
+    content = {
+        "extends": "hover_ideal",
+        "name": "valley",
+        "world": {"ground": {"type": "flat", "height": -3.0}},
+        "fleets": {
+            "pelicans": {
+                "vehicle": {"type": "multirotor", "model": "x500"},
+                "controller": {"type": "cascade", "feed": "truth"},
+                "guidance": {"type": "route"},
+                "vehicles": [{"position_ned": [0, 0, 0], "on_ground": True}],
+            }
+        },
+    }
+    world = load_scenario(content).world()
+    sides, ceiling, floor = on_host(_clearances)(world, world.fleets[0].start.position_ned)
+    assert np.isnan(floor[0])
+    # 120 m over z = 0 and 2.8 m more: its feet are 0.2 m long.
+    assert (sides[0], ceiling[0]) == (1000.0, pytest.approx(122.8, abs=0.05))

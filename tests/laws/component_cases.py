@@ -39,6 +39,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Footprint
 from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.wind import LogShear, mean_wind_at
+from qrsim.models.atmosphere.wind_profile import ProfileRows
 from qrsim.models.gnss.base_station import BaseSeen
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.gnss.receivers import GnssReading, SkyState
@@ -51,6 +52,7 @@ from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle, Obstacle
 from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.scene.traffic import Traffic
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
@@ -62,6 +64,7 @@ from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 from qrsim.models.vehicles.rover import Rover
 from qrsim.scenarios import catalogue
+from qrsim.scenarios.zone_schema import zones_model, zones_of
 from qrsim.world.air import turbulence_inputs
 from qrsim.world.sensing import scene_of
 from qrsim.world.state import Start
@@ -178,8 +181,19 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     ("SENSORS", "airspeed"): {"speed_min": 0.0},
     ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
     ("OBSTACLES", "prism"): {"corners_ned": [[-6.0, -9.0], [-2.0, 8.0], [7.0, 3.0]], "z_min": -12.0},
+    # Two levels at two times, the second of which are higher.
+    ("WINDS", "profile"): {
+        "heights": [10.0, 50.0, 12.0, 60.0],
+        "speeds": [3.0, 5.0, 4.0, 7.0],
+        "wind_from_rad": [6.2, 0.1, 6.0, 0.2],
+        "times": [0.0, 0.0, 100.0, 100.0],
+    },
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
     # With a notch that ends among the positions of ``inputs``.
+    ("AREAS", "zones"): {
+        "stay_in": [{"polygon_ned": [[-95.0, -90.0], [-90.0, 95.0], [97.0, 92.0], [91.0, -96.0]], "ceiling": 80.0}],
+        "stay_out": [{"circle_ned": [70.0, -60.0], "radius": 9.0, "floor": 5.0}],
+    },
     ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
 }
 # Where a scenario has components of each group.
@@ -209,7 +223,7 @@ SLOTS = {
 
 # A scenario writes these arrays another way, which tests/scenarios looks at.
 ARRAYS = {PolygonArea: ("north", "east"), PrismObstacle: ("north", "east", "north_to", "east_to"),
-          Thermals: ("places_ned",)}  # fmt: skip
+          Thermals: ("places_ned",), ProfileRows: ("heights", "speeds", "wind_from_rad", "times")}  # fmt: skip
 
 
 def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInfo]]:
@@ -252,12 +266,17 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     if GROUPS[group][name] is PrismObstacle:
         of_numbers = {"z_min": given["z_min"]}
         return jax.tree.map(jnp.asarray, cast(PrismObstacle.of(given["corners_ned"], **of_numbers), dtype))
+    if GROUPS[group][name] is ZonesArea:
+        zones = zones_of(zones_model()(type="zones", **given))
+        return jax.tree.map(jnp.asarray, cast(ZonesArea(**settings).of(zones, None), dtype))
     if GROUPS[group][name] is Thermals:
         given["places_ned"] = np.zeros((0, 2))
     if "corners_ned" in given:
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
     if settings.get("frame") == "geodetic":
         given["file"] = elevation_file("geodetic")
+    if settings.get("zero") == "site":
+        del given["height_of_zero"]
     of_numbers = {key: np.array(value) if isinstance(value, list) else value for key, value in given.items()}
     component = GROUPS[group][name](**of_numbers, **settings)
     if group == "CONTROLLERS":

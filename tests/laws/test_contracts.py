@@ -41,7 +41,7 @@ CONTRACTS = {
     "BATTERIES": Battery, "CONTROLLERS": Controller, "FILTERS": Estimator, "GUIDANCE": Guidance, "SENSORS": Sensor,
 }  # fmt: skip
 # A file that is read before the run; what it returns flies.
-READ_BEFORE = {"series", "dem", "grid"}
+READ_BEFORE = {"series", "dem", "grid", "profile"}
 # Check what a user handed in before it flies, which is to look for what is missing.
 CHECKERS = {"scenarios/class_attributes.py", "scenarios/conformity.py", "scenarios/returns.py", "scenarios/trial.py"}
 # What is asked of classes as they are made, of modules, the operating system, errors, JAX's own objects and what a user

@@ -77,10 +77,10 @@ def test_an_entry_is_a_fault_of_the_fleets_that_have_its_target(scenario: Scenar
         ("- {target: gnss, kind: off, at: 2, vehicles: nobody}", "entry 1: vehicles: expected a list of names"),
         (
             "- {target: gnss, kind: drift, at: 2, field: position_ned.x}",
-            "faults.0.rate: missing; kind 'drift' needs it",
+            "entry 1: rate: missing; kind 'drift' needs it",
         ),
-        ("- {target: baro_quad, kind: delayed, by: 30, at: 2}", "faults.0.by: 30 s; allowed: at most 1 s, 50 readings"),
-        ("- {target: gnss, kind: off, at: 61}", "faults.0.start: 61 s is not within the run"),
+        ("- {target: baro_quad, kind: delayed, by: 30, at: 2}", "entry 1: by: 30 s; allowed: at most 1 s, 50 readings"),
+        ("- {target: gnss, kind: off, at: 61}", "entry 1: at: 61 s is not within the run"),
         ("- {target: battery, kind: off, at: 2}", "entry 1: kind: 'off' does not suit a battery; allowed: drop, weak"),
         ("- {target: battery, kind: drop, at: 2}", "entry 1: charge: missing; kind 'drop' needs it, 0 to 1"),
         ("- {target: battery, kind: drop, charge: 1, at: 2, vehicles: [plain_0]}", "there is no target 'battery'"),

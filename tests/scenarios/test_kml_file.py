@@ -124,8 +124,8 @@ BAD: dict[str, tuple[str, str | None, str]] = {
     "hole": (
         kml(placemark("field", polygon(SQUARE, inner=TRIANGLE))),
         None,
-        "polygon 'field': has a hole (innerBoundaryIs), and holes are not supported; "
-        "draw the excluded area as a separate polygon",
+        "polygon 'field': has a hole (innerBoundaryIs), and a fence has none; give world.area of type zones with "
+        "stay_in: [{file: ...}]",
     ),
     "no ring": (
         kml(placemark("field", "<Polygon/>")),

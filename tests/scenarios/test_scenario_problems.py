@@ -326,6 +326,14 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
         {"type": "gyroscope"},
         "fleets.alpha.sensors.process: the name 'process' is taken by the simulator; choose another",
     ),
+    *(
+        (
+            f"fleets.alpha.sensors.{name}",
+            {"type": "gyroscope"},
+            f"fleets.alpha.sensors.{name}: '{name}' is the name of another target of faults; choose another",
+        )
+        for name in ("battery", "radio", "link", "world", "rotor_1")
+    ),
     (
         "fleets.alpha.sensors.my gyro",
         {"type": "gyroscope"},

@@ -8,6 +8,7 @@ import socket
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -85,6 +86,8 @@ class Mavlink:
     )
     """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors, battery,
     radio, or all; can be given several times."""
+    record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
+    """Folder for recordings, one folder for each flight; 'qrsim replay' flies its run again."""
     truth: bool = False
     """Let clients request HIL_STATE_QUATERNION, the true state; without it they get only estimates and readings."""
 
@@ -112,6 +115,7 @@ class Mavlink:
             truth=self.truth,
             respawn=self.respawn,
             datum=self.datum,  # type: ignore[arg-type]
+            record=self.record,
             log=say,
         )
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
@@ -121,6 +125,9 @@ class Mavlink:
             run_until_signal(server.serve())
         finally:
             ports.close()
+            if world.recording is not None:
+                world.recording.close()
+                say(f"recorded: {world.recording.folder}")
             report = server.report()
             if report.steps:
                 say(

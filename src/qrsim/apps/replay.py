@@ -15,9 +15,9 @@ class Replay:
     """Fly a recorded world of several controllers again, without them, and compare.
 
     Injections of the recorded flight (injections.yaml) are repeated. Checks that all streams are bit-identical. Takes a
-    run of 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier). Its stream 'orders' has the order of
-    each vehicle in each tick. Exit code: 0 if everything is the same, 1 if something differs (or cannot be read), 2 for
-    wrong usage.
+    run that 'qrsim mavlink', 'qrsim ros2' or 'qrsim serve SCENARIO --pace free' (or barrier) has recorded with
+    '--record DIR'. Its stream 'orders' has the order of each vehicle in each tick. Exit code: 0 if everything is the
+    same, 1 if something differs (or cannot be read), 2 for wrong usage.
 
     Example:
       qrsim replay runs/served/SESSION/episode-0001

@@ -6,6 +6,8 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -92,6 +94,9 @@ class Ros2:
     )
     """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, radio, or all; can be given several
     times."""
+    record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
+    """Folder for recordings: a folder for this flight, in it a run folder for each reset. 'qrsim replay' flies a run
+    again."""
     paused: bool = False
     """Begin paused, until 'resume' or 'step N' arrives on /qrsim/control."""
     duration: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: until Ctrl-C)")] = (
@@ -110,6 +115,7 @@ class Ros2:
         from qrsim.links.ros2.participant import checked_domain
         from qrsim.links.ros2.server import Options, Server
         from qrsim.links.shared.injectable import with_injectable
+        from qrsim.links.shared.recording import Recording
         from qrsim.scenarios.scenario import load_scenario
 
         checked_domain(domain)
@@ -118,7 +124,8 @@ class Ros2:
         options = Options(self.realtime, self.truth, self.hold, self.paused, self.rate, self.pace)
         try:
             types, simulation, flown = self._world(scenario, log.say)
-            server = Server(simulation, types, options, log.say, self._node(types, domain, log.say), flown)
+            record = None if self.record is None else partial(Recording, self.record, scenario, simulation)
+            server = Server(simulation, types, options, log.say, self._node(types, domain, log.say), flown, record)
             spaces = server.messages.namespaces
             log.say(f"qrsim ros2: {len(spaces)} vehicles, {', '.join(spaces[:5])}{', ...' if len(spaces) > 5 else ''}")
             carrier = f"zenoh by {self.router}" if self.transport == "zenoh" else "dds"
@@ -129,6 +136,9 @@ class Ros2:
             try:
                 server.serve(math.inf if self.duration is None else self.duration - 1e-9)
             finally:
+                if server.recording is not None:
+                    server.recording.close()
+                    log.say(f"recorded: {server.recording.folder}")
                 report = server.report()
                 if report.steps:
                     log.say(
@@ -153,7 +163,9 @@ class Ros2:
         from qrsim.links.ros2.apis.flown import PACKAGES, Flown
 
         types = Types(self.distro, PACKAGES[self.api])
-        world = FlownWorld(prepared(scenario), stack_of("px4"), seed=self.seed, factor=self.realtime, log=say)
+        world = FlownWorld(
+            prepared(scenario), stack_of("px4"), seed=self.seed, factor=self.realtime, log=say, record=self.record
+        )
         return types, world.simulation, Flown(types, world, self.api, self.namespaces, self.rate)  # type: ignore[arg-type]
 
     def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:

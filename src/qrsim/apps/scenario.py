@@ -73,6 +73,7 @@ class Show:
       qrsim show outdoor_patrol > mine.yaml
       qrsim show my_scenario.yaml --set world.wind.speed_20ft=7
       qrsim show hover --program steps
+      qrsim show outdoor_patrol --wind wind.png
     """
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
@@ -85,6 +86,8 @@ class Show:
     """Print JSON instead, without derived values unless --derived is given."""
     derived: bool = False
     """Print only the values derived from the parameters of each fleet's vehicles."""
+    wind: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Draw the mean wind over height into this picture (.png, .pdf, .svg) instead."""
     program: Annotated[str | None, tyro.conf.arg(metavar="FORM", help_behavior_hint="(default: none)")] = None
     """Print the compiled program of a tick instead: its graph of operations ('graph'), the loops that compute them in
     their order ('steps'), or the text that LLVM compiles ('llvm')."""
@@ -96,6 +99,7 @@ class Show:
         from qrsim.scenarios.derived import derived_of, heights_line
         from qrsim.scenarios.plan_lines import plan_lines
         from qrsim.scenarios.scenario import load_scenario
+        from qrsim.scenarios.weather_lines import profile_lines
         from qrsim.scenarios.wind_limits import envelope_lines
 
         scenario = load_scenario(self.scenario, self.set)
@@ -103,6 +107,14 @@ class Show:
             from qrsim.simulation.showing import program_text
 
             print(program_text(scenario.world(), self.program))
+            return
+        if self.wind is not None:
+            from pathlib import Path
+
+            from qrsim.runs.wind_figure import save_wind_picture
+
+            save_wind_picture(scenario, Path(self.wind))
+            print(f"picture: {self.wind}")
             return
         derived = derived_of(scenario)
         if self.json:
@@ -113,6 +125,8 @@ class Show:
         # Comments of YAML, so that what is printed can be saved and flown.
         mark = "" if self.derived else "# "
         print(f"{mark}{heights_line(scenario)}")
+        for line in profile_lines(scenario.spec):
+            print(f"{mark}{line}")
         for fleet, numbers in derived.items():
             print(f"{mark}Derived values of fleet '{fleet}':")
             for name, value in numbers.items():

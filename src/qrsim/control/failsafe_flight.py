@@ -42,6 +42,8 @@ SLOWS_AT, SLOW_AT = 10.0, 5.0
 VERTICAL = 2.0
 # The path waits for a vehicle that is farther behind than the first distance [m], and stands at the second more.
 WAITS_FROM, WAITS_OVER = 2.0, 3.0
+# The action begins again where a vehicle is farther than this from its path [m]: a program has flown it away.
+BEGINS_AGAIN = 20.0
 # On the ground for so long the motors idle; for so long, it has landed [s].
 IDLE_AFTER, LANDED_AFTER = 0.5, 1.0
 
@@ -181,7 +183,8 @@ class Failsafes:
         acts = state.action > NOTHING
 
         def taken_over() -> tuple[FailsafeState, PathSetpoint]:
-            begun = select(begins, self._begun(state, seen.estimate), state)
+            away = acts & ((state.place_ned - seen.estimate.position_ned).norm() > BEGINS_AGAIN)
+            begun = select(begins | away, self._begun(state, seen.estimate), state)
             flown, asked = self._flown(begun, seen, dt)
             return select(acts, flown, state), select(acts, asked, given)
 

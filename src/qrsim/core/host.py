@@ -30,9 +30,9 @@ _MOST = 64
 _MOST_TURNS = 100
 
 
-def library_of(values: object) -> ModuleType:
-    """Return NumPy for its arrays, else jax.numpy: scenarios are checked in NumPy, which compiles for no shape."""
-    return np if isinstance(values, np.ndarray) else jnp
+def library_of(*values: object) -> ModuleType:
+    """Return NumPy if all values are its arrays, else jax.numpy: NumPy compiles for no shape, but takes no tracers."""
+    return np if all(isinstance(value, np.ndarray) for value in values) else jnp
 
 
 def on_host(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -16,6 +16,7 @@ from qrsim.core.arrays import Floats
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3, root
+from qrsim.interface.breaches import Breaches, breach_metrics
 from qrsim.interface.consistency import Looks
 from qrsim.interface.crowds import overfull_of_fleets, warn_of_overfull
 from qrsim.interface.endurance import Consumption, charges, endurance_s
@@ -65,6 +66,7 @@ class Flight:
     looks: Looks | None = quantity(default=None, doc="at what estimators state; None where none states anything")
     consumption: Consumption | None = quantity(default=None, doc="of batteries in the air; None where none drains")
     takeovers: Takeovers | None = quantity(default=None, doc="of failsafes; None where no fleet has any")
+    breaches: Breaches | None = quantity(default=None, doc="of zones; None where the area does not report them")
 
 
 class FlightMetrics:
@@ -104,6 +106,7 @@ class FlightMetrics:
             looks=Looks.none(world, state),
             consumption=Consumption.none(world, state),
             takeovers=Takeovers.none(state, like),
+            breaches=Breaches.none(world, like),
         )
         return self.update(nothing, world, state, jnp.int32(0))
 
@@ -157,6 +160,8 @@ class FlightMetrics:
             flight = replace(flight, consumption=flight.consumption.update(world, state, in_time))
         if flight.takeovers is not None:
             flight = replace(flight, takeovers=flight.takeovers.update(state, tick, position, flying))
+        if flight.breaches is not None:
+            flight = replace(flight, breaches=flight.breaches.update(world, position, inside, tick))
         return replace(flight, fixes=flight.fixes.update(world, state, tick, flying))
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
@@ -188,6 +193,7 @@ class FlightMetrics:
             "fence_floor_min_m": flight.floor,
             "unfinished": _unfinished(world, state),
             **takeover_metrics(flight.takeovers, np.asarray(flight.charge), dt),
+            **breach_metrics(flight.breaches, dt),
             "stopped_at_s": when(flight.stopped),
             "reason": np.concatenate([fleet.violation.code for fleet in state.fleets], axis=-1),
             "reason_value": np.concatenate([fleet.violation.value for fleet in state.fleets], axis=-1),
@@ -278,10 +284,14 @@ def _unfinished(world: World, state: State) -> Floats:
 
 
 def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
-    """Return the distances (n,) [m] from the sides, the ceiling and the floor, NaN for a floor that is the ground."""
+    """Return the distances (n,) [m] from the sides, the ceiling and the floor, NaN for a floor that is the ground.
+
+    So is a floor at z = 0 where the ground is lower: it ends no flight (``over_the_floor``), and vehicles stand below.
+    """
     sides, ceiling, floor = world.area.clearances(position_ned)
-    above_ground = position_ned.z + floor < world.ground_down(position_ned) - GROUND_M
-    return sides, ceiling, jnp.where(above_ground & jnp.isfinite(floor), floor, jnp.nan)
+    down = position_ned.z + floor
+    counts = (down < world.ground_down(position_ned) - GROUND_M) & (down < -GROUND_M)
+    return sides, ceiling, jnp.where(counts & jnp.isfinite(floor), floor, jnp.nan)
 
 
 def _smaller(known: Array, new: Array, counts: Array) -> Array:

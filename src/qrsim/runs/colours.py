@@ -35,6 +35,8 @@ MISSING: Colour = (245, 208, 13)
 FOUND: Colour = (12, 82, 87)
 GUST: Colour = (188, 115, 43)
 PLUME: Colour = (142, 4, 81)
+# Zones to stay out of; in figures hatched, on the page with walls.
+KEEP_OUT: Colour = (120, 72, 24)
 # What has no meaning of its own: area, estimates, what is true in a plot.
 GREY: Colour = (115, 115, 118)
 # From calm to strong, each darker than the one before.

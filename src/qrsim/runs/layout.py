@@ -28,6 +28,8 @@ INJECTIONS_FILE = "injections.yaml"
 PERSON_FOUND = "person_found"
 # Kind of the events that say that others may have been missed; the last one of a run has how many looks that were.
 OVERFULL = "neighbours_overfull"
+# Kinds of the events of zones that end no flight; the field is the name of the zone.
+ZONE_LEFT, ZONE_ENTERED = "zone_left", "zone_entered"
 
 FinalState = Literal["finished", "failed", "interrupted"]
 RunState = Literal["running", "finished", "failed", "interrupted"]

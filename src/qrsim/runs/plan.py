@@ -15,7 +15,8 @@ from matplotlib.path import Path
 from matplotlib.transforms import ScaledTranslation
 
 from qrsim.core.arrays import Floats
-from qrsim.runs.colours import FOUND, MISSING, PLUME, share
+from qrsim.models.scene.zone import Zone
+from qrsim.runs.colours import FOUND, KEEP_OUT, MISSING, PLUME, share
 from qrsim.runs.interferers import Interferer
 from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, path_rows
 from qrsim.runs.surroundings import Surroundings
@@ -147,7 +148,10 @@ def _surroundings(axes: Any, around: Surroundings) -> None:
     for obstacle in around.obstacles:
         axes.add_artist(_footprint(obstacle))
     # As artists, not as patches: what is cut off, such as a large area, does not make the limits.
-    if len(around.outline):
+    for zone in around.zones:
+        for patch in zone_patches(zone):
+            axes.add_artist(patch)
+    if len(around.outline) and not any(zone.keep for zone in around.zones):
         axes.add_artist(Polygon(around.outline[:, ::-1], fill=False, ec="black", lw=1.3, label="area"))
     for item in around.interference:
         if item.place_ned is not None and math.isfinite(item.radius):
@@ -175,10 +179,24 @@ def _surroundings(axes: Any, around: Surroundings) -> None:
         )
 
 
+def zone_patches(zone: Zone) -> list[Any]:
+    """Return a zone from above: its sides, and hatched the zone or the holes of it that vehicles stay out of."""
+    outline, *holes = (np.array(ring)[:, ::-1] for ring in (zone.outline, *zone.rings[1:]))
+    keep_out = {"fc": (*share(KEEP_OUT), 0.12), "ec": share(KEEP_OUT), "hatch": "///", "lw": 1.2, "zorder": 1}
+    barred: dict[str, Any] = {**keep_out, "label": "stay out"}
+    if zone.keep:
+        edge = Polygon(outline, fill=False, ec="black", lw=1.3, label="stay in", zorder=1)
+        return [edge, *(Polygon(hole, **barred) for hole in holes)]
+    path = Path.make_compound_path(*(Path([*ring, ring[0]], closed=True) for ring in (outline, *holes)))
+    return [PathPatch(path, **barred)]
+
+
 def name_marks(axes: Any, around: Surroundings) -> None:
     """Add a legend of what there is at single places, where it covers least of what is drawn."""
     labels = {label for label, _, _ in _marks(around)}
     handles = [line for line in axes.lines if line.get_label() in labels]
+    zones = {patch.get_label(): patch for patch in axes.patches if patch.get_label() in ("stay in", "stay out")}
+    handles += zones.values()
     if handles:
         axes.legend(handles=handles, loc="best", fontsize=8, framealpha=0.85)
 

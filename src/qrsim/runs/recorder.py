@@ -170,7 +170,7 @@ def fly(
         gc.freeze()
         gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
-        requests = RequestLog(simulation, writer)
+        requests = RequestLog(simulation, writer.note_injection, writer.append_event)
 
         def keep(history: History) -> None:
             arrays = values(simulation.world, history, wanted)

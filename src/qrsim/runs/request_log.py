@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from qrsim.runs.writer import RunWriter
+from collections.abc import Callable, Mapping
+
 from qrsim.simulation.requests import entry_of, events_of
 from qrsim.simulation.simulation import Simulation
 
@@ -12,17 +13,25 @@ class RequestLog:
 
     Args:
         simulation: reset.
-        writer: of the run.
+        note: keeps an entry, as ``RunWriter.note_injection``.
+        append: keeps an event, as ``RunWriter.append_event``.
     """
 
-    def __init__(self, simulation: Simulation, writer: RunWriter):
-        self._simulation, self._writer, self._count = simulation, writer, 0
+    def __init__(
+        self, simulation: Simulation, note: Callable[[Mapping[str, object]], None], append: Callable[..., None]
+    ):
+        self._simulation, self._note, self._append, self._count = simulation, note, append, 0
+
+    @property
+    def has_new(self) -> bool:
+        """Whether requests were made since the last call of ``write_new``."""
+        return len(self._simulation.requests) > self._count
 
     def write_new(self) -> None:
         """Write the requests made since the last call."""
         new, time_step = self._simulation.requests[self._count :], self._simulation.world.time_step
         self._count += len(new)
         for request in new:
-            self._writer.note_injection(entry_of(request, time_step))
+            self._note(entry_of(request, time_step))
         for event in events_of(new, time_step):
-            self._writer.append_event(**event)
+            self._append(**event)

@@ -22,6 +22,7 @@ from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.runs.poses import poses_of
 from qrsim.runs.radio_columns import radio_columns
 from qrsim.runs.weather_events import weather_events
+from qrsim.runs.zone_events import ZoneWatch
 from qrsim.simulation.history import History
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.standing import on_ground
@@ -180,6 +181,7 @@ class EventFinder:
         self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
         self.missions = MissionWatch(self.world, start)
         self.failsafes = FailsafeWatch(self.world, start)
+        self.zones = ZoneWatch(self.world)
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
@@ -201,13 +203,9 @@ class EventFinder:
             self.before[key] = now[-1]
             for row, vehicle in np.argwhere(now > previous):
                 found.append((int(row), int(vehicle), self._event(key, history, int(row), int(vehicle))))
-        found += self._faults(history)
-        found += self._losses(history)
-        found += self._persons(history)
+        found += [*self._faults(history), *self._losses(history), *self._persons(history)]
         found += self._of_missions(history, self.missions.events(history))
-        found += self._of_failsafes(history)
-        found += self._landings(history)
-        found += self._crowds(history)
+        found += [*self._of_watches(history), *self._landings(history), *self._crowds(history)]
         found += [(row, 0, event) for row, event in weather_events(self.world, history)]
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
@@ -250,10 +248,10 @@ class EventFinder:
             events.append((row, vehicle, {**event, "kind": kind, "field": "leg", "value": value, "message": message}))
         return events
 
-    def _of_failsafes(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return what failsafes noticed and did as events, each with its row and vehicle."""
-        events = []
-        for row, vehicle, kind, field, value, message in self.failsafes.events(history):
+    def _of_watches(self, history: History) -> list[tuple[int, int, Content]]:
+        """Return the events of failsafes and of zones, each with its row and vehicle."""
+        events, found = [], [*self.failsafes.events(history), *self.zones.events(history)]
+        for row, vehicle, kind, field, value, message in found:
             event = self._at(history, row, vehicle)
             message = f"{event['vehicle']}: {message} at {event['time']:.2f} s"
             events.append((row, vehicle, {**event, "kind": kind, "field": field, "value": value, "message": message}))
@@ -370,6 +368,8 @@ class EventFinder:
         message = f"{name} stopped at {time:.2f} s, {reason_text(code, value)}"
         if kind == "collision" and field == "distance":
             message += f" to {self._nearest(history, row, vehicle)}"
+        if field == "fence":
+            message += self.zones.name(history, row, vehicle)
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:

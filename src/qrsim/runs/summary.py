@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import Floats, NumpyArray
-from qrsim.runs.layout import OVERFULL, Event
+from qrsim.runs.layout import OVERFULL, ZONE_ENTERED, ZONE_LEFT, Event
 from qrsim.runs.reader import Run
 from qrsim.runs.stream_arrays import Stream
 from qrsim.runs.terrain import terrain_of
@@ -45,6 +45,8 @@ NOT_A_STOP = (
     "mission_unfinished",
     "landed",
     "took_off",
+    ZONE_LEFT,
+    ZONE_ENTERED,
     FAILSAFE,
     "failsafe_ends",
     OVERFULL,

@@ -14,6 +14,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
+from qrsim.models.scene.zone import Zone
 from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
 from qrsim.runs.reader import Run
@@ -46,7 +47,9 @@ class Surroundings:
     """What there was.
 
     Attributes:
-        outline: (V, 2) corners of the area, north and east [m]; none where it is unknown.
+        outline: (V, 2) corners of the area, north and east [m]; of several zones, those of the box around them; none
+            where it is unknown.
+        zones: to stay in and to stay out of; none for an area of another type.
         down: top and bottom of the area [m], down; NaN where it is unknown.
         obstacles: as in the scenario.
         interference: with receivers, in the order of the scenario.
@@ -61,6 +64,7 @@ class Surroundings:
     """
 
     outline: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    zones: tuple[Zone, ...] = ()
     down: tuple[float, float] = (np.nan, np.nan)
     obstacles: tuple[Mapping[str, Any], ...] = ()
     interference: tuple[Interferer, ...] = ()
@@ -100,6 +104,7 @@ def surroundings_of(run: Run) -> Surroundings:
     try:
         outline, down = _area(world.get("area"))
         known: dict[str, Any] = {"outline": outline, "down": down, "obstacles": tuple(world.get("obstacles") or ())}
+        known["zones"] = _zones(world.get("area"))
         known["interference"] = of_scenario(world.get("interference"))
     except (KeyError, TypeError, ValueError):  # of another version of qrsim
         known = {}
@@ -120,10 +125,29 @@ def surroundings_of(run: Run) -> Surroundings:
 def _area(area: Any) -> tuple[Floats, tuple[float, float]]:
     """Return the corners (V, 2) of a scenario's area, and its top and bottom."""
     down = (float(area["z_min"]), float(area["z_max"]))
+    if zones := _zones(area):
+        kept = [zone.bounds for zone in zones if zone.keep] or [zone.bounds for zone in zones]
+        south, _, west, _ = np.min(kept, axis=0)
+        _, north, _, east = np.max(kept, axis=0)
+        return np.array([[south, west], [north, west], [north, east], [south, east]]), down
     if "corners_ned" in area:
         return np.asarray(area["corners_ned"], float).reshape(-1, 2), down
     (south, north), (west, east) = ((float(area[f"{axis}_min"]), float(area[f"{axis}_max"])) for axis in "xy")
     return np.array([[south, west], [north, west], [north, east], [south, east]]), down
+
+
+def _zones(area: Any) -> tuple[Zone, ...]:
+    """Return the zones of a scenario's area, none for an area of another type."""
+    if not (isinstance(area, dict) and area.get("type") == "zones"):
+        return ()
+    # Imported here, because most runs have none.
+    from qrsim.scenarios.zone_schema import ZoneSpec, zone_of
+
+    return tuple(
+        zone_of(ZoneSpec.model_validate(entry), key == "stay_in", f"{key}.{i}")
+        for key in ("stay_in", "stay_out")
+        for i, entry in enumerate(area.get(key) or ())
+    )
 
 
 def _goals(run: Run) -> dict[str, Floats]:

@@ -12,6 +12,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.component_schema import Strict, component_model
 from qrsim.scenarios.legs import Corner
 from qrsim.scenarios.slots import Maker, slot
+from qrsim.scenarios.zone_schema import zones_model
 
 MOST_CORNERS = 1000
 
@@ -55,8 +56,9 @@ def _area_model(name: str, area: type) -> type[Strict]:
 
 def _areas() -> dict[str, Maker]:
     """Return the makers of the schemas of areas: those of the catalogue, and a file with the polygon of one."""
-    others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if area is not PolygonArea}
-    return {**others, "polygon": polygon_model, "fence": _fence_model}
+    own = {"polygon": polygon_model, "zones": zones_model}
+    others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if name not in own}
+    return {**others, **own, "fence": _fence_model}
 
 
 AreaSlot: Any = slot(_areas)

@@ -23,6 +23,7 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.prisms import prisms_of
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import has_contact
@@ -45,6 +46,7 @@ from qrsim.scenarios.sites import air_of, at_site
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
 from qrsim.scenarios.updraft_slot import footprint
+from qrsim.scenarios.zone_schema import zones_of
 from qrsim.world.state import Fleet, Start, World
 
 
@@ -73,7 +75,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
         gust=component(world.gust, known.GUSTS, scenario),
         sky=sky,
-        area=component(world.area, known.AREAS, scenario),
+        area=_area(scenario, ground),
         obstacles=obstacles,
         fleets=tuple(_fleet(name, fleet, scenario, ground) for name, fleet in scenario.fleets.items()),
         collision_distance=world.collision_distance,  # type: ignore[arg-type]
@@ -110,6 +112,12 @@ def build_task(scenario: ScenarioSpec, precision: str) -> Any:
 def network_of(scenario: ScenarioSpec) -> Network | None:
     """Build the radio of a world without what fleets have of their own; None without one."""
     return None if scenario.world.radio is None else component(scenario.world.radio, Network, scenario)
+
+
+def _area(scenario: ScenarioSpec, ground: object) -> Any:
+    """Build the area, with its zones where it has them."""
+    area = component(scenario.world.area, known.AREAS, scenario)
+    return area.of(zones_of(scenario.world.area), ground) if isinstance(area, ZonesArea) else area
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:

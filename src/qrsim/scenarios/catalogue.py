@@ -44,6 +44,7 @@ from qrsim.models.atmosphere.thermals import Thermals
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
 from qrsim.models.atmosphere.wind import Calm, LogShear
 from qrsim.models.atmosphere.wind_grid import WindGridFile
+from qrsim.models.atmosphere.wind_profile import ProfileRows
 from qrsim.models.atmosphere.wind_series import VeeringShear, WindFile
 from qrsim.models.gnss.budget import ErrorBudget
 from qrsim.models.gnss.constellations import NominalConstellations
@@ -53,14 +54,16 @@ from qrsim.models.gnss.receivers import GnssReceiver, IdealGnss, OrnsteinUhlenbe
 from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.scene.area import BoxArea
+from qrsim.models.scene.elevation_file import ElevationFile
 from qrsim.models.scene.fence import PolygonArea
-from qrsim.models.scene.ground import ElevationFile, FlatGround
+from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.scene.persons import NoPersons, Persons
 from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.scene.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.scene.terrain import ClearGround, PatchyGround
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
 from qrsim.models.sensors.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.sensors.barometer import Barometer, IdealBarometer
@@ -94,6 +97,7 @@ WINDS: Catalogue = {
     "veering_shear": VeeringShear,
     "series": WindFile,
     "grid": WindGridFile,
+    "profile": ProfileRows,
 }
 TURBULENCES: Catalogue = {
     "still": Still,
@@ -116,7 +120,7 @@ SKY_ERRORS: Catalogue = {
     "error_budget": ErrorBudget,
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle, "prism": PrismObstacle}
-AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
+AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea, "zones": ZonesArea}
 GROUNDS: Catalogue = {"flat": FlatGround, "dem": ElevationFile}
 PLUMES: Catalogue = {
     "none": NoPlume,

@@ -101,6 +101,14 @@ def _one_or_each(value: object) -> str:
     return "each" if isinstance(value, list) else "one"
 
 
+# A name, or a list of names.
+_Name = Annotated[str, Field(min_length=1)]
+_ONE_OR_SEVERAL = Annotated[
+    Annotated[_Name, Tag("one")] | Annotated[list[_Name], Field(min_length=1, max_length=400), Tag("each")],
+    Discriminator(_one_or_each),
+]
+
+
 def _for_each(info: FieldInfo) -> object:
     """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
@@ -128,6 +136,7 @@ class _Numbers:
 
 def _field(name: str, hint: object, field: dataclasses.Field[object], each: bool) -> tuple[object, object]:
     info = field_info(field)
+    annotation: Any
     required = field.default is dataclasses.MISSING
     usual = None if info.of_sensors else field.default
     if dataclasses.is_dataclass(field.default):
@@ -135,9 +144,11 @@ def _field(name: str, hint: object, field: dataclasses.Field[object], each: bool
         return nested, Field(default_factory=nested, **_described(info))
     if each and not info.static:
         return _for_each(info), Field(... if required else usual, **_described(info))
-    if info.static:
+    if hint == str | tuple[str, ...]:
+        annotation = _ONE_OR_SEVERAL
+    elif info.static:
         constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
-        annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
+        annotation = Annotated[hint, constraints] if hint in (float, int, bool) else hint
     elif info.length:
         entry = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
         vector = Annotated[list[entry], Field(min_length=info.length, max_length=info.length)]

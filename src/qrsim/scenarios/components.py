@@ -24,6 +24,8 @@ def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: Scen
         inherits = field_info(field).inherits
         if isinstance(value, BaseModel):
             value = component(value, type(field.default), scenario)
+        elif isinstance(value, list) and value and isinstance(value[0], str):
+            value = tuple(value)
         elif isinstance(value, list):
             value = np.array(value, np.float64)
         elif value is None and inherits:

@@ -6,11 +6,16 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
+from qrsim.models.scene.contents import WIND_HEIGHT
 from qrsim.models.scene.placement import RingPlaces
 from qrsim.models.scene.plume import trail
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
+from qrsim.scenarios.weather import largest_speed
+from qrsim.scenarios.wind_schema import PROFILE
 
 # Lowest and highest of the same.
 PAIRS = (
@@ -52,9 +57,13 @@ def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
     plume, wind = scenario.world.plume, scenario.world.wind
     if not known.PLUMES[plume.type].needs_wind:
         return
-    speed = vars(wind).get("speed_20ft", 0.0)
+    known_speed = wind.type == PROFILE or "speed_20ft" in vars(wind)
+    if wind.type == PROFILE:
+        speed = float(largest_speed(scenario, np.array([WIND_HEIGHT]))[0])
+    else:
+        speed = vars(wind).get("speed_20ft", 0.0)
     if not speed > 0.0:
-        found = f"'{wind.type}'" if "speed_20ft" not in vars(wind) else f"of {speed:g} m/s"
+        found = f"of {speed:g} m/s" if known_speed else f"'{wind.type}'"
         yield f"world.plume: '{plume.type}' needs a wind with a speed_20ft above 0; world.wind is {found}"
     elif plume.type == "puffs" and scenario.world.area.type == "box":
         needed = puffs_in_the_air(plume, scenario.world.area, speed)

@@ -42,6 +42,8 @@ from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
 from qrsim.scenarios.updrafts import updraft_problems
 from qrsim.scenarios.vehicle_checks import controller_problems
+from qrsim.scenarios.zone_checks import zone_problems
+from qrsim.simulation.injections import TARGETS
 from qrsim.world.state import PROCESS, TURBULENCE
 
 # What a controller fed with measurements needs, and the sensors that measure it.
@@ -77,6 +79,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *skyline_problems(scenario),
         *_fleet_problems(scenario),
         *_ground_problems(scenario),
+        *zone_problems(scenario),
         *_standing_problems(scenario),
         *fault_problems(scenario),
         *event_problems(scenario),
@@ -191,6 +194,10 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     for name in fleet.sensors:
         if name in (TURBULENCE, PROCESS, "sensors", "fleets", "time"):
             yield f"fleets.{fleet_name}.sensors.{name}: the name '{name}' is taken by the simulator; choose another"
+        elif name in TARGETS or re.fullmatch(r"rotor_[0-9]+", name):
+            yield (
+                f"fleets.{fleet_name}.sensors.{name}: '{name}' is the name of another target of faults; choose another"
+            )
 
 
 def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:

@@ -92,7 +92,7 @@ def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
     """Yield why a vehicle that lands would leave the area."""
     area: Any = scenario.world.area
     ground: Any = scenario.world.ground
-    if area.type in ("box", "polygon") and ground.type == "flat" and area.z_max < -ground.height:
+    if area.type in ("box", "polygon", "zones") and ground.type == "flat" and area.z_max < -ground.height:
         yield (
             f"{path}: they land, but the area ends {-ground.height - area.z_max:g} m above the ground; give world.area "
             f"z_max: {-ground.height + 0.0:g}"

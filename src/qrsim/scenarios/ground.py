@@ -13,6 +13,7 @@ from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.models.vehicles.contracts import Vehicle, handling_of, has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.zone_schema import zones_of
 
 # A start or a waypoint so little below the ground [m] is meant to be on it.
 ON_IT = 0.01
@@ -26,12 +27,16 @@ def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
         return area.x_min, area.x_max, area.y_min, area.y_max
     if area.type == "polygon":
         return min(area.north), max(area.north), min(area.east), max(area.east)
+    kept = [zone.bounds for zone in zones_of(area) if zone.keep] if area.type == "zones" else []
+    if kept:
+        south, north, west, east = zip(*kept, strict=True)
+        return min(south), max(north), min(west), max(east)
     return None
 
 
 def top_of(area: Any) -> float | None:
     """Return the greatest height [m] over the origin that an area allows, None where none is known."""
-    return -area.z_min if area.type in ("box", "polygon") else None
+    return -area.z_min if area.type in ("box", "polygon", "zones") else None
 
 
 def has_floor(scenario: ScenarioSpec) -> bool:

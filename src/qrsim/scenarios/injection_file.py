@@ -54,7 +54,7 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
                for number, entry in enumerate(_entries(path), 1)]  # fmt: skip
     in_flight = any(_in_flight(entry) for _, entry in entries)
     content = scenario.spec.model_dump(mode="json")
-    requests, wheres = [], []
+    requests, wheres, written = [], [], dict[str, str]()
     for where, entry in entries:
         fleets = [] if entry["target"] == WORLD else _fleets(scenario, where, entry)
         if in_flight or entry["target"] == WORLD:
@@ -63,12 +63,28 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
             _make_room(content, entry, fleets)
         else:
             for name, mine in fleets:
-                content["fleets"][name]["faults"].append(_fault(where, entry, mine))
+                faults = content["fleets"][name]["faults"]
+                written[f"fleets.{name}.faults.{len(faults)}."] = where.removeprefix(f"{path}: ")
+                faults.append(_fault(where, entry, mine))
     try:
         scenario = load_scenario(content, quiet=True)
     except ScenarioError as error:
-        raise UsageError(f"{path}: {error}") from None
+        raise ScenarioError(str(path), _of_entries(error.problems, written)) from None
     return scenario, tuple(_possible(scenario, requests, wheres))
+
+
+def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator[str]:
+    """Yield the problems of a scenario by the entries of a file, once each, by their paths in the scenario."""
+    told = set[str]()
+    for problem in problems:
+        found = re.match(r"fleets\.[^.]+\.faults\.\d+\.", problem)
+        entry = written.get(found[0]) if found else None
+        if found and entry:
+            rest = problem[found.end() :]
+            problem = f"{entry}: {'at' + rest.removeprefix('start') if rest.startswith('start:') else rest}"
+        if problem not in told:
+            told.add(problem)
+            yield problem
 
 
 def _in_flight(entry: Content) -> bool:

@@ -27,11 +27,13 @@ class KmlPolygon:
         name: of its placemark, "" where it has none.
         vertices: latitude and longitude [deg] of each corner; the last is joined to the first, which is not repeated.
         altitudes: of each corner [m], as written, 0 where the file has none; a fence does not use them.
+        holes: corners of each hole, as ``vertices``.
     """
 
     name: str
     vertices: tuple[tuple[float, float], ...]
     altitudes: tuple[float, ...]
+    holes: tuple[tuple[tuple[float, float], ...], ...] = ()
 
 
 def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
@@ -61,6 +63,25 @@ def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
         )
         raise UsageError(f"{path}: {many}; choose one by its name: {first}")
     return _polygon(str(path), *found[chosen[0]])
+
+
+def read_polygons(path: str | Path, name: str | None = None) -> list[KmlPolygon]:
+    """Read all polygons of a KML file with their holes, or all of one name.
+
+    Args:
+        path: the file.
+        name: of the polygons' placemarks, or of one polygon as in ``read_fence``; None: all.
+
+    Raises:
+        UsageError: the file is no KML, has no such polygon, or one that is not simple.
+    """
+    found = _polygon_elements(str(path))
+    names = _own_names([each for each, _ in found])
+    chosen = [i for i, (each, _) in enumerate(found) if name in (None, each, names[i])]
+    if not chosen:
+        hint = did_you_mean(str(name), [each for each in names if each])
+        raise UsageError(f"{path}: no polygon is called '{name}'{hint}")
+    return [_polygon(str(path), names[i], found[i][1], holes=True) for i in chosen]
 
 
 def _own_names(names: list[str]) -> list[str]:
@@ -101,25 +122,37 @@ def _polygon_elements(path: str) -> list[tuple[str, Element]]:
     return found
 
 
-def _polygon(path: str, name: str, element: Element) -> KmlPolygon:
-    """Return the outer boundary of a Polygon element."""
+def _polygon(path: str, name: str, element: Element, holes: bool = False) -> KmlPolygon:
+    """Return a Polygon element; without ``holes``, one that has any is refused."""
     where = f"{path}: polygon {_called(name)}"
-    if children(element, "innerBoundaryIs"):
+    if children(element, "innerBoundaryIs") and not holes:
         raise UsageError(
-            f"{where}: has a hole (innerBoundaryIs), and holes are not supported; "
-            "draw the excluded area as a separate polygon"
+            f"{where}: has a hole (innerBoundaryIs), and a fence has none; give world.area of type zones with "
+            "stay_in: [{file: ...}]"
         )
-    rings = [ring for outer in children(element, "outerBoundaryIs") for ring in children(outer, "LinearRing")]
-    texts = [text_of(ring, "coordinates") for ring in rings]
-    if len(texts) != 1 or not texts[0]:
+    outer = _rings(where, element, "outerBoundaryIs")
+    if len(outer) != 1:
         raise UsageError(f"{where}: expected one outerBoundaryIs with a LinearRing with coordinates")
-    corners = list(_corners(where, texts[0]))
-    if len(corners) > 1 and corners[0] == corners[-1]:
-        corners.pop()
-    vertices = tuple((latitude, longitude) for latitude, longitude, _ in corners)
-    for problem in polygon_problems(vertices):
-        raise UsageError(f"{where}: {problem}")
-    return KmlPolygon(name, vertices, tuple(altitude for _, _, altitude in corners))
+    vertices, *inner = (
+        tuple((latitude, longitude) for latitude, longitude, _ in ring)
+        for ring in [*outer, *_rings(where, element, "innerBoundaryIs")]
+    )
+    for ring in (vertices, *inner):
+        for problem in polygon_problems(ring):
+            raise UsageError(f"{where}: {problem}")
+    return KmlPolygon(name, vertices, tuple(altitude for _, _, altitude in outer[0]), tuple(inner))
+
+
+def _rings(where: str, element: Element, boundary: str) -> list[list[tuple[float, float, float]]]:
+    """Return the corners of each boundary of a kind; the last, which repeats the first, is left out."""
+    found = []
+    for part in children(element, boundary):
+        for ring in children(part, "LinearRing"):
+            corners = list(_corners(where, text_of(ring, "coordinates")))
+            if len(corners) > 1 and corners[0] == corners[-1]:
+                corners.pop()
+            found += [corners] if corners else []
+    return found
 
 
 def _corners(where: str, text: str) -> Iterator[tuple[float, float, float]]:

@@ -11,11 +11,13 @@ from qrsim.core.tree import field_info
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.prisms import PrismObstacle
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.interference import KIND_OF
 from qrsim.scenarios.registry import name_of
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.schema import SKY_KINDS
+from qrsim.scenarios.zone_schema import content_of
 from qrsim.world.state import World
 
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
@@ -180,6 +182,8 @@ def _plain(value: object, name: str, kind: str = "") -> object:
         fields = {name: getattr(value, name) for name in given}
         if isinstance(value, PolygonArea):
             fields["corners_ned"] = np.column_stack([fields.pop("north"), fields.pop("east")])
+        elif isinstance(value, ZonesArea):
+            fields |= content_of(value.zones)
         elif isinstance(value, PrismObstacle):
             outline, *holes = value.rings()
             fields = {"corners_ned": outline, "holes_ned": holes, "z_min": value.z_min, "z_max": value.z_max}

@@ -233,6 +233,16 @@ def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Autho
                 yield below(path, point[2], down)
 
 
+def ways_of(fleet: FleetSpec, vehicle: VehicleSpec, ground: object) -> Iterator[tuple[str, Leg]]:
+    """Yield each part of a vehicle's mission with its place in the vehicle's legs or waypoints; loops once more."""
+    name, specs = _specs(vehicle)
+    again = _again(fleet, vehicle)
+    author = _author(fleet, vehicle, ground, name)
+    for first in (0, again):
+        for j, parts in enumerate(author.legs(specs, first) if first is not None else (), first or 0):
+            yield from ((f"{name}.{j}", part) for part in parts)
+
+
 def mission(fleet: FleetSpec, ground: object) -> Mission:
     """Return the mission of a fleet without problems; a vehicle without legs holds its start."""
     limits = limits_of(fleet.guidance)

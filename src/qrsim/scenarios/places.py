@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
@@ -35,7 +36,9 @@ from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.site_schema import RoutePlanSpec, SiteSpec
+from qrsim.scenarios.zone_places import fence_as_zones, has_places, zones_in_ned
 
+T = TypeVar("T")
 LAND = "NAV_LAND"
 
 
@@ -50,7 +53,7 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
     site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None
-    if scenario.world.area.type != "fence" and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
+    if not has_places(scenario.world.area) and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
         return scenario, [], {}, []
     places = _Places(scenario)
     # Without its site all other places would be wrong.
@@ -113,7 +116,7 @@ class _Places:
         self.ceiling = None if z_min is None else -z_min
         self.on_ground = False
 
-    def _attempt(self, path: str, convert: Callable[[], list[list[float]]]) -> list[list[float]]:
+    def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
         """Return the points a function gives; where something is wrong, keep that and return none."""
         try:
             return convert()
@@ -291,7 +294,18 @@ class _Places:
         return [start, *route]
 
     def area(self, area: Any) -> Any:
-        """Return an area in NED: the polygon of a fence, any other as it is."""
+        """Return an area in NED: the polygon of a fence, the zones of files, any other as it is."""
+        if area.type == "fence":
+            found = self._attempt("world.area", partial(fence_as_zones, area))
+            if not found:
+                return area
+            area = found[0]
+        if area.type == "zones":
+            placed = zones_in_ned(area, self.site)
+            self.problems += placed.problems
+            self.written |= placed.written
+            self.fences |= placed.plans
+            return placed.area
         if area.type != "fence":
             return area
         corners = self._attempt("world.area", lambda: self._corners(area.file, area.name))
@@ -342,7 +356,7 @@ class _Places:
         """Return the parts of the plan that are not flown as planned."""
         lands = [each for each in plan.waypoints if _lands(each)] if by_route else []
         notes = [Ignored(each.item, LAND, "not landed, but flown over") for each in lands]
-        if (plan.polygons or plan.circles) and self.area_type != "fence":
+        if (plan.polygons or plan.circles) and self.area_type != "fence" and plan not in self.fences.values():
             unused = f"not used, because world.area is '{self.area_type}'; give {{type: fence, file: ...}}"
             notes.append(Ignored(None, "geoFence", unused))
         return notes

@@ -13,6 +13,8 @@ import numpy as np
 from qrsim.control.kalman_parameters import KalmanParameters
 from qrsim.core.tree import field_info
 from qrsim.errors import UsageError
+from qrsim.models.scene.elevation_file import ElevationFile
+from qrsim.models.site import Site
 from qrsim.models.vehicles.expression_quadrotor import value_at
 from qrsim.models.vehicles.quadrotor import (
     COMMAND_LIMITS,
@@ -30,6 +32,7 @@ from qrsim.scenarios.sky_of_receivers import RECEIVERS
 from qrsim.scenarios.updrafts import updraft_warnings
 from qrsim.scenarios.vehicle_checks import grams_hint
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
+from qrsim.scenarios.zone_checks import zone_warnings
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.
 LEAST_THRUST_OVER_WEIGHT = 1.2
@@ -52,9 +55,11 @@ PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     yield from air_warnings(scenario)
+    yield from zone_warnings(scenario)
     yield from updraft_warnings(scenario)
     yield from _sky(scenario)
     yield from _wind(scenario)
+    yield from _ground(scenario)
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
         # The constants are those of the identified model; of a vehicle from outside they mean what they mean there.
@@ -95,6 +100,15 @@ def _wind(scenario: ScenarioSpec) -> Iterator[str]:
         yield f"world.wind: {words}; beyond its edge the air has the edge's velocity"
     if scenario.world.wind.type in ("series", "grid"):
         yield from _fast(scenario.world.wind.file, wind)
+
+
+def _ground(scenario: ScenarioSpec) -> Iterator[str]:
+    """Pass on what was noticed in the files of the ground."""
+    ground = component(scenario.world.ground, known.GROUNDS, scenario)
+    if isinstance(ground, ElevationFile):
+        place = scenario.site
+        site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
+        yield from (f"world.ground: {words}" for words in ground.notes(site, bounds_of(scenario.world.area)))
 
 
 def _fast(file: str, wind: Any) -> Iterator[str]:

@@ -213,10 +213,17 @@ def _anchor(content: object, folder: Path) -> None:
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for part in parts:
         _anchor(part, folder)
-    if isinstance(content, dict) and isinstance(content.get("file"), str) and content["file"]:
-        file = Path(os.path.abspath(folder / os.path.expanduser(content["file"])))
-        recorded = content["file"] in RECORDINGS and not file.exists()
-        content["file"] = str(data_folder() / content["file"] if recorded else file)
+    if isinstance(content, dict):
+        named = content.get("file")
+        if isinstance(named, str) and named:
+            content["file"] = _anchored(named, folder)
+        elif isinstance(named, list):
+            content["file"] = [_anchored(each, folder) if isinstance(each, str) and each else each for each in named]
+
+
+def _anchored(name: str, folder: Path) -> str:
+    file = Path(os.path.abspath(folder / os.path.expanduser(name)))
+    return str(data_folder() / name if name in RECORDINGS and not file.exists() else file)
 
 
 def _as_mapping(content: object, source: str) -> Content:

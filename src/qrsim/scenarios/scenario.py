@@ -40,6 +40,7 @@ from qrsim.scenarios.sensor_sets import insert_sensor_sets
 from qrsim.scenarios.trial import trial_problems
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
 from qrsim.scenarios.vehicle_models import insert_vehicle_models
+from qrsim.scenarios.weather import with_profile
 from qrsim.world.state import World
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
@@ -196,6 +197,8 @@ def load_scenario(
     spec, found, written, planned = in_ned(spec)
     if not found:
         spec, found = with_buildings(spec, quiet)
+    if not found:
+        spec, found = with_profile(spec, quiet)
     spec = spec if found else build.on_ground(spec)
     found = found or [_as_written(problem, written) for problem in problems(spec)]
     found = found or list(build.weather_problems(spec)) or list(trial_problems(spec))

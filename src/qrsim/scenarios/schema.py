@@ -38,6 +38,7 @@ from qrsim.scenarios.site_schema import RoutePlanSpec, SiteSpec, or_its_file
 from qrsim.scenarios.sky_of_receivers import with_sky
 from qrsim.scenarios.slots import slot_of
 from qrsim.scenarios.updraft_slot import MOST_UPDRAFTS, updraft_slot
+from qrsim.scenarios.wind_schema import WindSlot
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
@@ -116,7 +117,6 @@ class VehicleSpec(Strict):
 
 
 # Made at run time, so a type checker cannot see into them.
-WindSlot: Any = slot_of(known.WINDS)
 TurbulenceSlot: Any = slot_of(known.TURBULENCES)
 SensorSlot: Any = slot_of(known.SENSORS, each=True, more=FITTING)
 OrbitsSlot: Any = slot_of(known.ORBITS)

@@ -25,6 +25,8 @@ SETS: dict[str, Content] = {
 }
 # Goes with the noisy set unless the scenario has its own: gusts that neighbours share, and a filter of the readings.
 TURBULENCE = {"type": "dryden_field"}
+# Winds that turbulence takes its strength from, as from a ``speed_20ft``.
+PROFILES = ("profile", "weather")
 ESTIMATOR = {"type": "ekf"}
 
 
@@ -37,8 +39,8 @@ def or_a_set(schema: Content) -> None:
 def insert_sensor_sets(content: Mapping[str, object], source: str) -> None:
     """Replace, in place, the name of a set of sensors by the sensors.
 
-    With "noisy" a fleet gets an estimator and, in a wind with a ``speed_20ft``, the world gets turbulence, unless the
-    scenario says otherwise; an estimator of null stays none.
+    With "noisy" a fleet gets an estimator and, in a wind that states its strength, the world gets turbulence, unless
+    the scenario says otherwise; an estimator of null stays none.
 
     Raises:
         ScenarioError: no set has that name.
@@ -66,5 +68,5 @@ def _add_turbulence(content: Mapping[str, object]) -> None:
     """Add turbulence to a wind that says how strong its gusts are."""
     world = content.get("world")
     wind = world.get("wind") if isinstance(world, dict) else None
-    if isinstance(world, dict) and isinstance(wind, dict) and "speed_20ft" in wind:
+    if isinstance(world, dict) and isinstance(wind, dict) and ("speed_20ft" in wind or wind.get("type") in PROFILES):
         world.setdefault("turbulence", dict(TURBULENCE))

@@ -17,6 +17,8 @@ from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.scenarios.build import vehicle_of, wind_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.weather import largest_speed
+from qrsim.scenarios.wind_schema import PROFILE
 
 # Of a controller that names no voltage [V].
 FULL_V = 12.0
@@ -188,8 +190,10 @@ def mean_wind(scenario: ScenarioSpec, heights: NumpyArray) -> NumpyArray:
     wind = scenario.world.wind
     if is_outside("wind", wind.type):
         return np.zeros(len(heights))
-    if wind.type in ("series", "grid"):
+    if wind.type in ("series", "grid", PROFILE):
         try:
+            if wind.type == PROFILE:
+                return largest_speed(scenario, heights)
             return wind_of(scenario).largest_speed(heights)
         except UsageError:
             return np.zeros(len(heights))

@@ -34,6 +34,8 @@ MOST_AT_ONCE = 64
 WORLD, OK = "world", "ok"
 # The link of a vehicle to MAVLink and ROS 2. It is no part of the world, so it needs no slot.
 LINK = "link"
+# Targets that are no sensors, so that no sensor can have these names, nor that of a rotor.
+TARGETS = ("battery", "radio", LINK, WORLD)
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def injected(
     """
     if kind == OK and numbers:
         raise UsageError(f"{next(iter(numbers)):.60}: kind 'ok' takes no numbers")
-    if target == LINK and not any(LINK in fleet.sensor_names for fleet in world.fleets):
+    if target == LINK:
         return world, _linked(world, kind, vehicles, numbers)
     if target == "radio" and world.radio is None and not any(_slot(fleet, target) for fleet in world.fleets):
         raise UsageError("target: there is no radio; give world.radio of the scenario")

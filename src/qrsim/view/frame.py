@@ -17,6 +17,7 @@ from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.tasks.places import Places
 from qrsim.view.reasons import code_in_words
+from qrsim.world.air import weather_at
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 # Of a vehicle that says nothing of its looks: that of the AscTec Pelican [m].
@@ -213,6 +214,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
 
     codes = np.concatenate([np.asarray(fleet.violation.code) for fleet in state.fleets])
     values = np.concatenate([np.asarray(fleet.violation.value) for fleet in state.fleets])
+    tick: Any = np.int32(round(time / world.time_step))
     return Frame(
         time,
         gather(position_of),
@@ -223,7 +225,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
         gather(lambda fleet: fleet.gust_ned),
         codes == 0,
         {int(i): code_in_words(int(codes[i]), float(values[i]), world.area) for i in np.flatnonzero(codes)},
-        Beside(world, state.drawn, state.contents, state.fleet_keys, _pictures(state), state.field),
+        Beside(weather_at(world, tick), state.drawn, state.contents, state.fleet_keys, _pictures(state), state.field),
         _links(state, world),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.prisms import Prisms
-from qrsim.runs.colours import GREY
+from qrsim.models.scene.zone import Point, Zone
+from qrsim.models.scene.zones import ZonesArea
+from qrsim.runs.colours import GREY, KEEP_OUT
 from qrsim.view import shapes
 from qrsim.view.frame import Cast
 from qrsim.view.layers import Layer, Stage, down_at
@@ -20,6 +23,7 @@ from qrsim.world.state import World
 
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = GREY, (150, 140, 130), GREY
 GROUND_COLOUR = (205, 214, 186)
+KEEP_OUTS = "zones to stay out of"
 # Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.
 MOST_ALONG = 200
 
@@ -109,11 +113,56 @@ class Area(Layer):
     def begin(self) -> None:
         """Draw its edges."""
         found = corners_of(self._area)
-        if found is None:
-            return
-        self.stage.scene.add_line_segments(
-            f"{self.path}/edges", _edges(*found), AREA_COLOUR, thickness=2.0, thickness_units="screen"
-        )
+        if isinstance(self._area, ZonesArea):
+            rings = [_levels(zone, ring, self._area) for zone, ring in rings_of(self._area, keep=True)]
+            found_edges = [_between(*ring, sides=True) for ring in rings]
+        else:
+            found_edges = [] if found is None else [_edges(*found)]
+        if found_edges:
+            edges = np.concatenate(found_edges)
+            self.stage.scene.add_line_segments(
+                f"{self.path}/edges", edges, AREA_COLOUR, thickness=2.0, thickness_units="screen"
+            )
+
+
+class KeepOuts(Layer):
+    """Zones to stay out of, and holes in those to stay in, with walls."""
+
+    title = KEEP_OUTS
+
+    def __init__(self, stage: Stage, area: ZonesArea):
+        self._area = area
+        super().__init__(stage)
+
+    def begin(self) -> None:
+        """Draw edges and walls."""
+        edges = []
+        for number, (zone, ring) in enumerate(rings_of(self._area, keep=False)):
+            low, high = _levels(zone, ring, self._area)
+            edges.append(_between(low, high, sides=bool(zone.rings)))
+            first = np.arange(len(low))
+            after, top = np.roll(first, -1), first + len(low)
+            triangles = ((first, after, top), (after, top[after], top))
+            self.stage.scene.add_mesh_simple(
+                f"{self.path}/wall{number}",
+                np.concatenate([low, high]).astype(np.float32),
+                np.concatenate([np.stack(three, axis=1) for three in triangles]).astype(np.uint32),
+                color=KEEP_OUT,
+                opacity=0.25,
+                flat_shading=True,
+                side="double",
+                cast_shadow=False,
+            )
+        if edges:
+            self.stage.scene.add_line_segments(
+                f"{self.path}/edges", np.concatenate(edges), KEEP_OUT, thickness=2.0, thickness_units="screen"
+            )
+
+
+def keep_out_layers(stage: Stage, world: World) -> list[Layer]:
+    """Return the layer of zones to stay out of, for a world that has any."""
+    area = world.area
+    return [KeepOuts(stage, area)] if isinstance(area, ZonesArea) and rings_of(area, keep=False) else []
 
 
 class Obstacles(Layer):
@@ -198,12 +247,40 @@ def corners_of(area: object) -> tuple[Floats, float, float] | None:
         south, north, west, east = (float(v) for v in (area.x_min, area.x_max, area.y_min, area.y_max))
         corners = np.array([(south, west), (south, east), (north, east), (north, west)])
         return corners, float(area.z_min), float(area.z_max)
+    if isinstance(area, ZonesArea) and area.zones:
+        bounds = np.array([zone.bounds for zone in area.zones if zone.keep] or [zone.bounds for zone in area.zones])
+        (south, _, west, _), (_, north, _, east) = bounds.min(axis=0), bounds.max(axis=0)
+        corners = np.array([(south, west), (south, east), (north, east), (north, west)])
+        return corners, float(area.z_min), float(area.z_max)
     return None
 
 
 def _edges(corners: Floats, z_min: float, z_max: float) -> Floats:
     """Return the edges (3 V, 2, 3) of an upright prism."""
     low, high = (np.insert(corners, 2, z, axis=1) for z in (z_max, z_min))
-    return np.concatenate(
-        [np.stack(pair, axis=1) for pair in ((low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low, high))]
-    )
+    return _between(low, high)
+
+
+def rings_of(area: ZonesArea, keep: bool) -> list[tuple[Zone, Sequence[Point]]]:
+    """Return the rings that vehicles stay in, or out of, each with its zone; a hole is one to stay out of."""
+    return [
+        (zone, ring)
+        for zone in area.zones
+        for number, ring in enumerate(zone.rings or (zone.outline,))
+        if (zone.keep and number == 0) == keep
+    ]
+
+
+def _between(low: Floats, high: Floats, sides: bool = True) -> Floats:
+    """Return the edges of a prism between two rings (V, 3) [m]; without ``sides`` only those of the rings."""
+    pairs = [(low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), *([(low, high)] if sides else [])]
+    return np.concatenate([np.stack(pair, axis=1) for pair in pairs])
+
+
+def _levels(zone: Zone, ring: Sequence[Point], area: ZonesArea) -> tuple[Floats, Floats]:
+    """Return the corners (V, 3) [m] of a ring of a zone at its floor and at its ceiling, within the area's."""
+    corners = np.array(ring, np.float64)
+    ground = down_at(area.ground, *corners.T) if zone.terrain else np.zeros(len(corners))
+    low = ground if zone.floor <= 0.0 else ground - zone.floor
+    high = np.maximum(ground - zone.ceiling, float(area.z_min))
+    return np.column_stack([corners, low]), np.column_stack([corners, high])

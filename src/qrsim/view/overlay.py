@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
+from qrsim.view.ground import KEEP_OUTS
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
 from qrsim.view.radio import LINKS
@@ -51,6 +52,7 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
     "area": [("thin", [colours.GREY], "flight area")],
+    KEEP_OUTS: [("plate", [colours.KEEP_OUT], "zone to stay out of")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
     "plume": [("body", [colours.PLUME], "plume")],
     GOALS: [("thin", [colours.GREY], "cross: goal of the task")],

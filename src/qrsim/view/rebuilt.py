@@ -7,6 +7,8 @@ and what they show follows from all of these.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -17,16 +19,21 @@ from jax import lax
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import record_of, replace
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import UsageError
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
 from qrsim.runs.surroundings import drawn_contents
+from qrsim.scenarios.injection_file import KEYS
+from qrsim.simulation.changing import changed
+from qrsim.simulation.injections import WORLD
 from qrsim.view.air import has_a_plane
 from qrsim.view.cameras import camera_places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_asked
 from qrsim.view.truth import ANGLES, AXES
+from qrsim.world.air import weather_at
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import draw_field, episode_draws
 from qrsim.world.state import World, period_ticks
@@ -50,6 +57,7 @@ class Rebuilt:
         self._blow = jax.jit(_blown)
         events = run.events if EVENTS in run else []
         self._winds = [event for event in events if event.kind == WIND_CHANGED]
+        self._worlds = list(_weathers(run, world))
         persons = self._start.persons
         self._found = np.full(0 if persons is None else len(persons.there), np.iinfo(np.int32).max, np.int32)
         for event in events:
@@ -74,7 +82,13 @@ class Rebuilt:
         return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras, self._field)
 
     def _blowing(self, time: float) -> World:
-        """Return the world with the wind that was asked for last."""
+        """Return the world with the weather that was asked for last; its changes at set times are part of it."""
+        tick: Any = np.int32(round(time / self._world.time_step))
+        worlds = [world for since, world in self._worlds if since <= tick]
+        changes = self._world.changes
+        if worlds or (changes is not None and changes.speed_20ft is not None):
+            with self._precision():
+                return weather_at(worlds[-1] if worlds else self._world, tick)
         asked = {event.field: event.value for event in self._winds if event.time <= time}
         return with_asked(self._world, asked) if asked else self._world
 
@@ -89,6 +103,16 @@ class Rebuilt:
                 self._puffs = self._blow(self._world, self._keys.plume, self._puffs, *span)
             self._puffs_ticks = done
         return self._puffs
+
+
+def _weathers(run: Run, world: World) -> Iterator[tuple[int, World]]:
+    """Yield the tick of each change of the weather that was requested in flight, and the world from then on."""
+    for entry in run.injections:
+        numbers = {name: value for name, value in entry.items() if name not in KEYS}
+        with contextlib.suppress(UsageError):
+            if entry["target"] == WORLD:
+                world = changed(world, entry["kind"], numbers, entry["tick"])
+                yield entry["tick"], world
 
 
 def rebuilt(run: Run, world: World | None) -> Rebuilt | None:

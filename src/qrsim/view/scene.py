@@ -14,7 +14,7 @@ from qrsim.view.air import AIR, Air, air_layers
 from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
 from qrsim.view.frame import Cast, Frame
-from qrsim.view.ground import Area, Ground, Obstacles
+from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
 from qrsim.view.interference import interference_layers
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
@@ -68,7 +68,8 @@ class Scene:
         moving = [*self.paths, *(layer(self.stage) for layer in others), names]
         solid: list[Layer] = []
         if world is not None:
-            solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
+            solid = [Area(self.stage, world), *keep_out_layers(self.stage, world), Obstacles(self.stage, world)]
+            solid += contents_layers(self.stage, world)
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
             solid += [*interference_layers(self.stage, world), *radio_layers(self.stage, world)]
         solid += [*task_layers(self.stage, cast.places), *([Routes(self.stage)] if any(map(len, cast.routes)) else [])]

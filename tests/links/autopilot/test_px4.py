@@ -221,3 +221,34 @@ def test_a_fix_comes_back_from_its_message() -> None:
     assert abs(back[2] - there[2]) < 0.001
     assert [speed * 0.01 for speed in velocity] == pytest.approx([1.234, -2.345, 0.456], abs=0.005)
     assert (stamp, eph, epv, vel) == (1, 100, 150, 265)
+
+
+@pytest.mark.long
+def test_injected_faults_are_in_what_px4_gets() -> None:
+    sensors = ["gnss", "gyroscope", "barometer", "magnetometer"]
+    flown = Flown({**PAIR, "fleets": {"field": {**PAIR["fleets"]["field"], "injectable": {"sensors": sensors}}}})
+    # From 1 s on; a PX4 that answers at once has its first frame at 0 s.
+    sim = flown.simulation
+    sim.inject("gnss", "off", vehicles="field_0", at=1.0)
+    sim.inject("magnetometer", "off", vehicles="field_0", at=1.0)
+    sim.inject("barometer", "wrong", vehicles="field_0", at=1.0, field="height", bias=10.0)
+    sim.inject("gyroscope", "stuck", vehicles="field_1", at=1.0)
+    first, second = flown.fly(2.0)
+    found = [common.MAVLink(None).parse_buffer(pilot.received) for pilot in (first, second)]
+    fixes, fixes_of_second = (
+        [(each.fix_type, each.satellites_visible) for each in own if each.get_type() == "HIL_GPS"] for own in found
+    )
+    # A fix of 5 Hz: the last one before 1 s is the fifth.
+    assert [kind for kind, _ in fixes] == [3, 3, 3, 3, 0, 0, 0, 0, 0][: len(fixes)]
+    assert {kind for kind, _ in fixes_of_second} == {3}
+    own, other = ([each for each in messages if each.get_type() == "HIL_SENSOR"] for messages in found)
+    late = [each for each in own if each.time_usec > 2_020_000]
+    assert not any(each.fields_updated & 0x01C0 for each in late)
+    assert any(each.fields_updated & 0x01C0 for each in other[-100:])
+    # Pressure in hPa, which falls by 11.4 Pa/m at 488 m.
+    before = [each.abs_pressure for each in own if each.fields_updated & 0x1A00 and each.time_usec < 2_000_000]
+    after = [each.abs_pressure for each in late if each.fields_updated & 0x1A00]
+    assert np.mean(after[:5]) - np.mean(before[-5:]) == pytest.approx(-1.14, abs=0.15)
+    held = [each for each in other if each.time_usec > 2_008_000]
+    assert len({each.xgyro for each in held}) == 1
+    assert len({each.zacc for each in held}) > 100

@@ -55,6 +55,21 @@ def field() -> Field:
 
 
 @pytest.mark.long
+def test_a_failure_by_command_int_is_the_same(field: Field) -> None:
+    field.allow(3)
+    system, sent = field.world.systems[3], list[bytes]()
+    link = Link(system.number, Streams({}, 0.02), sent.append)
+    numbers = {"target_system": 4, "target_component": 1, "command": 420, "param1": BARO, "param2": OFF, "param3": 1}
+    request = frame(NUMBERS["COMMAND_INT"], LAYOUTS["COMMAND_INT"].payload(**numbers), 0, 255, 190)
+    for one in Reader().datagram(request):
+        handle(system, link, one)
+    answers = [each.message() for data in sent for each in Reader().datagram(data)]
+    assert [(each.command, each.result) for each in answers if hasattr(each, "result")] == [(420, ACCEPTED)]
+    assert [(one.target, one.vehicles) for one in field.world.simulation.injected] == [("barometer", ("field_3",))]
+    field.world.simulation.clear()
+
+
+@pytest.mark.long
 def test_a_receiver_that_is_switched_off_has_no_fix_and_nobody_else_notices(field: Field) -> None:
     field.run(2.0)
     assert field.command(0, 420, GPS, OFF, 0) == DENIED

@@ -16,7 +16,8 @@ import qrsim
 from qrsim.core.noise import Key
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.models.scene.ground import ElevationFile, FlatGround, GridGround
+from qrsim.models.scene.elevation_file import ElevationFile
+from qrsim.models.scene.ground import FlatGround, GridGround
 from qrsim.models.site import Site
 from qrsim.models.vehicles.contracts import Pose
 from qrsim.scenarios.making import make_scenario, make_world
@@ -125,6 +126,19 @@ class TestGrid:
         np.savez(tmp_path / "b.npz", latitude_deg=latitude[::-1], longitude_deg=longitude, height=height[::-1])
         ground = ElevationFile(str(tmp_path / "b.npz"), frame="geodetic").at(Site.from_degrees(51.7119, -0.21052), BOX)
         np.testing.assert_allclose(ground.down(at([0.0, 44.5], [0.0, 20.0])), [0.0, -0.4], atol=2e-4)
+
+    def test_every_second_point_and_missing_heights_filled(self, tmp_path: Path):
+        file = slope(tmp_path)
+        ground = ElevationFile(file, every=2).at(SITE, BOX)
+        # Rows every 20 m, columns every 40 m, still of a plane.
+        assert ground.grid.shape == (7, 4)
+        np.testing.assert_allclose(ground.down(at([0.0, 33.0], [0.0, -7.0])), [0.0, -3.65], atol=1e-5)
+        # At north 10, east 20: the nearest points differ by 1 m.
+        item = ElevationFile(slope(tmp_path, height=np.where(without(127) == 1.0, 105.0, np.nan)), missing="fill")
+        np.testing.assert_allclose(item.at(SITE, BOX).down(at(10.0, 20.0)), 0.0)
+        assert item.notes(SITE, BOX)[0].endswith(
+            "slope.npz: 1 missing heights are those of the nearest cells, at most 5 away"
+        )
 
     @pytest.mark.long
     def test_the_horizon_is_what_stands_in_the_way(self, tmp_path: Path):
@@ -281,7 +295,7 @@ class TestRefused:
             np.lib.format.write_array_header_1_0(stream, said)
         for name, words in (
             ("slopes.npz", "did you mean 'slope.npz'?"),
-            ("hill.tif", "gdal_translate -of AAIGrid 'hill.tif' 'hill.asc' makes one of it"),
+            ("hill.txt", "expected one of .tif, .tiff, .img, .hgt, .asc, .vrt, .npz, or a folder of tiles"),
             ("bad.npz", "is no NumPy archive of numbers, or it is damaged"),
             ("bomb.npz", "'height' has shape (3000, 3000), 9e+06 numbers; allowed: 8e+06"),
             ("claims.npz", "is no NumPy archive of numbers, or it is damaged"),

@@ -13,7 +13,8 @@ import pytest
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.elevation import Elevations, Landscape
-from qrsim.models.scene.ground import ElevationFile, GridGround, _points
+from qrsim.models.scene.elevation_file import ElevationFile, _points
+from qrsim.models.scene.ground import GridGround
 from qrsim.models.site import Site
 
 # The Earth's mean radius [m].

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS, SECONDS
-from qrsim.apps.autopilot.shared import check, check_rate, fresh_folder, recorded, report, say
+from qrsim.apps.autopilot.shared import Injecting, check, check_rate, fresh_folder, recorded, report, say
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ class Betaflight:
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
     """Log every Nth tick; 8 means 50 a second at 400 Hz."""
+    faults: Injecting = field(default_factory=Injecting)
     fly_on: bool = False
     """When the firmware of a vehicle ends, stop its motors and let the others fly on; without it, all flights end."""
     json: bool = False
@@ -85,6 +86,7 @@ class Betaflight:
 
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
+        scenario, injections = self.faults.applied(scenario)
         program = binary(self.binary)
         folder = fresh_folder(self.out, "betaflight", scenario.name, self.seed)
         eeprom = configured(program, self.cli)
@@ -93,8 +95,8 @@ class Betaflight:
         def flown_by(simulation: Simulation) -> Flight:
             return Flight(simulation, fleets, program, eeprom, lost=lost)
 
-        _, pace = recorded(self, folder, scenario, flown_by)
-        report(self, "Betaflight", folder, fleets, pace)
+        with recorded(self, folder, scenario, injections, flown_by) as (_, pace):
+            report(self, "Betaflight", folder, fleets, pace)
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,7 @@ class Ardupilot:
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
     """Log every Nth tick; 8 means 50 a second at 400 Hz."""
+    faults: Injecting = field(default_factory=Injecting)
     fly_on: bool = False
     """When the ArduPilot of a vehicle ends, stop its motors and let the others fly on; without it, all flights end."""
     json: bool = False
@@ -162,6 +165,7 @@ class Ardupilot:
 
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
+        scenario, injections = self.faults.applied(scenario)
         folder = fresh_folder(self.out, "ardupilot", scenario.name, self.seed)
 
         def flown_by(simulation: Simulation) -> JsonFlight:
@@ -170,8 +174,8 @@ class Ardupilot:
                 say(f"{link.name} waits for ArduPilot on UDP {link.port}")
             return flight
 
-        flight, pace = recorded(self, folder, scenario, flown_by)
-        for link in flight.links:
-            if link.lost or link.foreign or link.repeated:
-                say(f"{link.name}: {link.lost} packets lost, {link.repeated} repeated, {link.foreign} of others")
-        report(self, "ArduPilot", folder, fleets, pace)
+        with recorded(self, folder, scenario, injections, flown_by) as (flight, pace):
+            for link in flight.links:
+                if link.lost or link.foreign or link.repeated:
+                    say(f"{link.name}: {link.lost} packets lost, {link.repeated} repeated, {link.foreign} of others")
+            report(self, "ArduPilot", folder, fleets, pace)

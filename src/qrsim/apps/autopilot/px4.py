@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS, SECONDS
-from qrsim.apps.autopilot.shared import check, fresh_folder, recorded, report, say
+from qrsim.apps.autopilot.shared import Injecting, check, fresh_folder, recorded, report, say
 from qrsim.errors import RunError, UsageError
 from qrsim.links.pacing import FASTEST, SLOWEST
 
@@ -92,6 +92,7 @@ class Px4:
     """Run folder to write; must not exist."""
     every: Annotated[int, tyro.conf.arg(metavar="N")] = 5
     """Log every Nth tick; 5 means 50 a second at 250 Hz."""
+    faults: Injecting = field(default_factory=Injecting)
     json: bool = False
     """Print the result as JSON."""
 
@@ -114,6 +115,7 @@ class Px4:
         if self.env:
             self._print_environment(scenario, fleets, port, own, "BUILD" if build is None else str(build.folder))
             return
+        scenario, injections = self.faults.applied(scenario)
         folder = fresh_folder(self.out, "px4", scenario.name, self.seed)
         logs = folder.with_name(f"{folder.name}-px4")
 
@@ -132,11 +134,11 @@ class Px4:
                 say(f"PX4's logs: {logs}")
             return flight
 
-        flight, pace = recorded(self, folder, scenario, flown_by)
-        for link in flight.links:
-            if link.oddities:
-                say(f"{link.name}: {link.oddities}")
-        report(self, "PX4", folder, fleets, pace)
+        with recorded(self, folder, scenario, injections, flown_by) as (flight, pace):
+            for link in flight.links:
+                if link.oddities:
+                    say(f"{link.name}: {link.oddities}")
+            report(self, "PX4", folder, fleets, pace)
         if flight.lost:
             raise RunError(f"{len(flight.lost)} of {len(flight.links)} PX4s ended in flight: {', '.join(flight.lost)}")
 

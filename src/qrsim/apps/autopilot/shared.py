@@ -5,16 +5,23 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import tyro
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.extras import require
+from qrsim.view.flight import NOW, OFF, replay, shown, stay
 
 if TYPE_CHECKING:
     from qrsim.links.autopilot.lockstep import LockstepFlight
     from qrsim.runs.recorder import Pace
     from qrsim.scenarios.scenario import Scenario
+    from qrsim.simulation.injections import Injection
     from qrsim.simulation.simulation import Simulation
 
 MODELS = ("hummingbird", "x500", "crazyflie")
@@ -22,8 +29,48 @@ SLOWEST_HZ, FASTEST_HZ = 200.0, 2000.0
 Flown = TypeVar("Flown", bound="LockstepFlight")
 
 
-# Options of a command: seed, duration, every, model, out and json.
+# Options of a command: seed, duration, every, model, out, json and those of Injecting.
 Options = Any
+
+
+@dataclass(frozen=True)
+class Injecting:
+    """Faults in flight, and the page on which they are injected."""
+
+    inject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Faults and changes of the weather to inject, as 'qrsim run --inject' takes them."""
+    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
+        default_factory=list
+    )
+    """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, or all; can be given
+    several times."""
+    view: bool = False
+    """Show the flight in three dimensions on a page for a browser; its address is printed. The page sets the speed, at
+    first that of the wall clock. Afterwards it is a replay of the run."""
+    view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
+    """Port of the page; if it is in use, the next free one."""
+    view_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address of this machine that the page listens on. If it is not 127.0.0.1, the printed address has a token, which
+    is needed to view and control the page; nothing is encrypted."""
+
+    def check(self) -> None:
+        """Raise a UsageError for options that do not fit together."""
+        if self.injectable and not self.view:
+            raise UsageError("--injectable: faults are injected on the page; add --view, or inject a file (--inject)")
+        if self.view:
+            require("view", "--view")
+
+    def applied(self, scenario: Scenario) -> tuple[Scenario, tuple[Injection, ...]]:
+        """Return a scenario in which these faults are possible, and the requests that are made in flight.
+
+        Raises:
+            UsageError: a part that no fleet has, or a file that cannot be read or injected.
+        """
+        from qrsim.links.shared.injectable import with_injectable
+        from qrsim.scenarios.injection_file import read_injections
+
+        scenario = with_injectable(scenario, self.injectable)
+        return (scenario, ()) if self.inject is None else read_injections(scenario, self.inject)
 
 
 def say(line: str) -> None:
@@ -43,6 +90,7 @@ def check(options: Options) -> None:
         raise UsageError(
             f"--model {options.model}: expected {' or '.join(MODELS)}{did_you_mean(options.model, MODELS)}"
         )
+    options.faults.check()
 
 
 def check_rate(rate: float) -> None:
@@ -51,15 +99,21 @@ def check_rate(rate: float) -> None:
         raise UsageError(f"--rate {rate:g}: expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz")
 
 
+@contextmanager
 def recorded(
-    options: Options, folder: Path, scenario: Scenario, flown_by: Callable[[Simulation], Flown]
-) -> tuple[Flown, Pace]:
-    """Fly a scenario and record it; return the flight, which is closed, and its pace.
+    options: Options,
+    folder: Path,
+    scenario: Scenario,
+    injections: tuple[Injection, ...],
+    flown_by: Callable[[Simulation], Flown],
+) -> Iterator[tuple[Flown, Pace]]:
+    """Fly a scenario and record it; yield the flight, which is closed, and its pace. Then the page stays.
 
     Args:
         options: of the command.
         folder: the run folder to write.
         scenario: to fly.
+        injections: requests that are made in flight.
         flown_by: opens the flight of a simulation.
     """
     from qrsim.runs.recorder import fly
@@ -72,12 +126,27 @@ def recorded(
 
     streams = ("truth", "measurements", "commands", "wind") if options.every > 1 else ()
     every = dict.fromkeys(streams, options.every)
-    try:
-        pace = fly(scenario, folder, seed=options.seed, precision="float32", flown_by=opened, every=every)
-    finally:
-        for flight in flights:
-            flight.close()
-    return flights[0], pace
+    faults: Injecting = options.faults
+    with shown(NOW if faults.view else OFF, faults.view_port, faults.view_host) as page:
+        try:
+            pace = fly(
+                scenario,
+                folder,
+                seed=options.seed,
+                precision="float32",
+                flown_by=opened,
+                every=every,
+                view=page,
+                injections=injections,
+            )
+        finally:
+            for flight in flights:
+                flight.close()
+        if page is not None:
+            replay(page, folder)
+        yield flights[0], pace
+        if page is not None:
+            stay(page)
 
 
 def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:

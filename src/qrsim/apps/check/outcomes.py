@@ -25,6 +25,8 @@ KINDS = {
 LOST = "loses GNSS"
 UNFINISHED = "is still on its mission at the end"
 FAILSAFE = "is taken over by a failsafe"
+# Where breaches end no flight; the moment is that of the farthest place outside.
+BREACHES = "is outside the zones"
 ANY = "any of these"
 # Reported even if nothing went wrong: (metric, whether its smallest value is the worst, unit). A metric without a time
 # and position is reported for the end of the flight.
@@ -102,6 +104,12 @@ def outcomes(flown: Rollout) -> list[Outcome]:
         places = np.where((taken < end)[..., None] | np.isnan(end)[..., None], there, places)
         any_first = np.fmin(any_first, taken)
     where = np.where((first == any_first)[..., None], where, places)
+    if "breaches" in flown.metrics:
+        outside = np.where(flown["breaches"] > 0, flown["fence_distance_min_at_s"], np.nan)
+        there = flown["fence_distance_min_position_ned"]
+        found.append(_outcome(flown, BREACHES, outside, there))
+        any_first = np.fmin(any_first, outside)
+        where = np.where((outside == any_first)[..., None], there, where)
     return [*found, _outcome(flown, ANY, any_first, where)]
 
 

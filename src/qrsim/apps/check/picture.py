@@ -11,7 +11,9 @@ from qrsim.apps.check.outcomes import ANY, KINDS, LOST, UNFINISHED, Outcome
 from qrsim.models.scene.area import REASONS
 from qrsim.runs.picture import new_figure
 from qrsim.runs.picture import save_picture as save
+from qrsim.runs.plan import zone_patches
 from qrsim.scenarios.scenario import Scenario
+from qrsim.scenarios.zone_schema import zones_of
 from qrsim.simulation.rollout import Rollout
 
 COLOURS = dict(
@@ -53,9 +55,15 @@ def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
 
 
 def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
-    corners = np.array(outline(scenario.spec.world.area))
-    closed = np.vstack([corners, corners[:1]])
-    axes.plot(closed[:, 1], closed[:, 0], color="gray", lw=1.5, label="area")
+    area = scenario.spec.world.area
+    if area.type == "zones":
+        for zone in zones_of(area):
+            for patch in zone_patches(zone):
+                axes.add_patch(patch)
+    else:
+        corners = np.array(outline(area))
+        closed = np.vstack([corners, corners[:1]])
+        axes.plot(closed[:, 1], closed[:, 0], color="gray", lw=1.5, label="area")
     for fleet in scenario.spec.fleets.values():
         for vehicle in fleet.vehicles:
             route = np.array([vehicle.position_ned, *vehicle.places_ned.values()])
@@ -71,7 +79,9 @@ def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
     told = "where runs went wrong" if any(map(len, where.values())) else "no run went wrong"
     axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", title=f"{told}; routes dashed, starts o")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
+    # Each zone has the same label as others of its kind.
+    named = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    axes.legend(named.values(), named, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
 def outline(area: Any) -> list[list[float]]:

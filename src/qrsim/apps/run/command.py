@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS, progress_bar
-from qrsim.apps.run.page import OFF, replay, shown, stay
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.files.interruptions import word
+from qrsim.view.flight import OFF, replay, shown, stay
 
 if TYPE_CHECKING:
     from qrsim.runs import Run as RecordedRun

@@ -17,6 +17,8 @@ from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.control.tracks import FixedWingGuidance
+from qrsim.core.tree import record_of
+from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Item
@@ -25,9 +27,11 @@ from qrsim.links.mavlink.stack.parameters import TABLE
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.injectable import may_fail
 from qrsim.links.shared.kinds import kinds_of
-from qrsim.models.scene.contracts import Ground
+from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
+from qrsim.models.scene.zone import GroundDown, Zone
+from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.vehicles.contracts import Vehicle, handling_of
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
@@ -162,7 +166,7 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
 
 def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     area: Any = world.area
-    limited = area.is_box or isinstance(area, PolygonArea)
+    limited, zones = area.is_box or isinstance(area, PolygonArea | ZonesArea), _zones(area)
     ceiling, floor = (float(area.z_min), float(area.z_max)) if limited else (-np.inf, np.inf)
     common = Facts(
         name=fleet.vehicle_names[number],
@@ -171,7 +175,8 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         mav_type=type_of(fleet.vehicle),
         kinds=frozenset(kinds_of(fleet)),
         has_battery=fleet.battery.drains,
-        fence=_fence(world.area),
+        zones=zones,
+        ground=_ground(world),
         z_min=ceiling,
         z_max=floor,
         ground_down=None
@@ -229,11 +234,26 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
     )
 
 
-def _fence(area: Any) -> tuple[tuple[float, float], ...]:
-    """Return the corners (north, east) [m] of the area."""
+def _zones(area: Any) -> tuple[Zone, ...]:
+    """Return the zones of the area; the sides of a box or a polygon are one to stay in."""
+    if isinstance(area, ZonesArea):
+        return area.zones
     if area.is_box:
         south, north, west, east = (float(getattr(area, name)) for name in ("x_min", "x_max", "y_min", "y_max"))
-        return (south, west), (south, east), (north, east), (north, west)
+        return (Zone(True, (((south, west), (south, east), (north, east), (north, west)),)),)
     if not isinstance(area, PolygonArea):
         return ()
-    return tuple((float(x), float(y)) for x, y in zip(area.north, area.east, strict=True))
+    return (Zone(True, (tuple((float(x), float(y)) for x, y in zip(area.north, area.east, strict=True)),)),)
+
+
+def _ground(world: World) -> GroundDown | None:
+    """Return the down coordinate of the ground by north and east [m], where zones count from it."""
+    area, ground = world.area, world.ground
+    if not (isinstance(area, ZonesArea) and any(zone.terrain for zone in area.zones)):
+        return None
+
+    def down(north: float, east: float) -> float:
+        place = record_of(Vec3, *(np.array([value], np.float32) for value in (north, east, 0.0)))
+        return float(down_at(ground, place)[0])
+
+    return down

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from qrsim.links.mavlink.stack.codes import FIXED_WING, Severity
 from qrsim.links.mavlink.stack.contracts import Text
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared.latches import Latches
+from qrsim.links.shared.replay import put_back
 from qrsim.simulation.simulation import Simulation
 
 # Time from a crash to a respawn, and between two attempts [s].
@@ -25,16 +26,28 @@ class Restarts:
         latches: orders of the vehicles.
         systems: row in the world and system of each vehicle.
         respawn: put wrecks back without a reboot.
+        noted: called with the row of each vehicle that was put back.
     """
 
-    def __init__(self, simulation: Simulation, latches: Latches, systems: Sequence[tuple[int, System]], respawn: bool):
+    def __init__(
+        self,
+        simulation: Simulation,
+        latches: Latches,
+        systems: Sequence[tuple[int, System]],
+        respawn: bool,
+        noted: Callable[[int], None],
+    ):
         self._simulation, self._latches, self._systems = simulation, latches, systems
-        self._respawn = respawn
+        self._respawn, self._noted = respawn, noted
         self._begins = np.array(simulation.truth.state)
         self._due: dict[int, float] = {}
 
     def look(self) -> None:
         """Restart the vehicles that are due; to be called between two ticks."""
+        requests = self._simulation.requests
+        if requests and requests[-1].tick == self._simulation.tick:
+            # A recording repeats restarts before the requests of their tick.
+            return
         for row, system in self._systems:
             asked, system.reboots = system.reboots, False
             stopped = bool(system.view.seen.stopped)
@@ -62,12 +75,11 @@ class Restarts:
 
     def _put_back(self, row: int, system: System) -> str:
         """Put a wreck back to its start, with a new battery; return why not, "" where it is done."""
-        rows = np.full_like(self._begins, np.nan)
-        rows[row] = self._begins[row]
         try:
-            self._simulation.set_state(rows, new_battery=True)
+            put_back(self._simulation, self._begins, row)
         except UsageError as error:
             return f"Not put back to where it began: {str(error).partition('invalid: ')[2] or error}"
+        self._noted(row)
         if system.stack.heartbeat().mav_type == FIXED_WING:
             # It is in the air at once, and flies by its guidance.
             self._latches.clear(system.name)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from qrsim.links.mavlink.stack.geodesy import geoid_of
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared.around import Around
 from qrsim.links.shared.latches import Latches
+from qrsim.links.shared.recording import Recording
 from qrsim.models.site import Site
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.injections import targets_of
@@ -47,13 +49,16 @@ class FlownWorld:
         truth: whether vehicles may tell their true state.
         respawn: whether vehicles that have crashed are put back to where they began, by themselves.
         datum: what altitudes of messages are measured from.
+        record: folder for a recording; None: it is not recorded.
         log: told one line of what clients are told.
 
     Raises:
         UsageError: no vehicle can be flown, or there are more than system ids.
+        RunError: the recording cannot be written.
 
     Attributes:
         simulation: reset.
+        recording: of it; None: it is not recorded.
         systems: of the vehicles that are flown or shown.
     """
 
@@ -68,6 +73,7 @@ class FlownWorld:
         truth: bool = False,
         respawn: bool = False,
         datum: Datum = "sea",
+        record: Path | None = None,
         log: Callable[[str], None] = lambda line: None,
     ):
         world, site = scenario.world(), scenario.site
@@ -90,6 +96,8 @@ class FlownWorld:
             self.systems.append(System(stack, facts.name, facts.system, unix, log))
             self._rows.append(row)
         self._warm()
+        made = None if record is None else Recording(record, scenario, self.simulation, self._latches)
+        self.recording: Recording | None = made
         self._air = SimWind(self.simulation)
         for system in self.systems:
             if isinstance(system.stack, Flight) and system.stack.flavour.name == "ardupilot":
@@ -119,7 +127,11 @@ class FlownWorld:
 
     def _fresh_restarts(self) -> Restarts:
         systems = list(zip(self._rows, self.systems, strict=True))
-        return Restarts(self.simulation, self._latches, systems, self._respawn)
+        return Restarts(self.simulation, self._latches, systems, self._respawn, self._put_back)
+
+    def _put_back(self, row: int) -> None:
+        if self.recording is not None:
+            self.recording.restarted(row)
 
     def tick(self, wall: float) -> None:
         """Advance by one tick, let the stacks see it, and send what is due.
@@ -131,6 +143,8 @@ class FlownWorld:
         self._restarts.look()
         self._air.tick()
         self.simulation.advance(self._latches.actions())
+        if self.recording is not None:
+            self.recording.keep()
         self._command()
         unlinked = self.simulation.unlinked
         for system in self.systems:
@@ -141,7 +155,11 @@ class FlownWorld:
 
     def reset(self, seed: int) -> None:
         """Begin with another episode: vehicles stand at their starts, disarmed, with their parameters and plans."""
+        if self.recording is not None:
+            self.recording.end()
         self.simulation.reset(seed)
+        if self.recording is not None:
+            self.recording.begin()
         for system in self.systems:
             system.stack.reset()
             self._latches.clear(system.name)

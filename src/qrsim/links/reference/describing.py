@@ -104,12 +104,15 @@ def _units(kind: object) -> dict[str, str]:
 
 def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     """Yield (dotted name, text or numbers) of what is in a part of a scenario; a list of points is flat, and several
-    such lists, as the courtyards of a building, are numbered.
+    such lists, as the courtyards of a building, are numbered, and so are parts, as the zones of an area.
     """
     for key, value in content.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
             yield from _values(value, f"{name}.")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for i, part in enumerate(value):
+                yield from _values(part, f"{name}.{i}.")
         elif isinstance(value, str):
             yield name, value
         elif _is_several(value):

@@ -22,11 +22,10 @@ from qrsim.links.reference.readout import States
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.sensors import SensorReadout
 from qrsim.runs import Column, EpisodesWriter, RunInfo, RunWriter
+from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.history import History
-from qrsim.simulation.injections import Injection
-from qrsim.simulation.requests import entry_of, events_of
 from qrsim.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -91,7 +90,6 @@ class Session:
         self._seconds: dict[Any, tuple[float, int]] = {}
         self._events: deque[dict[str, Any]] = deque()
         self._lost_events = 0
-        self._requests_kept = 0
         self._writer: RunWriter | None = None
         self._finder: EventFinder | None = None
         self._columns: dict[str, Any] = {}
@@ -175,7 +173,7 @@ class Session:
         self.states, self.sensors = States(self.simulation), SensorReadout(self.simulation)
         self.close_recording()
         self.episode += 1
-        self._requests_kept = 0
+        self._requests = RequestLog(self.simulation, self._note_injection, lambda **event: self.keep_events([event]))
         if not self.ticks_are_kept:
             return
         beginning = self.simulation.history
@@ -244,7 +242,7 @@ class Session:
         """
         begun = time.perf_counter()
         if self.ticks_are_kept:
-            self._keep_new_requests()
+            self.keep_requests()
         self._advance(command, ticks)
         if self._view is not None:
             self._view.show(self.simulation)
@@ -304,19 +302,14 @@ class Session:
             warn_user(f"session {self.number} is no longer recorded: {error}")
             self._writer = None
 
-    def _keep_new_requests(self) -> None:
-        """Keep what was injected since the last ticks, in front of those that come."""
-        found = self.simulation.requests[self._requests_kept :]
-        if found:
-            self._requests_kept += len(found)
-            self.keep_requests(found)
+    def keep_requests(self) -> None:
+        """Keep what was injected since the last ticks, for GET_EVENTS and in the recording."""
+        self._requests.write_new()
 
-    def keep_requests(self, found: list[Injection]) -> None:
-        """Keep what was injected, for GET_EVENTS and in the recording."""
+    def _note_injection(self, entry: Mapping[str, object]) -> None:
+        """Keep an entry of ``injections.yaml`` in the recording."""
         if self._writer is not None:
-            for request in found:
-                self._writer.note_injection(entry_of(request, self.time_step))
-        self.keep_events(list(events_of(found, self.time_step)))
+            self._writer.note_injection(entry)
 
     def keep_events(self, found: list[dict[str, Any]]) -> None:
         """Keep events for GET_EVENTS and in the recording."""

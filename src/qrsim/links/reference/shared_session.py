@@ -19,11 +19,10 @@ from qrsim.links.reference.sensed import Sensed
 from qrsim.links.reference.session import PIECE_TICKS, Session, SessionOptions
 from qrsim.links.shared.failsafe import believed_of
 from qrsim.links.shared.plant import Plant
-from qrsim.links.shared.recorded import STREAM, order_columns, order_values
+from qrsim.links.shared.recorded import STREAM, order_columns, stacked
 from qrsim.runs import Column
 from qrsim.runs.streams import Values
 from qrsim.simulation.history import History
-from qrsim.simulation.injections import Injection
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView
@@ -155,13 +154,11 @@ class SharedSession(Session):
             # Who hands over does not wait for the result.
             warn_user(f"session {self.number}: {type(error).__name__} while ticks were kept: {error}")
 
-    def keep_requests(self, found: list[Injection]) -> None:
+    def keep_requests(self) -> None:
         """Keep what was injected, in the thread that keeps everything, after the ticks before it."""
-        if threading.current_thread().name.startswith("keep-"):
-            super().keep_requests(found)
-        else:
+        if self._requests.has_new:
             self.hand_over()
-            self._keeping.submit(super().keep_requests, found)
+            self._keeping.submit(super().keep_requests)
 
     def keep_events(self, found: list[dict[str, object]]) -> None:
         """Keep events, in the thread that keeps everything."""
@@ -180,7 +177,7 @@ class SharedSession(Session):
 
     def more_values(self) -> dict[str, Values]:
         """Return the orders that the last ticks were flown by."""
-        return {STREAM: order_values(self.plant, self._flown)}
+        return {STREAM: stacked(order_columns(self.plant), self._flown)}
 
     def close_recording(self) -> None:
         """End the recording of the present episode."""

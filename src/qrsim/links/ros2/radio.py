@@ -12,6 +12,7 @@ from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.simulation.simulation import Simulation
 
+Checked = tuple[int, list[float], int]
 ARRAY, DIMENSION = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/MultiArrayDimension"
 
 
@@ -61,8 +62,8 @@ class Inboxes:
                 yield row, self._types.encode(message)
 
 
-def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Any]]) -> None:
-    """Hand what vehicles are to say to their radios.
+def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Any]]) -> list[Checked]:
+    """Hand what vehicles are to say to their radios, and return it: sender, numbers (D,), receiver or -1.
 
     Args:
         simulation: with a radio.
@@ -74,7 +75,7 @@ def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[
         UsageError: a message cannot be said; none of them is.
     """
     names = simulation.vehicle_names
-    checked = []
+    checked: list[Checked] = []
     for row, message in said:
         dimensions = message.layout.dim
         to = dimensions[0].label if len(dimensions) else ""
@@ -84,3 +85,4 @@ def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[
         numbers = [float(number) for number in message.data]
         checked.append(checked_message(simulation.world, names, names[row], numbers, receiver))
     simulation.send_all(checked)
+    return checked

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.pacing import Metronome, PaceReport
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2.apis.flown import Flown
 from qrsim.links.ros2.commands import topics_of, wish_of
@@ -18,6 +19,8 @@ from qrsim.links.ros2.node import Node, Reader
 from qrsim.links.ros2.pilots import Pilots
 from qrsim.links.ros2.radio import hand_over, said_topic
 from qrsim.links.ros2.typestore import Types
+from qrsim.links.shared.latches import Latches
+from qrsim.links.shared.recording import Recording
 from qrsim.scenarios.live_requests import VERBS, apply, injected_rows, parsed
 from qrsim.simulation.simulation import Simulation
 
@@ -60,6 +63,10 @@ class Server:
         say: told one line of what happens.
         node: that others see.
         flown: the vehicles of the simulation, where they are flown by flight stacks; None: nodes fly them directly.
+        record: makes the recording where nodes fly vehicles directly; None: it is not recorded.
+
+    Attributes:
+        recording: of the world, to be closed at the end; None: it is not recorded.
     """
 
     def __init__(
@@ -70,6 +77,7 @@ class Server:
         say: Callable[[str], None],
         node: Node,
         flown: Flown | None = None,
+        record: Callable[[Latches], Recording] | None = None,
     ):
         self._types, self._options, self._say, self._participant = types, options, say, node
         self.simulation, self._flown = simulation, flown
@@ -78,6 +86,10 @@ class Server:
         self._pilots = Pilots(simulation, options.hold, options.factor, say, by_wall=options.pace != "free")
         if flown is None:
             self._warm()
+        if flown is not None:
+            self.recording = flown.world.recording
+        else:
+            self.recording = None if record is None else record(self._pilots.latches)
         self.messages = Messages(types, simulation, options.truth, options.rate)
         self._writers = [self._participant.writer(topic) for topic in self.messages.topics]
         self._static = self._participant.writer(t.TF_STATIC)
@@ -92,6 +104,8 @@ class Server:
         if flown is None:
             self._subscribe()
         self._said: list[tuple[int, Reader]] = []
+        # Of each vehicle the last message that its radio gets before the next tick.
+        self._saying: dict[int, Message] = {}
         self._not_said = ""
         if simulation.world.radio is not None:
             spaces = enumerate(self.messages.namespaces)
@@ -138,8 +152,11 @@ class Server:
 
     def tick(self) -> None:
         """Advance by one tick, and publish."""
+        self._say_by_radio()
         if self._flown is None:
             self.simulation.advance(self._pilots.actions())
+            if self.recording is not None:
+                self.recording.keep()
         else:
             self._flown.advance()
         self._steps = max(0, self._steps - 1)
@@ -194,15 +211,23 @@ class Server:
                     service.reply(request, response)
         for row, reader in self._said:
             for message in reader.take():
-                try:
-                    hand_over(self.simulation, self.messages.namespaces, [(row, message)])
-                except UsageError as error:
-                    # Once, however often it is repeated.
-                    if str(error) != self._not_said:
-                        self._not_said = str(error)
-                        self._say(self._not_said)
+                self._saying[row] = message
         for line in self._participant.remarks():
             self._say(line)
+
+    def _say_by_radio(self) -> None:
+        """Give messages to the radios of vehicles."""
+        for said in self._saying.items():
+            try:
+                checked = hand_over(self.simulation, self.messages.namespaces, [said])
+                if self.recording is not None:
+                    self.recording.said(checked)
+            except UsageError as error:
+                # Once, however often it is repeated.
+                if str(error) != self._not_said:
+                    self._not_said = str(error)
+                    self._say(self._not_said)
+        self._saying = {}
 
     def _obey(self, text: str) -> None:
         """Do what /qrsim/control says."""
@@ -243,11 +268,15 @@ class Server:
 
     def _reset(self, seed: int) -> None:
         if self._flown is None:
+            if self.recording is not None:
+                self.recording.end()
             self.simulation.reset(seed)
+            if self.recording is not None:
+                self.recording.begin()
         else:
             self._flown.reset(seed)
         self._pilots.restart()
-        self._steps = 0
+        self._steps, self._saying = 0, {}
         self._pacer = self._started()
         self.publish()
 

@@ -10,8 +10,13 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.scenarios.catalogue import BATTERIES, VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 
-# Names that are no sensors.
-PARTS = ("all", "rotors", "battery", "radio")
+# Names that are no sensors, and why no fleet of a scenario has such a part.
+WITHOUT = {
+    "rotors": "only a 'multirotor' has rotors that can fail, and no fleet has this type of vehicle",
+    "battery": "no fleet has a battery that drains, such as battery: {type: lithium_polymer}",
+    "radio": "no fleet has a radio; the scenario needs world.radio, and a fleet without radio: none",
+}
+PARTS = ("all", *WITHOUT)
 # Longest delay of readings [s] that may be injected where all may be.
 DELAY_MAX = 0.5
 
@@ -24,13 +29,16 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
         names: sensors, ``rotors``, ``battery``, ``radio``, or ``all``.
 
     Raises:
-        UsageError: no fleet has a sensor of that name.
+        UsageError: no fleet has a sensor of that name, or such a part.
     """
-    known = set(PARTS).union(*(fleet["sensors"] for fleet in content["fleets"].values()))
+    fleets = content["fleets"].values()
+    known = set(PARTS).union(*(fleet["sensors"] for fleet in fleets))
     for name in names:
         if name not in known:
             raise UsageError(f"--injectable {name}: there is no such sensor{did_you_mean(name, sorted(known))}")
-    for fleet in content["fleets"].values():
+        if name in WITHOUT and not any(_has(content, fleet, name) for fleet in fleets):
+            raise UsageError(f"--injectable {name}: {WITHOUT[name]}")
+    for fleet in fleets:
         if "all" in names:
             everything = {"sensors": "all", "rotors": "all", "battery": True, "radio": True}
             fleet["injectable"] = everything | {"delay_max": DELAY_MAX}
@@ -40,13 +48,21 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
         sensors = [name for name in fleet["sensors"] if before == ["all"] or name in {*names, *before}]
         more: dict[str, Any] = {"sensors": sensors}
         # Of what a fleet does not have nothing can fail.
-        if "rotors" in names and issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor):
-            more["rotors"] = "all"
-        if "battery" in names and BATTERIES[fleet["battery"]["type"]].drains:
-            more["battery"] = True
-        if "radio" in names and content["world"]["radio"] is not None and (fleet["radio"] or {}).get("works", True):
-            more["radio"] = True
+        more |= {
+            part: "all" if part == "rotors" else True
+            for part in WITHOUT
+            if part in names and _has(content, fleet, part)
+        }
         fleet["injectable"] = spec | more
+
+
+def _has(content: dict[str, Any], fleet: dict[str, Any], part: str) -> bool:
+    """Return whether a fleet of a scenario's content has a part that is no sensor."""
+    if part == "rotors":
+        return issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor)
+    if part == "battery":
+        return bool(BATTERIES[fleet["battery"]["type"]].drains)
+    return content["world"]["radio"] is not None and (fleet["radio"] or {}).get("works", True)
 
 
 def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
@@ -64,5 +80,11 @@ def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
 
 def of_those(scenario: Scenario, names: Sequence[str]) -> list[str]:
     """Return those of some names that a scenario has: its sensors, and parts of vehicles."""
-    sensors = {sensor for fleet in scenario.spec.fleets.values() for sensor in fleet.sensors}
-    return [name for name in names if name in PARTS or name in sensors]
+    content = scenario.spec.model_dump(mode="json")
+    fleets = content["fleets"].values()
+    return [
+        name
+        for name in names
+        if name == "all"
+        or any(_has(content, fleet, name) if name in WITHOUT else name in fleet["sensors"] for fleet in fleets)
+    ]

@@ -16,12 +16,22 @@ _KINDS = ", ".join(f"{number} {name}" for number, name in enumerate(NAMES, 1))
 _FLIES = ", ".join(f"{number} {name}" for number, name in enumerate(FLIES))
 
 
-def order_columns(plant: Plant) -> list[Column]:
-    """Return the columns of the stream."""
-    width = plant.latches.numbers.shape[1]
+# A recording of vehicles that are put back to their starts in flight has this column.
+RESTARTED = Column("restarted_tick", "", "at which the vehicle was last put back to its start; -1: never", "int64")
+
+
+def basic_columns(width: int) -> list[Column]:
+    """Return the columns that each recording has: kind and ``width`` numbers of each vehicle's order."""
     return [
         Column("kind", "", f"kind of the order that this tick was flown by: 0 guidance, {_KINDS}", "int32"),
         *(Column(f"number_{i}", "", f"number {i} of the order", "float64") for i in range(width)),
+    ]
+
+
+def order_columns(plant: Plant) -> list[Column]:
+    """Return the columns of the stream for a world that several clients share."""
+    return [
+        *basic_columns(plant.latches.numbers.shape[1]),
         Column("flies", "", f"by what the vehicle flew: {_FLIES}", "int32"),
         Column("client", "", "number of the client that had claimed it; 0: nobody", "int32"),
         Column("source_tick", "", "of the readings that the order was computed from; -1: unknown", "int64"),
@@ -30,9 +40,9 @@ def order_columns(plant: Plant) -> list[Column]:
     ]
 
 
-def order_values(plant: Plant, flown: Sequence[dict[str, NumpyArray]]) -> dict[str, NumpyArray]:
-    """Return the values (T, n) of the stream for T ticks, of what each was flown by."""
+def stacked(columns: Sequence[Column], flown: Sequence[dict[str, NumpyArray]]) -> dict[str, NumpyArray]:
+    """Return the values (T, n) of some columns for T ticks, of what each was flown by."""
     found = {name: np.stack([tick[name] for tick in flown]) for name in flown[0]}
     numbers = found.pop("numbers")
     found |= {f"number_{i}": numbers[..., i] for i in range(numbers.shape[-1])}
-    return {column.name: found[column.name].astype(column.dtype) for column in order_columns(plant)}
+    return {column.name: found[column.name].astype(column.dtype) for column in columns}

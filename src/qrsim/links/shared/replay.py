@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError
 from qrsim.links.shared.kinds import NAMES
 from qrsim.links.shared.latches import Latches
-from qrsim.links.shared.recorded import STREAM
+from qrsim.links.shared.recorded import RESTARTED, STREAM
 from qrsim.links.shared.spoken import TICK, Spoken
 from qrsim.runs import Run, RunInfo, RunWriter
 from qrsim.runs.layout import INJECTIONS_FILE
@@ -31,7 +32,7 @@ def replay(run: Run, out: Path) -> Path:
     """Fly the orders of a recorded run again, record that as another run, and return its folder.
 
     Args:
-        run: of a server with pace "barrier" or "free".
+        run: of a server of a shared world, of MAVLink or of ROS 2.
         out: the new run folder; must not exist.
 
     Raises:
@@ -40,8 +41,9 @@ def replay(run: Run, out: Path) -> Path:
     """
     if STREAM not in run:
         raise UsageError(
-            f"{run.folder}: it has no orders; 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier) "
-            "records them, and 'qrsim run scenario.yaml' flies the scenario of any other run again"
+            f"{run.folder}: it has no orders; --record of 'qrsim mavlink', 'qrsim ros2' and 'qrsim serve SCENARIO "
+            "--pace free' (or barrier) records them, and 'qrsim run scenario.yaml' flies the scenario of any other run "
+            "again"
         )
     scenario, injections = run.built(), tuple[Injection, ...]()
     if run.injections:
@@ -65,7 +67,8 @@ def replay(run: Run, out: Path) -> Path:
         components=scenario.outside,
     )
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
-        schedule, requests = Schedule(simulation, injections), RequestLog(simulation, writer)
+        schedule = Schedule(simulation, injections)
+        requests = RequestLog(simulation, writer.note_injection, writer.append_event)
         for history, flown in _flights(run, simulation, beginning, schedule):
             with writer.together():
                 requests.write_new()
@@ -76,11 +79,27 @@ def replay(run: Run, out: Path) -> Path:
     return out
 
 
+def put_back(simulation: Simulation, begins: NumpyArray, row: int) -> None:
+    """Put a vehicle back to its start, with a new battery.
+
+    Args:
+        simulation: in flight.
+        begins: (n, 13) states of the vehicles at the start.
+        row: number of the vehicle.
+
+    Raises:
+        UsageError: it cannot be there, because another vehicle is.
+    """
+    rows = np.full_like(begins, np.nan)
+    rows[row] = begins[row]
+    simulation.set_state(rows, new_battery=True)
+
+
 def _flights(
     run: Run, simulation: Simulation, beginning: History, schedule: Schedule
 ) -> Iterator[tuple[History, Values]]:
     """Fly the recorded orders again; yield each part of the flight with its orders."""
-    latches = Latches(simulation.world.fleets, simulation.dtype)
+    latches, begins = Latches(simulation.world.fleets, simulation.dtype), np.array(simulation.truth.state)
     # Recordings of versions without radio lack these columns.
     spoken = Spoken(simulation) if simulation.world.radio is not None and TICK in run[STREAM].columns() else None
     for batch in run[STREAM].batches():
@@ -99,6 +118,9 @@ def _flights(
             for i in range(latches.numbers.shape[1]):
                 if f"number_{i}" in batch.arrays:
                     latches.numbers[:, i] = batch.arrays[f"number_{i}"][begin]
+            if RESTARTED.name in batch.arrays:
+                for row in np.flatnonzero(batch.arrays[RESTARTED.name][begin] == simulation.tick).tolist():
+                    put_back(simulation, begins, row)
             if spoken is not None:
                 spoken.read(batch.arrays, begin)
                 spoken.say_again(simulation)
@@ -114,14 +136,15 @@ def _flights(
 def _same_orders(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:
     """Yield begin and end of runs of ticks with equal orders, so that each run is flown by one call.
 
-    A radio message is only sent ahead of the first tick of a run.
+    Radio messages are sent and vehicles are put back ahead of the first tick of a run only.
 
     Args:
         arrays: columns (T, ...) of the recorded orders.
         first, count: rows ``first`` to ``count`` - 1 are divided, into at most ``MOST_AT_ONCE`` each.
     """
-    # NaN marks numbers that an order lacks. A new message has a new tick in the column TICK.
-    names = ["kind", *(name for name in arrays if name.startswith("number_") or name == TICK)]
+    # NaN marks numbers that an order lacks. A new message, and a vehicle put back, has a new tick in its column.
+    ticks = (TICK, RESTARTED.name)
+    names = ["kind", *(name for name in arrays if name.startswith("number_") or name in ticks)]
     rows = np.concatenate([np.asarray(arrays[name], np.float64) for name in names], axis=1)
     same = np.zeros(count, bool)
     same[1:] = ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(axis=1)

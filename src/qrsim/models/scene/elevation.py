@@ -19,14 +19,18 @@ from qrsim.files.user_files import LARGEST_TABLE, read_bytes
 from qrsim.models.site import Site
 
 Float64 = npt.NDArray[np.float64]
-Frame = Literal["local", "geodetic"]
+Frame = Literal["local", "geodetic", "cells"]
 # South, north, west, east [m].
 Bounds = tuple[float, float, float, float]
 
 KEYS: dict[Frame, tuple[str, str]] = {"local": ("north", "east"), "geodetic": ("latitude_deg", "longitude_deg")}
+# Files with coordinates of a map, which terrain_files/ reads; those of an .asc may be others.
+SUFFIXES = (".tif", ".tiff", ".img", ".hgt", ".asc", ".vrt")
 # No grid in metres has cells so small, and none in degrees so large.
 LARGEST_DEGREES = 0.1
 EARTH_RADIUS = 6_371_000.0
+# How far from a missing height the nearest one may be, in cells.
+FARTHEST_FILL = 5
 # 2 800 rows of as many: finer, an area is described by an excerpt or by larger cells.
 MOST_HEIGHTS = 8_000_000
 LONGEST_HEADER = 4096
@@ -37,7 +41,8 @@ class Elevations:
     """Heights at the points of a regular grid.
 
     Attributes:
-        frame: whether rows and columns are [m] north and east, or [deg] latitude and longitude.
+        frame: whether rows and columns are [m] north and east, or [deg] latitude and longitude, or numbers of cells
+            (``terrain_files``).
         rows: (R,) coordinate of each row, increasing.
         columns: (C,) coordinate of each column, increasing.
         height: (R, C) [m], positive up; NaN where the file has none.
@@ -86,12 +91,14 @@ class Landscape:
         site: origin of the frame.
         origin: the file's coordinates north and east of the site's origin [m], for a local one.
         zero: height in the file that is z = 0 [m].
+        filled: number of missing heights that are those of the nearest points.
     """
 
     elevations: Elevations
     site: Site
     origin: tuple[float, float]
     zero: float
+    filled: int = 0
 
     def down(self, north: Float64, east: Float64) -> Float64:
         """Return the down coordinate [m] of the ground at places of any shape [m], NaN where there is none."""
@@ -113,7 +120,14 @@ def _in_file(
 
 
 def landscape(
-    file: str, frame: str, site: Site, origin: tuple[float, float], height_of_zero: float | None, box: Bounds | None
+    file: str,
+    frame: str,
+    site: Site,
+    origin: tuple[float, float],
+    height_of_zero: float | None,
+    box: Bounds | None,
+    every: int = 1,
+    fill: bool = False,
 ) -> Landscape:
     """Read a file and place it at a site.
 
@@ -124,11 +138,23 @@ def landscape(
         origin: the file's coordinates north and east of the origin [m], for a local one.
         height_of_zero: height in the file that is z = 0 [m]; None: that of the ground at the origin.
         box: south, north, west, east [m] of what it must cover, if that is known.
+        every: n-th row and column that counts.
+        fill: whether missing heights are those of the nearest points.
 
     Raises:
         UsageError: no such file, no such grid, it does not cover the box, or it has no height there.
     """
     found = read_elevations(file, frame)
+    if every > 1:
+        if min(found.height.shape) <= every:
+            raise UsageError(
+                f"{file}: has {' x '.join(map(str, found.height.shape))} heights; every: {every} leaves one"
+            )
+        found = Elevations(found.frame, found.rows[::every], found.columns[::every], found.height[::every, ::every])
+    count = 0
+    if fill:
+        heights, count = filled(found.height)
+        found = Elevations(found.frame, found.rows, found.columns, heights)
     if box is not None:
         _check_cover(file, found, site, origin, box)
     zero = height_of_zero
@@ -141,7 +167,28 @@ def landscape(
             if height_of_zero is None
             else f"height_of_zero: {height_of_zero} is not a finite number of metres"
         )
-    return Landscape(found, site, origin, zero)
+    return Landscape(found, site, origin, zero, count)
+
+
+def filled_note(name: str, count: int) -> str:
+    """Return what a user should know of heights that ``filled`` has found."""
+    return f"{name}: {count} missing heights are those of the nearest cells, at most {FARTHEST_FILL} away"
+
+
+def filled(height: Float64) -> tuple[Float64, int]:
+    """Return heights (R, C) with the missing ones those of the nearest, at most FARTHEST_FILL cells off; and how many.
+
+    Those farther off stay NaN.
+    """
+    missing = np.isnan(height)
+    if not missing.any() or missing.all():
+        return height, 0
+    # Most scenarios need no scipy here.
+    from scipy.ndimage import distance_transform_edt
+
+    distance, (rows, columns) = distance_transform_edt(missing, return_indices=True)
+    near = missing & (distance <= FARTHEST_FILL)
+    return np.where(near, height[rows, columns], height), int(near.sum())
 
 
 def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, float], box: Bounds) -> None:
@@ -190,9 +237,7 @@ def read_elevations(file: str, frame: str) -> Elevations:
     """
     path = Path(file)
     if path.suffix.lower() not in (".asc", ".npz"):
-        hint = f"; gdal_translate -of AAIGrid '{path.name}' '{path.stem}.asc' makes one of it"
-        tiff = path.suffix.lower() in (".tif", ".tiff", ".hgt", ".vrt", ".img")
-        raise UsageError(f"{file}: expected an ESRI ASCII grid (.asc) or a NumPy archive (.npz){hint if tiff else ''}")
+        raise UsageError(f"{file}: expected one of {', '.join(SUFFIXES)}, .npz, or a folder of tiles")
     with readable(file):
         status = os.stat(os.path.expanduser(file))
         return _read(file, frame, status.st_mtime_ns, status.st_size)

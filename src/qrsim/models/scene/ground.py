@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from qrsim.core.arrays import Floats
-from qrsim.core.tree import computed, quantity, record, record_of, setting
+from qrsim.core.tree import computed, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.errors import UsageError
 from qrsim.models.scene.contracts import Ground, upward
-from qrsim.models.scene.elevation import EARTH_RADIUS, Bounds, Landscape, landscape
-from qrsim.models.site import Site
 
-# What a grid may have after it was cut to the area: 16 MB in single precision.
-MOST_POINTS = 4_000_000
-# The table of the horizon: heights of the eye and bearings, and how far it looks [m], in steps of a part of the way.
-EYES, BEARINGS = 8, 180
-FARTHEST, STEP = 50_000.0, 0.005
 # Parts of a way between two points, at whose ends the ground is asked whether it is in between: of the whole way, and
 # at least and at most of that over the grid, which it meets cell by cell as long as there are no more.
 _LOOKS, _FEWEST_LOOKS, _MOST_LOOKS = 32, 16, 512
@@ -144,114 +134,3 @@ class GridGround(Ground):
         beside = jnp.where(j + 1 >= bearings, 0, j + 1)
         lower, upper = ((1.0 - b) * table[k, j] + b * table[k, beside] for k in (i, i + 1))
         return lower + a * (upper - lower)
-
-
-@record
-class ElevationFile:
-    """Ground from a digital elevation model: an ESRI ASCII grid (.asc) or a NumPy archive (.npz).
-
-    It must cover the area. What it has beyond that makes the horizon, which hides satellites.
-    """
-
-    file: str = setting(doc="the grid, in metres or in degrees of latitude and longitude")
-    frame: Literal["auto", "local", "geodetic"] = setting(
-        default="auto", doc="kind of its coordinates; auto: degrees if its cells are smaller than 0.1"
-    )
-    origin_north: float = setting(default=0.0, unit="m", doc="frame 'local': northing of the site's origin in the grid")
-    origin_east: float = setting(default=0.0, unit="m", doc="frame 'local': easting of the site's origin in the grid")
-    height_of_zero: float | None = setting(
-        default=None,
-        unit="m",
-        doc="height in the grid at z = 0; default: the ground at the site's origin",
-        minimum=-1000.0,
-        maximum=10_000.0,
-    )
-
-    def at(self, site: Site, box: Bounds | None) -> GridGround:
-        """Read the file for a site and an area, in float64.
-
-        Args:
-            site: origin of the local frame.
-            box: south, north, west, east [m] of the area, None where it has no bounds.
-
-        Raises:
-            UsageError: as ``landscape``, or no height at a point in the area, or too many points there.
-        """
-        land = landscape(self.file, self.frame, site, (self.origin_north, self.origin_east), self.height_of_zero, box)
-        rows, columns = _points(self.file, land, box)
-        grid = land.down(rows[:, None], columns[None, :])
-        missing = np.argwhere(~np.isfinite(grid))
-        if len(missing):
-            i, j = missing[0]
-            raise UsageError(
-                f"{self.file}: has no height at {len(missing)} of {grid.size} points in world.area, the first at north "
-                f"{rows[i]:.6g} m, east {columns[j]:.6g} m"
-            )
-        middle = (0.5 * (rows[0] + rows[-1]), 0.5 * (columns[0] + columns[-1]))
-        lowest = float(land.down(*map(np.asarray, middle))) - 1.0
-        highest = min(lowest, float(grid.min())) - 200.0
-        corner, spacing = (rows[0], columns[0]), (rows[1] - rows[0], columns[1] - columns[0])
-        horizon = _horizon(land, middle, np.linspace(lowest, highest, EYES), min(spacing))
-        return record_of(GridGround, grid, corner, spacing, horizon, (lowest, highest))
-
-
-def _points(file: str, land: Landscape, box: Bounds | None) -> tuple[Floats, Floats]:
-    """Return north and east [m] of the points of the ground's grid.
-
-    Those of a local file are its own, cut to the box; over a grid by latitude, they are half as far apart as its own.
-    """
-    source = land.elevations
-    if source.frame == "local":
-        axes = []
-        for values, origin, limits in (
-            (source.rows, land.origin[0], None if box is None else box[:2]),
-            (source.columns, land.origin[1], None if box is None else box[2:]),
-        ):
-            own = values - origin
-            if limits is not None:
-                # From the last point that is not inside to the first one beyond; a limit may be a rounding error off.
-                slack = 1e-6 * (own[1] - own[0])
-                first = max(int(np.searchsorted(own, limits[0] + slack)) - 1, 0)
-                own = own[first : int(np.searchsorted(own, limits[1] - slack)) + 1]
-            axes.append(own)
-        rows, columns = axes
-    else:
-        if box is None:
-            raise UsageError(f"{file}: a grid by latitude and longitude needs a world.area with bounds, box or polygon")
-        radius = math.radians(1.0) * EARTH_RADIUS
-        steps = (
-            0.5 * source.spacing[0] * radius,
-            0.5 * source.spacing[1] * radius * math.cos(land.site.latitude_rad),
-        )
-        counts = [
-            max(2, math.ceil((high - low) / step) + 1)
-            for (low, high), step in zip((box[:2], box[2:]), steps, strict=True)
-        ]
-        if counts[0] * counts[1] <= MOST_POINTS:
-            rows, columns = (
-                np.linspace(low, high, n) for (low, high), n in zip((box[:2], box[2:]), counts, strict=True)
-            )
-            return rows, columns
-        raise _too_many(file, counts[0] * counts[1])
-    if len(rows) * len(columns) > MOST_POINTS:
-        raise _too_many(file, len(rows) * len(columns))
-    return rows, columns
-
-
-def _too_many(file: str, count: int) -> UsageError:
-    return UsageError(f"{file}: {count} points in world.area; allowed: {MOST_POINTS}, so resample it more coarsely")
-
-
-def _horizon(land: Landscape, middle: tuple[float, float], eyes: Floats, step: float) -> Floats:
-    """Return the sine (E, B) of the elevation of the horizon around a place, from eyes (E,) at down coordinates [m]."""
-    bearing = 2.0 * math.pi * np.arange(BEARINGS) / BEARINGS
-    # A quarter of a cell at first, not to step over a ridge.
-    even = 0.25 * step * np.arange(1, math.ceil(1.0 / STEP))
-    distance = np.concatenate([even, np.exp(np.arange(np.log(even[-1]), np.log(FARTHEST), STEP))])
-    north = middle[0] + np.cos(bearing)[:, None] * distance
-    east = middle[1] + np.sin(bearing)[:, None] * distance
-    # The Earth falls away below a plane.
-    down = land.down(north, east) + distance**2 / (2.0 * EARTH_RADIUS)
-    up = eyes[:, None, None] - down[None]
-    sine = up / np.hypot(up, distance)
-    return np.max(np.where(np.isfinite(sine), sine, -1.0), axis=2)

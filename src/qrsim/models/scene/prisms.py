@@ -126,6 +126,13 @@ class Pieces:
         above = _beyond(z, self.z_min, self.z_max)
         return jnp.where(inside, 0.0, flat) + above * above
 
+    def over(self, x: Array, y: Array, slack: float = 0.0) -> Array:
+        """Return whether places are inside the sides of the pieces, or outside by up to ``slack`` [m]."""
+        (w0, w1), (e0, e1) = self.west, self.east
+        part = (x - self.south) / (self.north - self.south)
+        level = (x >= self.south - slack) & (x <= self.north + slack)
+        return level & (y >= w0 + part * (w1 - w0) - slack) & (y <= e0 + part * (e1 - e0) + slack)
+
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
     return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
@@ -157,32 +164,33 @@ class Prisms:
         One that is farther than ``reach`` may be overlooked: then the distance is that of another one.
         """
         x, y, z = (axis[None, :] for axis in (position_ned.x, position_ned.y, position_ned.z))
-        pieces = self._near(position_ned)
+        pieces = self.pieces_near(position_ned)
         square = pieces.square(x, y, z)
         place = jnp.arange(square.shape[0])[:, None]
         chosen = jnp.where(place == jnp.argmin(square, axis=0)[None, :], pieces.number, 0.0)
         return length_of(jnp, jnp.min(square, axis=0)), jnp.sum(chosen, axis=0)
 
-    def _near(self, position_ned: Vec3) -> Pieces:
+    def pieces_near(self, position_ned: Vec3) -> Pieces:
         """Return the pieces (K, n) or (K, 1) near positions (n,)."""
         import jax
 
+        lib = library_of(position_ned.x, self.pieces.south)
         if self.near is None:
             return jax.tree.map(lambda leaf: leaf[:, None], self.pieces)
         row, column = (
-            jnp.clip(_finite((value - low) / self.cell) + 0.5, 0.0, float(count - 1)).astype(jnp.int32)
+            lib.clip(_finite(lib, (value - low) / self.cell) + 0.5, 0.0, float(count - 1)).astype(lib.int32)
             for value, low, count in (
                 (position_ned.x, self.corner[0], self.rows),
                 (position_ned.y, self.corner[1], self.columns),
             )
         )
         first = (row * self.columns + column) * self.most
-        number = jnp.asarray(self.near)[first[None, :] + jnp.arange(self.most, dtype=jnp.int32)[:, None]]
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[number], self.pieces)
+        number = lib.asarray(self.near)[first[None, :] + lib.arange(self.most, dtype=lib.int32)[:, None]]
+        return jax.tree.map(lambda leaf: lib.asarray(leaf)[number], self.pieces)
 
 
-def _finite(value: Array) -> Array:
-    return jnp.where(jnp.isfinite(value), value, 0.0)
+def _finite(lib: ModuleType, value: Array) -> Array:
+    return lib.where(lib.isfinite(value), value, 0.0)
 
 
 def trapezoids(rings: Sequence[npt.ArrayLike]) -> Float64:
@@ -217,17 +225,26 @@ def trapezoids(rings: Sequence[npt.ArrayLike]) -> Float64:
     return np.array([*found, *going.values()], np.float64).reshape(-1, 6)
 
 
-def prisms_of(solids: Sequence[PrismObstacle], numbers: Sequence[int], radius: float) -> Prisms | None:
+def prisms_of(
+    solids: Sequence[PrismObstacle],
+    numbers: Sequence[int],
+    radius: float,
+    *,
+    reach: float | None = None,
+    most_cells: int = MOST_CELLS,
+) -> Prisms | None:
     """Return the prisms of a world, in float64; None without any.
 
     Args:
         solids: the prisms.
         numbers: of each in the scenario.
         radius: the largest distance [m] that vehicles keep from obstacles.
+        reach: distance [m] beyond which a prism need not be noticed; None: from the radius.
+        most_cells: of the grid.
     """
     if not solids:
         return None
-    reach = max(LEAST_REACH, 2.0 * radius)
+    reach = max(LEAST_REACH, 2.0 * radius) if reach is None else reach
     cut = [trapezoids(solid.rings()) for solid in solids]
     each = np.repeat(np.arange(len(solids)), [len(part) for part in cut])
     flat = np.concatenate(cut)
@@ -237,7 +254,7 @@ def prisms_of(solids: Sequence[PrismObstacle], numbers: Sequence[int], radius: f
         return Prisms(_pieces(flat, top, bottom, count))
     south, west = flat[:, 0].min() - reach, flat[:, 2:4].min() - reach
     size = (flat[:, 1].max() + reach - south, flat[:, 4:6].max() + reach - west)
-    cell = max(CELL, math.sqrt(size[0] * size[1] / MOST_CELLS))
+    cell = max(CELL, math.sqrt(size[0] * size[1] / most_cells))
     rows, columns = (max(1, math.ceil(side / cell)) for side in size)
     corner = (south + 0.5 * cell, west + 0.5 * cell)
     near = _near_cells(flat, reach + cell * math.sqrt(0.5), corner, cell, rows, columns)

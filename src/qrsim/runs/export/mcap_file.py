@@ -33,14 +33,24 @@ from qrsim.runs.export.mcap_scene import scene
 from qrsim.runs.export.output import Written, is_readable, replacing
 from qrsim.runs.export.place import Floats, Place
 from qrsim.runs.export.tracks import Samples, axes, is_fresh, position_sensors, read_samples
-from qrsim.runs.layout import OVERFULL
+from qrsim.runs.layout import OVERFULL, ZONE_ENTERED, ZONE_LEFT
 from qrsim.runs.summary import NOT_A_STOP
 from qrsim.runs.surroundings import surroundings_of
 
 WORLD = "map"
 # Foxglove's timestamps count the seconds since 1970 in 32 bits.
 LAST_START_US = 2**32 * 1_000_000
-WARNINGS = ("command_clipped", "fault_begins", "injected", "no_fix", "fix_lost", "failsafe", OVERFULL)
+WARNINGS = (
+    "command_clipped",
+    "fault_begins",
+    "injected",
+    "no_fix",
+    "fix_lost",
+    "failsafe",
+    OVERFULL,
+    ZONE_LEFT,
+    ZONE_ENTERED,
+)
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.files import Content
+from qrsim.models.scene.zone import Zone
 from qrsim.runs import Run
-from qrsim.runs.colours import FOUND, GREY, MISSING, PLUME, Colour, share
+from qrsim.runs.colours import FOUND, GREY, KEEP_OUT, MISSING, PLUME, Colour, share
 from qrsim.runs.export import foxglove
 from qrsim.runs.export.mcap_messages import Message, topics_of
 from qrsim.runs.export.place import Floats, Place
@@ -102,6 +103,8 @@ def _sphere(middle: object, size: float, colour: Colour) -> Content:
 
 
 def _area(around: Surroundings) -> list[Content]:
+    if around.zones:
+        return [_zone(zone, *around.down) for zone in around.zones]
     if not len(around.outline):
         return []
     top, bottom = around.down
@@ -109,6 +112,17 @@ def _area(around: Surroundings) -> list[Content]:
     lines = [_line(level, LOOP, GREY) for level in levels]
     lines += [_line(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
     return [_entity("area", lines=lines)]
+
+
+def _zone(zone: Zone, top: float, bottom: float) -> Content:
+    """Return the edges of a zone; heights above terrain are drawn above z = 0."""
+    levels = (bottom if zone.floor <= 0.0 else -zone.floor, max(top, -zone.ceiling))
+    colour, lines = (GREY if zone.keep else KEEP_OUT), []
+    for ring in zone.rings or (zone.outline,):
+        low, high = (np.column_stack([ring, np.full(len(ring), down)]) for down in levels)
+        lines += [_line(level, LOOP, colour) for level in (low, high)]
+        lines += [_line(pair, STRIP, colour) for pair in zip(low, high, strict=True)] if zone.rings else []
+    return _entity(f"{'stay in' if zone.keep else 'stay out'} {zone.name}", lines=lines)
 
 
 def _obstacles(around: Surroundings) -> list[Content]:

@@ -44,6 +44,12 @@ def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], Num
     return of
 
 
+def _if_known(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
+    """Return a metric that only some worlds have; NaN in all others."""
+    of = _over(reduce, name)
+    return lambda found: of(found) if name in found else np.full(len(found["reason"]), np.nan)
+
+
 def _root_mean_square(values: NumpyArray, axis: int) -> NumpyArray:
     return np.sqrt(np.nanmean(values * values, axis=axis))
 
@@ -90,6 +96,10 @@ METRICS: dict[str, Metric] = {
                                       low_is_bad=True, limits=(-np.inf, np.inf))
         for part in ("lateral", "ceiling", "floor")
     },
+    "breaches": Metric("1", "times that vehicles left the zones of an area that reports it",
+                       _if_known(np.sum, "breaches")),
+    "seconds_outside": Metric("s", "time outside these zones, of the worst vehicle",
+                              _if_known(np.nanmax, "seconds_outside")),
     "endurance_s": Metric("s", "time for which the battery would last at the mean consumption in the air, shortest",
                           _over(np.nanmin, "endurance_s"), low_is_bad=True),
     "charge_min": Metric("1", "lowest charge of a battery, its reserve at the end",

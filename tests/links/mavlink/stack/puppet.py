@@ -9,6 +9,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.codes import MissionState, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN, Ack, Command, Event, Facts, Item, Seen, Text
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.models.scene.zone import Zone
 from qrsim.models.site import Site
 
 DT = 0.02
@@ -36,6 +37,11 @@ def item(seq: int, id: int, north: float = 0.0, east: float = 0.0, up: float = N
     return Item(seq, more.pop("frame", 6), id, tuple(map(float, numbers)), more.pop("x", x), more.pop("y", y), up)
 
 
+def polygon_zones(corners: tuple) -> tuple[Zone, ...]:
+    """Return the zones of an area that is one polygon; none without corners."""
+    return (Zone(True, (corners,)),) if corners else ()
+
+
 class Puppet:
     """A vehicle that stands at first, and what its stack has said and told.
 
@@ -49,13 +55,15 @@ class Puppet:
         flavour: str = "px4",
         factor: float = 1.0,
         fence: tuple = (),
+        zones: tuple = (),
         settle: float = 2.0,
         z_min: float = -math.inf,
         z_max: float = math.inf,
         local_origin: str = "start",
         ground_down=None,
     ):
-        facts = Facts("a", hover_throttle=0.5, has_battery=True, fence=fence, z_min=z_min, z_max=z_max)
+        zones = zones or polygon_zones(fence)
+        facts = Facts("a", hover_throttle=0.5, has_battery=True, zones=zones, z_min=z_min, z_max=z_max)
         facts = replace(facts, local_origin=local_origin, ground_down=ground_down)  # type: ignore[arg-type]
         self.stack = FlightStack(facts, SITE, flavour=flavour, factor=factor)  # type: ignore[arg-type]
         self.seen = Seen(charge=0.8, present=0xF, healthy=0xF, altitude=488.0)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 
 import pytest
-from puppet import NAN, Puppet, item, place
+from puppet import NAN, SITE, Puppet, item, place
 
 from qrsim.links.mavlink.stack.codes import PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import LocalTarget
+from qrsim.links.mavlink.stack.fence import Fence, items_of
+from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.modes import Mode
+from qrsim.models.scene.zone import Zone
 
 TAKEOFF, WAYPOINT, LAND, TURNS = 22, 16, 21, 18
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
@@ -137,3 +140,44 @@ def test_a_vehicle_whose_flight_has_ended_moves_after_a_reboot():
     assert puppet.stack.events()[-1].kind == "reboot"
     puppet.seen.stopped = ""
     puppet.stack.reset()
+
+
+HOLE = ((-50.0, 40.0), (-40.0, 50.0), (-50.0, 50.0))
+FIELD = Zone(True, (((-60.0, -60.0), (-60.0, 60.0), (60.0, 60.0), (60.0, -60.0)), HOLE))
+SCHOOL = Zone(False, (), (30.0, 0.0), 10.0, ceiling=15.0, name="school")
+
+
+@pytest.mark.parametrize(("height", "holds"), [(10.0, True), (25.0, False)])
+def test_the_zones_of_the_scenario_are_the_fence_with_their_heights(height, holds):
+    """GF_ACTION is hold: below its ceiling the school is not entered, above it is flown over."""
+    puppet = Puppet(zones=(FIELD, SCHOOL))
+    puppet.fly_up(height)
+    north = LocalTarget(1, 0xDC7, velocity=(4.0, 0.0, 0.0))
+    assert puppet.stack.setpoint(north)
+    assert puppet.do(176, 1, 6) == ACCEPTED
+
+    def go(now):
+        now.stack.setpoint(north)
+
+    assert puppet.run(12.0, lambda now: now.stack.mode is Mode.HOLD, go) == holds
+    puppet.run(4.0)
+    assert ("Geofence breached: about to leave the area of the scenario" in puppet.texts) == holds
+    assert puppet.seen.position_ned[0] < 20.0 if holds else puppet.seen.position_ned[0] > 40.0
+
+
+def test_a_plan_of_the_zones_is_the_same_fence_without_heights():
+    geodesy = Geodesy(SITE)
+    items = items_of((FIELD, SCHOOL), geodesy)
+    # Four corners and three of the hole, which is an exclusion, and a circle to stay out of.
+    assert [item.command for item in items] == [5001] * 4 + [5002] * 3 + [5004]
+    assert [item.params[0] for item in items] == [4.0] * 4 + [3.0] * 3 + [10.0]
+    fence, result, bad = Fence.of(items, geodesy)
+    assert (result, bad) == (PlanResult.ACCEPTED, -1)
+    places = [(0.0, 0.0), (30.0, 5.0), (45.0, 0.0), (61.0, 0.0), (-48.0, 48.0)]
+    assert [fence.inside(*place) for place in places] == [True, False, True, False, False]
+    scenario = Fence((FIELD, SCHOOL))
+    assert [scenario.inside(*place, -20.0) for place in places] == [True, True, True, False, False]
+    guarded, _, _ = Fence.of(items, geodesy, scenario)
+    assert not guarded.inside(30.0, 5.0, -20.0)
+    assert scenario.crosses((0.0, 0.0, -10.0), (50.0, 0.0, -10.0))
+    assert not scenario.crosses((0.0, 0.0, -20.0), (50.0, 0.0, -20.0))

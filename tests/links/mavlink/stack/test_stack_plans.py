@@ -11,10 +11,11 @@ from puppet import EAST_DEG, NORTH_DEG, SITE, Puppet, flown, item, place
 
 from qrsim.links.mavlink.stack.codes import Landed, MissionState, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN
-from qrsim.links.mavlink.stack.fence import Fence, in_polygon
+from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.models.geoid import undulation
+from qrsim.models.scene.zone import in_polygon
 
 TAKEOFF, WAYPOINT, LAND, RETURN, SPEED, DELAY, JUMP, LOITER_TIME, TURNS, TO_ALTITUDE = (
     22, 16, 21, 20, 178, 93, 177, 19, 18, 31

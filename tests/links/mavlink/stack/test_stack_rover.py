@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from puppet import DT, EAST_DEG, NORTH_DEG, SITE, command, item, place
+from puppet import DT, EAST_DEG, NORTH_DEG, SITE, command, item, place, polygon_zones
 
 from qrsim.links.mavlink.stack.codes import GROUND_ROVER, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, Facts, GlobalTarget, LocalTarget, Seen
@@ -22,7 +22,7 @@ class Cart:
     """A point on the ground that does what its stack orders, at 2.5 m/s at most."""
 
     def __init__(self, flavour="px4"):
-        facts = Facts("r", mav_type=GROUND_ROVER, fence=FENCE, speed_limit=2.5)
+        facts = Facts("r", mav_type=GROUND_ROVER, zones=polygon_zones(FENCE), speed_limit=2.5)
         self.stack = RoverStack(facts, SITE, flavour=flavour)
         self.seen = Seen(present=0xF, healthy=0xF, altitude=488.0, latitude=47.397742, longitude=8.545594)
         self.order, self.said = None, []

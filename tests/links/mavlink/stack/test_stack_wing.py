@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from puppet import DT, EAST_DEG, NORTH_DEG, SITE, command, item, place
+from puppet import DT, EAST_DEG, NORTH_DEG, SITE, command, item, place, polygon_zones
 
 from qrsim.links.mavlink.stack.codes import FIXED_WING, PlanKind, PlanResult
 from qrsim.links.mavlink.stack.contracts import NAN, Facts, LocalTarget, Seen
@@ -30,7 +30,7 @@ class Glider:
             "w",
             kinds=frozenset({"track", "control"}),
             mav_type=FIXED_WING,
-            fence=fence,
+            zones=polygon_zones(fence),
             z_min=z_min,
             z_max=0.0,
             airspeed=25.0,

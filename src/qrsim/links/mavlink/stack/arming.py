@@ -49,6 +49,6 @@ class ArmingChecks:
             )
         if not seen.on_ground:
             found.append("not on the ground")
-        elif seen.valid and not craft.fence.inside(seen.position_ned[0], seen.position_ned[1]):
+        elif seen.valid and not craft.fence.inside(*seen.position_ned):
             found.append("outside the fence")
         return found

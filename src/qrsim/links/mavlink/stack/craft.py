@@ -56,7 +56,7 @@ class Craft:
 
     def __init__(self, facts: Facts, parameters: Parameters, geodesy: Geodesy):
         self.facts, self.parameters, self.geodesy = facts, parameters, geodesy
-        self.fence = self.area = Fence(facts.fence)
+        self.fence = self.area = Fence(facts.zones, ground=facts.ground)
         self._texts: list[Text] = []
         self._events: list[Event] = []
         self.injector: Injector | None = None
@@ -152,7 +152,7 @@ class Craft:
         """
         facts = self.facts
         high = place[2] < facts.z_min or (place[2] > facts.z_max + FLOOR and not lands)
-        return self.fence.inside(place[0], place[1]) and (facts.mav_type == GROUND_ROVER or not high)
+        return self.fence.inside(*place) and (facts.mav_type == GROUND_ROVER or not high)
 
     # ---- where it goes ----
 

@@ -135,23 +135,24 @@ class Failsafes:
 
 def _leaves(craft: Craft) -> Breach:
     """Return by what a vehicle will leave its area before it comes to rest; not even for a moment must it."""
-    (north, east, _), (vn, ve, _) = craft.seen.position_ned, craft.seen.velocity_ned
+    (north, east, down), (vn, ve, vd) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
-    climb = -craft.seen.velocity_ned[2]
-    if climb > 0.5 and craft.seen.position_ned[2] - REACTS * climb - braking_way(climb, VERTICAL) < craft.facts.z_min:
-        return Breach.CEILING
+    if abs(vd) > 0.5:
+        down += REACTS * vd + math.copysign(braking_way(abs(vd), VERTICAL), vd)
+        if down < craft.facts.z_min or (vd < 0.0 and not craft.area.inside(north, east, down)):
+            return Breach.CEILING
     if craft.facts.mav_type == FIXED_WING:
         return Breach.NONE if can_turn(craft) else Breach.BOUNDARY
     if speed < 0.5:
         return Breach.NONE
     seconds = REACTS + braking_way(speed, craft.parameters["MPC_ACC_HOR"]) / speed
-    return Breach.NONE if craft.area.inside(north + seconds * vn, east + seconds * ve) else Breach.BOUNDARY
+    return Breach.NONE if craft.area.inside(north + seconds * vn, east + seconds * ve, down) else Breach.BOUNDARY
 
 
 def beyond(craft: Craft) -> tuple[Breach, str]:
     """Return what of the fence a vehicle is beyond, and in words; NONE and "" where it is inside."""
     here, values = craft.seen.position_ned, craft.parameters.values
-    if not craft.fence.inside(here[0], here[1]):
+    if not craft.fence.inside(*here):
         return Breach.BOUNDARY, "outside the area"
     leaves = _leaves(craft)
     if leaves:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from qrsim.links.mavlink.stack.codes import PlanResult
 from qrsim.links.mavlink.stack.contracts import Item, Triple
 from qrsim.links.mavlink.stack.geodesy import Geodesy
+from qrsim.models.scene.zone import GroundDown, Point, Zone, Zones
 
 RETURN_POINT, INCLUSION, EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = 5000, 5001, 5002, 5003, 5004
 RALLY_POINT = 5100
@@ -16,87 +17,100 @@ RALLY_POINT = 5100
 AMSL, RELATIVE, TERRAIN = (0, 5), (3, 6), (10, 11)
 GLOBAL = frozenset((*AMSL, *RELATIVE, *TERRAIN))
 MOST_ITEMS = 1000
-Point = tuple[float, float]
 
 
 class Fence:
-    """Areas that a vehicle is to stay in and out of, in the site's frame.
+    """Zones that a vehicle is to stay in and out of, in the site's frame.
 
     Args:
-        area: a polygon (north, east) [m] that is an inclusion from the start.
+        zones: inclusions and exclusions.
         guard: another fence that holds as well; None: none.
+        ground: down coordinate [m] of the ground, for zones above terrain.
     """
 
-    def __init__(self, area: Sequence[Point] = (), guard: Fence | None = None):
-        self._guard = guard
-        self._polygons: list[tuple[bool, tuple[Point, ...]]] = [(True, tuple(area))] if area else []
-        self._circles: list[tuple[bool, Point, float]] = []
+    def __init__(self, zones: Sequence[Zone] = (), guard: Fence | None = None, ground: GroundDown | None = None):
+        self._guard, self._zones = guard, Zones(zones, ground)
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing to stay in or out of."""
-        return not (self._polygons or self._circles) and (self._guard is None or self._guard.empty)
+        return not self._zones.all and (self._guard is None or self._guard.empty)
 
-    def inside(self, north: float, east: float) -> bool:
-        """Return whether a place [m] is in one of the inclusions, if any, in no exclusion, and inside the guard."""
-        if self._guard is not None and not self._guard.inside(north, east):
+    def inside(self, north: float, east: float, down: float = math.nan) -> bool:
+        """Return whether a place [m] is in one of the inclusions, if any, in no exclusion, and inside the guard.
+
+        Without ``down`` the zones reach over all heights.
+        """
+        if self._guard is not None and not self._guard.inside(north, east, down):
             return False
-        included = has = False
-        for includes, corners in self._polygons:
-            within = in_polygon(corners, north, east)
-            if not includes and within:
-                return False
-            has, included = has or includes, included or (includes and within)
-        for includes, centre, radius in self._circles:
-            within = math.hypot(north - centre[0], east - centre[1]) <= radius
-            if not includes and within:
-                return False
-            has, included = has or includes, included or (includes and within)
-        return included or not has
+        return self._zones.inside(north, east, None if math.isnan(down) else down)
 
     def crosses(self, begin: Triple, end: Triple) -> bool:
         """Return whether a straight way between two places leaves the fence, looked at every 2 m at the most."""
-        steps = max(1, math.ceil(math.dist(begin[:2], end[:2]) / 2.0))
+        length = math.hypot(*(b - a for a, b in zip(begin, end, strict=True) if math.isfinite(b - a)))
+        steps = max(1, math.ceil(length / 2.0))
         return not all(
-            self.inside(
-                begin[0] + (end[0] - begin[0]) * step / steps,
-                begin[1] + (end[1] - begin[1]) * step / steps,
-            )
+            self.inside(*(a + (b - a) * step / steps for a, b in zip(begin, end, strict=True)))
             for step in range(steps + 1)
         )
 
     @staticmethod
     def of(items: Sequence[Item], geodesy: Geodesy, guard: Fence | None = None) -> tuple[Fence, PlanResult, int]:
         """Return the fence of a plan within a guard, the result, and the seq of the item that is bad, else -1."""
-        fence, index = Fence(guard=guard), 0
-        if len(items) > MOST_ITEMS:
-            return fence, PlanResult.NO_SPACE, MOST_ITEMS
-        while index < len(items):
-            item = items[index]
-            if item.frame not in GLOBAL:
-                return fence, PlanResult.UNSUPPORTED_FRAME, index
-            bad = bad_place(item)
-            if bad is not None:
-                return fence, bad, index
-            if item.command in (INCLUSION, EXCLUSION):
-                count, result, wrong = _corners(items, index)
-                if result is not PlanResult.ACCEPTED:
-                    return fence, result, wrong
-                corners = tuple(_point(corner, geodesy) for corner in items[index : index + count])
-                fence._polygons.append((item.command == INCLUSION, corners))
-                index += count
-                continue
-            if item.command in (CIRCLE_INCLUSION, CIRCLE_EXCLUSION):
-                radius = item.params[0]
-                if not 0.0 <= radius < math.inf:
-                    return fence, PlanResult.INVALID_PARAM1, index
-                # MAVSDK's way to say that there is no circle: one of radius 0.
-                if radius > 0.0:
-                    fence._circles.append((item.command == CIRCLE_INCLUSION, _point(item, geodesy), radius))
-            elif item.command != RETURN_POINT:
-                return fence, PlanResult.UNSUPPORTED, index
-            index += 1
-        return fence, PlanResult.ACCEPTED, -1
+        zones, result, bad = zones_of(items, geodesy)
+        return Fence(zones, guard), result, bad
+
+
+def zones_of(items: Sequence[Item], geodesy: Geodesy) -> tuple[list[Zone], PlanResult, int]:
+    """Return the zones of a plan up to the item that is bad, the result, and the seq of that item, else -1."""
+    zones: list[Zone] = []
+    index = 0
+    if len(items) > MOST_ITEMS:
+        return zones, PlanResult.NO_SPACE, MOST_ITEMS
+    while index < len(items):
+        item = items[index]
+        if item.frame not in GLOBAL:
+            return zones, PlanResult.UNSUPPORTED_FRAME, index
+        bad = bad_place(item)
+        if bad is not None:
+            return zones, bad, index
+        if item.command in (INCLUSION, EXCLUSION):
+            count, result, wrong = _corners(items, index)
+            if result is not PlanResult.ACCEPTED:
+                return zones, result, wrong
+            corners = tuple(_point(corner, geodesy) for corner in items[index : index + count])
+            zones.append(Zone(item.command == INCLUSION, (corners,)))
+            index += count
+            continue
+        if item.command in (CIRCLE_INCLUSION, CIRCLE_EXCLUSION):
+            radius = item.params[0]
+            if not 0.0 <= radius < math.inf:
+                return zones, PlanResult.INVALID_PARAM1, index
+            # MAVSDK's way to say that there is no circle: one of radius 0.
+            if radius > 0.0:
+                zones.append(Zone(item.command == CIRCLE_INCLUSION, (), _point(item, geodesy), radius))
+        elif item.command != RETURN_POINT:
+            return zones, PlanResult.UNSUPPORTED, index
+        index += 1
+    return zones, PlanResult.ACCEPTED, -1
+
+
+def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
+    """Return zones as the items of a fence plan, without their heights; holes are exclusions."""
+    items: list[Item] = []
+
+    def add(command: int, first: float, place: Point) -> None:
+        latitude, longitude, _ = geodesy.to_geodetic((*place, 0.0))
+        params = (first, 0.0, 0.0, 0.0)
+        items.append(Item(len(items), 5, command, params, round(latitude * 1e7), round(longitude * 1e7)))
+
+    for zone in zones:
+        if not zone.rings:
+            add(CIRCLE_INCLUSION if zone.keep else CIRCLE_EXCLUSION, zone.radius, zone.centre)
+        for number, ring in enumerate(zone.rings):
+            for corner in ring:
+                add(INCLUSION if zone.keep and number == 0 else EXCLUSION, float(len(ring)), corner)
+    return tuple(items)
 
 
 def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
@@ -141,19 +155,6 @@ def bad_place(item: Item) -> PlanResult | None:
     if abs(item.x) > 900_000_000:
         return PlanResult.INVALID_PARAM5_X
     return PlanResult.INVALID_PARAM6_Y if abs(item.y) > 1_800_000_000 else None
-
-
-def in_polygon(corners: Sequence[Point], north: float, east: float) -> bool:
-    """Return whether a place is inside a polygon (even-odd rule); all in [m]."""
-    inside = False
-    before = corners[-1]
-    for corner in corners:
-        if (corner[0] > north) != (before[0] > north):
-            share = (north - corner[0]) / (before[0] - corner[0])
-            if east < corner[1] + share * (before[1] - corner[1]):
-                inside = not inside
-        before = corner
-    return inside
 
 
 def _point(item: Item, geodesy: Geodesy) -> Point:

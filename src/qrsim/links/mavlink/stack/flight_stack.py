@@ -21,7 +21,7 @@ from qrsim.links.mavlink.stack.contracts import (
     Text,
     Triple,
 )
-from qrsim.links.mavlink.stack.fence import Fence, rally_points
+from qrsim.links.mavlink.stack.fence import Fence, items_of, rally_points
 from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.stack.modes import ARMED_FLAG, Mode
 from qrsim.links.mavlink.stack.parameters import Parameters
@@ -49,7 +49,7 @@ class FlightStack(Flight):
         factor: float = 1.0,
     ):
         super().__init__(facts, site, parameters, flavour, factor)
-        self._fence_items = self._area_items()
+        self._fence_items = items_of(facts.zones, self.craft.geodesy)
         self._heartbeat = Heartbeat(self.flavour.autopilot, mav_type=facts.mav_type)
 
     # ---- what clients ask ----
@@ -170,16 +170,6 @@ class FlightStack(Flight):
     def set_current(self, seq: int) -> bool:
         """Go on with another item of the mission; return whether there is one."""
         return self.plan.set_current(seq, self.craft)
-
-    def _area_items(self) -> tuple[Item, ...]:
-        """Return the scenario's area as a fence plan."""
-        corners = self.facts.fence
-        items = []
-        for seq, (north, east) in enumerate(corners):
-            latitude, longitude, _ = self.craft.geodesy.to_geodetic((north, east, 0.0))
-            params = (float(len(corners)), 0.0, 0.0, 0.0)
-            items.append(Item(seq, 5, 5001, params, round(latitude * 1e7), round(longitude * 1e7)))
-        return tuple(items)
 
     # ---- what it says ----
 

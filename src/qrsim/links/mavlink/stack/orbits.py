@@ -8,6 +8,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.contracts import Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import Fence
+from qrsim.models.scene.zone import Point
 
 # Steady bank of a circle, of which a controller has a little more.
 BANK_RAD, GRAVITY = math.radians(40.0), 9.80665
@@ -60,7 +61,8 @@ def fits(fence: Fence, centre: Triple, radius: float) -> bool:
     angles = [2.0 * math.pi * number / PLACES for number in range(PLACES)]
     radius = abs(radius)
     return all(
-        fence.inside(centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)) for angle in angles
+        fence.inside(centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle), centre[2])
+        for angle in angles
     )
 
 
@@ -71,7 +73,7 @@ def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
     """
     radius = max(abs(radius), tightest(airspeed(craft)))
     z = max(place[2], craft.facts.z_min + BELOW)
-    corners = craft.facts.fence
+    corners = _around(craft, place)
     if not corners:
         return place[0], place[1], z
     north, east = (sum(corner[axis] for corner in corners) / len(corners) for axis in (0, 1))
@@ -81,6 +83,13 @@ def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
         if fits(craft.fence, centre, radius + BESIDE):
             return centre
     return north, east, z
+
+
+def _around(craft: Craft, place: Triple) -> tuple[Point, ...]:
+    """Return the corners of the zone to stay in that a place is in, or of the first one; none without any."""
+    kept = [zone for zone in craft.facts.zones if zone.keep]
+    held = [zone for zone in kept if zone.over(place[0], place[1])]
+    return (held or kept)[0].outline if kept else ()
 
 
 def here(craft: Craft) -> tuple[Triple, float]:
@@ -96,7 +105,7 @@ def here(craft: Craft) -> tuple[Triple, float]:
     for radius in (max(usual, tight), tight):
         for side in (first, -first):
             north, east = place[0] - side * radius * math.sin(course), place[1] + side * radius * math.cos(course)
-            if fits(craft.fence, (north, east, 0.0), radius + BESIDE):
+            if fits(craft.fence, (north, east, place[2]), radius + BESIDE):
                 return (north, east, found[2]), side * radius
     return found, first * tight
 
@@ -115,7 +124,7 @@ def can_turn(craft: Craft) -> bool:
 def _turns(craft: Craft, side: float) -> bool:
     """Return whether it stays inside on a turn to one side, until a way straight on does so for ``AHEAD_S``."""
     seen, fast, (blown_north, blown_east) = craft.seen, airspeed(craft), wind(craft)
-    yaw, radius, inside = seen.attitude[2], tightest(fast), craft.area.inside
+    yaw, radius, inside, down = seen.attitude[2], tightest(fast), craft.area.inside, seen.position_ned[2]
     sine, cosine = math.sin(yaw), math.cos(yaw)
     rolls = ROLLS * min(max(1.0 - side * seen.attitude[0] / BANK_RAD, 0.0), 2.0)
     for turned in (math.pi * number / 8.0 for number in range(13)):
@@ -123,10 +132,11 @@ def _turns(craft: Craft, side: float) -> bool:
         ahead, beside = fast * rolls + radius * math.sin(turned), side * radius * (1.0 - math.cos(turned))
         north = seen.position_ned[0] + cosine * ahead - sine * beside + blown_north * seconds
         east = seen.position_ned[1] + sine * ahead + cosine * beside + blown_east * seconds
-        if not inside(north, east):
+        if not inside(north, east, down):
             return False
         vn = fast * math.cos(yaw + side * turned) + blown_north
         ve = fast * math.sin(yaw + side * turned) + blown_east
-        if all(inside(north + part * AHEAD_S * vn, east + part * AHEAD_S * ve) for part in (0.25, 0.5, 0.75, 1.0)):
+        ahead_s = (part * AHEAD_S for part in (0.25, 0.5, 0.75, 1.0))
+        if all(inside(north + seconds * vn, east + seconds * ve, down) for seconds in ahead_s):
             return True
     return False

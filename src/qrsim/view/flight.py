@@ -1,4 +1,4 @@
-"""The page of ``qrsim run --view``: before the flight, during it and after it."""
+"""The page of a command with ``--view``: before the flight, during it and after it."""
 
 from __future__ import annotations
 

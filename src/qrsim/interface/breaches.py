@@ -1,0 +1,48 @@
+"""How often and how long vehicles were outside the zones of an area that reports it."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.arrays import Floats
+from qrsim.core.tree import quantity, record
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.zones import ZonesArea
+from qrsim.world.state import World
+
+
+@record
+class Breaches:
+    """Breaches of n vehicles, each (n,)."""
+
+    outside: Array = quantity(doc="bool: outside at the last tick")
+    count: Array = quantity(doc="int32 times that the zones were left")
+    ticks: Array = quantity(doc="int32 ticks outside")
+
+    @staticmethod
+    def none(world: World, like: Array) -> Breaches | None:
+        """Return the start; None where leaving the area ends a flight."""
+        if not (isinstance(world.area, ZonesArea) and world.area.breach == "report"):
+            return None
+        count = jnp.zeros(like.shape, jnp.int32)
+        return Breaches(jnp.zeros(like.shape, bool), count, count)
+
+    def update(self, world: World, position_ned: Vec3, counts: Array, tick: Array) -> Breaches:
+        """Update with the positions (n,) at a tick; ``counts`` (n,) is which vehicles fly by commands."""
+        assert isinstance(world.area, ZonesArea)
+        outside = counts & ~world.area.inside(position_ned)
+        left = outside & ~self.outside
+        return Breaches(
+            outside,
+            self.count + left.astype(jnp.int32),
+            self.ticks + (outside & (tick > 0)).astype(jnp.int32),
+        )
+
+
+def breach_metrics(found: Breaches | None, dt: float) -> dict[str, Floats]:
+    """Return the metrics by name, each (W, n); none where leaving the area ends a flight."""
+    if found is None:
+        return {}
+    return {"breaches": np.asarray(found.count), "seconds_outside": np.asarray(found.ticks) * dt}

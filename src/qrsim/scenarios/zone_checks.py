@@ -1,0 +1,187 @@
+"""Checks of zones: of each alone, and of starts and legs against them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import down_at
+from qrsim.models.scene.fence import polygon_problems
+from qrsim.models.scene.zone import CIRCLE_CORNERS, Triple, Zone, Zones, height_of
+from qrsim.scenarios.build import ground_if_any
+from qrsim.scenarios.missions import MISSION, ways_of
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+from qrsim.scenarios.zone_schema import MOST_ZONE_CORNERS, MOST_ZONES, zones_of
+
+# Shorter parts of a leg inside a zone [m] are none: it only touches its edge.
+TOUCHES = 0.01
+# Places along each side of a zone at which something must be left to fly in.
+SAMPLES = 24
+
+
+def zone_problems(scenario: ScenarioSpec) -> list[str]:
+    """Return the faults of the zones of a scenario, one sentence each; none for an area of another type."""
+    area: Any = scenario.world.area
+    if area.type != "zones":
+        return []
+    found = list(_own_problems(area))
+    if found:
+        return found
+    zones = zones_with_ground(scenario)
+    if nothing := _nothing_left(area, zones):
+        return [nothing]
+    found += _start_problems(scenario, zones)
+    if not area.allow_crossing:
+        found += _crossings(scenario, zones)
+    return found
+
+
+def zone_warnings(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the legs that cross a zone to stay out of where the scenario allows it."""
+    area: Any = scenario.world.area
+    if area.type == "zones" and area.allow_crossing:
+        yield from _crossings(scenario, zones_with_ground(scenario))
+
+
+def zones_with_ground(scenario: ScenarioSpec) -> Zones:
+    """Return the zones of a scenario in NED, with the ground where one of them is above terrain."""
+    zones = zones_of(scenario.world.area)
+    ground = ground_if_any(scenario) if any(zone.terrain for zone in zones) else None
+    if ground is None:
+        return Zones(zones)
+
+    def down(north: float, east: float) -> float:
+        return float(down_at(ground, Vec3(*(np.array([value], np.float64) for value in (north, east, 0.0))))[0])  # type: ignore[arg-type]
+
+    return Zones(zones, down)
+
+
+def _own_problems(area: Any) -> Iterator[str]:
+    zones = zones_of(area)
+    if not zones:
+        yield "world.area: has no zones; give stay_in, stay_out or both, or leave world.area out"
+    corners = sum(len(ring) for zone in zones for ring in zone.rings)
+    if len(zones) > MOST_ZONES:
+        yield f"world.area: has {len(zones)} zones; allowed: at most {MOST_ZONES}"
+    if corners > MOST_ZONE_CORNERS:
+        yield f"world.area: its zones have {corners} corners; allowed: at most {MOST_ZONE_CORNERS} in all"
+        return
+    for key in ("stay_in", "stay_out"):
+        for i, spec in enumerate(getattr(area, key)):
+            rings = [] if spec.polygon_ned is None else [spec.polygon_ned, *spec.holes_ned]
+            for number, ring in enumerate(rings):
+                part = "polygon_ned" if number == 0 else f"holes_ned.{number - 1}"
+                path = f"world.area.{key}.{i}.{part}"
+                problems = polygon_problems(ring)
+                yield from (f"{path}: {problem}" for problem in problems)
+                if number and not problems and not _within(ring, rings[0]):
+                    yield f"{path}: is not inside polygon_ned; allowed: a hole in it"
+
+
+def _within(hole: list[list[float]], outline: list[list[float]]) -> bool:
+    """Return whether all corners of a hole are inside an outline or on its edge."""
+    zone = Zone(True, (tuple((north, east) for north, east in outline),))
+    return all(zone.signed(north, east, 0.0) > -TOUCHES for north, east in hole)
+
+
+def _nothing_left(area: Any, zones: Zones) -> str:
+    """Return why nothing is left to fly in, "" where something is: one place in many of a zone to stay in."""
+    kept = [zone for zone in zones.all if zone.keep]
+    top, bottom = -area.z_min, -area.z_max
+    for zone in kept:
+        south, north, west, east = zone.bounds
+        low, high = max(zone.floor, bottom), min(zone.ceiling, top)
+        levels = [low + (high - low) * part for part in (0.02, 0.25, 0.5, 0.75, 0.98)]
+        for i in range(SAMPLES):
+            for j in range(SAMPLES):
+                x = south + (north - south) * (i + 0.5) / SAMPLES
+                y = west + (east - west) * (j + 0.5) / SAMPLES
+                ground = height_of(zone, x, y, 0.0, zones.ground)
+                if any(zones.inside(x, y, ground - level) for level in levels):
+                    return ""
+    return "world.area: nothing is left to fly in" if kept else ""
+
+
+def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
+    for name, fleet in scenario.fleets.items():
+        for i, vehicle in enumerate(fleet.vehicles if fleet.placement.type == "given" else ()):
+            north, east, down = vehicle.position_ned
+            distance, zone = zones.limit(north, east, down)
+            path = f"fleets.{name}.vehicles.{i}.position_ned"
+            if zone is None or distance >= 0.0:
+                continue
+            if zone.keep:
+                yield f"{path}: starts {-distance:.4g} m outside the zones to stay in of world.area"
+            else:
+                yield f"{path}: starts {-distance:.4g} m inside '{zone.name}', to stay out of"
+
+
+def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
+    """Yield the legs that lead through a zone to stay out of, or out of all zones to stay in."""
+    barred = [zone for zone in zones.all if not zone.keep]
+    inside: dict[tuple[str, str], float] = {}
+    first: dict[tuple[str, str], Triple] = {}
+    for path, begin, end in _ways(scenario):
+        found = [(f"inside '{zone.name}'", zone.along(begin, end, zones.ground)) for zone in barred]
+        found.append(("outside the zones to stay in", zones.outside(begin, end)))
+        for words, (length, where) in found:
+            if length > TOUCHES and where is not None:
+                inside[path, words] = inside.get((path, words), 0.0) + length
+                first.setdefault((path, words), where)
+    for (path, words), length in inside.items():
+        north, east, _ = first[path, words]
+        yield f"{path}: {length:.4g} m of it are {words}, first at north {north:.4g}, east {east + 0.0:.4g} m"
+
+
+def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:
+    """Yield path, begin and end of each straight part of all routes and missions; circles have corners."""
+    ground = ground_if_any(scenario)
+    for name, fleet in scenario.fleets.items():
+        for i, vehicle in enumerate(fleet.vehicles):
+            path = f"fleets.{name}.vehicles.{i}"
+            if fleet.guidance.type == MISSION and ground is not None and fleet.placement.type == "given":
+                yield from _mission_ways(path, fleet, vehicle, ground)
+            elif fleet.guidance.type != MISSION:
+                yield from _route_ways(path, fleet, vehicle)
+
+
+def _route_ways(path: str, fleet: FleetSpec, vehicle: VehicleSpec) -> Iterator[tuple[str, Triple, Triple]]:
+    points = [_triple(point) for point in vehicle.waypoints_ned]
+    if points and fleet.placement.type == "given":
+        yield f"{path}.waypoints_ned.0", _triple(vehicle.position_ned), points[0]
+    for j, (begin, end) in enumerate(pairwise(points), 1):
+        yield f"{path}.waypoints_ned.{j}", begin, end
+    if len(points) > 1 and getattr(fleet.guidance, "repeat", False):
+        yield f"{path}.waypoints_ned.0", points[-1], points[0]
+
+
+def _mission_ways(
+    path: str, fleet: FleetSpec, vehicle: VehicleSpec, ground: object
+) -> Iterator[tuple[str, Triple, Triple]]:
+    place = _triple(vehicle.position_ned)
+    for part, leg in ways_of(fleet, vehicle, ground):
+        for end in _corners(place, leg):
+            yield f"{path}.{part}", place, end
+            place = end
+
+
+def _corners(place: Triple, leg: Any) -> list[Triple]:
+    """Return the places to which a part of a leg leads from one [m], one after the other."""
+    if leg.kind != "circle":
+        return [leg.position_ned]
+    north, east = leg.centre_ned
+    radius, first = math.dist(place[:2], leg.centre_ned), math.atan2(place[1] - east, place[0] - north)
+    turn = math.copysign(min(abs(leg.angle), 2.0 * math.pi), leg.angle)
+    count = max(1, math.ceil(CIRCLE_CORNERS * abs(turn) / (2.0 * math.pi)))
+    angles = [first + turn * number / count for number in range(1, count + 1)]
+    return [(north + radius * math.cos(a), east + radius * math.sin(a), place[2]) for a in angles]
+
+
+def _triple(point: list[float]) -> Triple:
+    north, east, down = point
+    return north, east, down
