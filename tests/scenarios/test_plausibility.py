@@ -101,6 +101,9 @@ def test_loops_of_their_own_are_judged_too() -> None:
         "tilt_law: the tilt loop is unstable"
         in warned(f"{VEHICLE}={{type: expression, tilt_law: 9*(angle - command)}}")[0]
     )
+    # Its roots overflow.
+    huge = "{type: expression, tilt_law: -1e308*(command - angle) - 24.35*rate}"
+    assert "tilt_law: the tilt loop is unstable" in warned(f"{VEHICLE}={huge}")[0]
 
 
 def test_the_law_of_the_warning_is_that_of_the_flight() -> None:

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +16,17 @@ from pathlib import Path
 from typing import Any
 
 from tests.wrong_input.logs import csv_log, dataflash, inertial_ulog, rig_log, sp3, ulog
-from tests.wrong_input.maps import GEOJSON, HEIGHTS, KML, PLAN
+from tests.wrong_input.maps import (
+    GEOJSON,
+    GEOJSON_ROUTE,
+    GPX_ROUTE,
+    HEIGHTS,
+    KML,
+    KML_ROUTE,
+    PLAN,
+    SCAN,
+    WAYPOINTS,
+)
 from tests.wrong_input.mutating import Rng, mutated, number, scaled
 from tests.wrong_input.states import attempt, mutants, saved_state, simulation_of
 
@@ -143,6 +154,13 @@ OVERRIDES = (
     "fleets.pelicans.sensors.gnss={type: ideal_gnss}", "fleets.pelicans.guidance.repeat=true",
     "start_time=2026-06-21T10:00:00Z", "fleets.pelicans.limits.rate=[1, 2, 3, 4, 5]",
 )  # fmt: skip
+_SCAN_PLAN = {**PLAN, "mission": {**PLAN["mission"], "hoverSpeed": 4, "items": [*PLAN["mission"]["items"][:2], SCAN]}}
+# Routes in every format, by the name of the file.
+ROUTES = (
+    ("field.waypoints", WAYPOINTS.encode()), ("way.kml", KML_ROUTE.encode()), ("way.kmz", KML_ROUTE.encode()),
+    ("way.gpx", GPX_ROUTE.encode()), ("way.geojson", json.dumps(GEOJSON_ROUTE, indent=1).encode()),
+    ("scan.plan", json.dumps(_SCAN_PLAN, indent=1).encode()),
+)  # fmt: skip
 # Of few structures, so that few programs are compiled.
 FLOWN, FLOWN_TICKS = ("outdoor_patrol", "keep_spot", "hover"), 5
 
@@ -197,6 +215,23 @@ def _plan(shop: Workshop, rng: Rng) -> None:
     area = {"type": "fence", "file": str(path), "z_min": -200.0, "z_max": 0.0}
     world = {"area": area} if rng.random() < 0.5 else {}
     load_scenario({"name": "x", "world": world, "fleets": {"a": {**FLEET, "vehicles": vehicles}}}).world("float32")
+
+
+def _route(shop: Workshop, rng: Rng) -> None:
+    """A plan of another format, or with a scan, flown as a mission."""
+    from qrsim.scenarios.scenario import load_scenario
+
+    name, data = ROUTES[int(rng.integers(len(ROUTES)))]
+    content = mutated(rng, data)
+    if name.endswith(".kmz"):
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("doc.kml", content)
+        content = packed.getvalue() if rng.random() < 0.5 else mutated(rng, packed.getvalue(), binary=True)
+    spec = {"file": str(shop.write(name, content))}
+    mission = {"controller": {"type": "cascade", "feed": "truth"}, "guidance": {"type": "mission"}}
+    fleet = {**FLEET, **(mission if rng.random() < 0.5 else {}), "vehicles": [{"plan": spec}]}
+    load_scenario({"name": "x", "site": {"height": 100.0}, "fleets": {"a": fleet}}).world("float32")
 
 
 def _kml(shop: Workshop, rng: Rng) -> None:
@@ -329,12 +364,13 @@ def _sp3(shop: Workshop, rng: Rng) -> None:
 
 # How many of a hundred cases are of a kind.
 KINDS: dict[str, tuple[int, Callable[[Workshop, Rng], None]]] = {
-    "scenario": (24, _scenario),
+    "scenario": (20, _scenario),
     "flight": (3, _flight),
     "override": (6, _override),
     "vehicle": (4, _vehicle),
     "plan": (6, _plan),
     "kml": (6, _kml),
+    "route": (4, _route),
     "study": (6, _study),
     "state": (6, _state),
     "run_folder": (8, _run),

@@ -68,4 +68,31 @@ GEOJSON: dict[str, Any] = {
         },
     ],
 }
+# Routes of other software: a list of waypoints, and routes that were drawn on maps.
+WAYPOINTS = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t51.7119000\t-0.2105200\t90.000000\t1
+1\t0\t3\t22\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t20.000000\t1
+2\t0\t10\t82\t1.00000000\t0.00000000\t0.00000000\t0.00000000\t51.71230000\t-0.21050000\t25.000000\t1
+3\t0\t3\t177\t2.00000000\t2.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.000000\t1
+4\t0\t3\t20\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.000000\t1
+"""
+KML_ROUTE = """<?xml version="1.0" encoding="UTF-8"?>
+<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark><name>way</name><LineString>
+<altitudeMode>relativeToGround</altitudeMode><coordinates>-0.2105,51.7119,20 -0.2102,51.7121,25</coordinates>
+</LineString></Placemark></Document></kml>
+"""
+GPX_ROUTE = """<?xml version="1.0"?><gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><rte><name>way</name>
+<rtept lat="51.7119" lon="-0.2105"><ele>110.5</ele></rtept>
+<rtept lat="51.7121" lon="-0.2102"><ele>115</ele></rtept></rte></gpx>
+"""
+GEOJSON_ROUTE: dict[str, Any] = {
+    "type": "Feature", "properties": {"name": "way", "height": 20},
+    "geometry": {"type": "LineString", "coordinates": [[-0.2105, 51.7119, 150], [-0.2102, 51.7121, 155]]},
+}  # fmt: skip
+SCAN: dict[str, Any] = {
+    "type": "ComplexItem", "complexItemType": "StructureScan", "version": 3, "EntranceAltitude": 30, "Layers": 2,
+    "ScanBottomAlt": 4, "StartFromTop": False, "StructureHeight": 20, "GimbalPitch": 0,
+    "CameraCalc": {"AdjustedFootprintFrontal": 8, "DistanceToSurface": 10, "version": 1},
+    "polygon": [[51.7121, -0.2105], [51.7121, -0.2103], [51.7120, -0.2103], [51.7120, -0.2105]],
+}  # fmt: skip
 HEIGHTS = "ncols 6\nnrows 5\nxllcorner -1250\nyllcorner -1250\ncellsize 500\nNODATA_value -9999\n" + 5 * "1 2 3 4 5 6\n"

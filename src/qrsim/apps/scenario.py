@@ -66,7 +66,8 @@ class Show:
     """Print a scenario with every default filled in, as YAML that can be saved and changed.
 
     Comments at the end give derived values: hover throttle, thrust over weight and the steady airspeed that each fleet
-    holds. The first one gives the site's heights above the ellipsoid and above mean sea level.
+    holds. The first one gives the site's heights above the ellipsoid and above mean sea level. The last ones give, for
+    each leg of a plan, its item with its line in the file, and what of the plan is skipped.
 
     Example:
       qrsim show outdoor_patrol > mine.yaml
@@ -96,6 +97,7 @@ class Show:
         import json
 
         from qrsim.scenarios.derived import derived_of, heights_line
+        from qrsim.scenarios.plan_lines import plan_lines
         from qrsim.scenarios.scenario import load_scenario
         from qrsim.scenarios.weather_lines import profile_lines
         from qrsim.scenarios.wind_limits import envelope_lines
@@ -129,7 +131,7 @@ class Show:
             print(f"{mark}Derived values of fleet '{fleet}':")
             for name, value in numbers.items():
                 print(f"{mark}  {name}: {value:.4g}")
-        for line in envelope_lines(scenario.spec):
+        for line in (*envelope_lines(scenario.spec), *plan_lines(scenario.planned)):
             print(f"{mark}{line}")
 
 

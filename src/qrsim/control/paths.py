@@ -67,6 +67,7 @@ class Leg:
         angle: to turn through on a circle [rad], clockwise positive; infinite: for ever.
         number: of the leg or mission item as its author counts, from 1.
         last: whether it is the last part of what its author wrote as one.
+        climb, sink: largest vertical speeds of a line [m/s]; None: those of the limits.
     """
 
     position_ned: tuple[float, float, float]
@@ -81,6 +82,8 @@ class Leg:
     angle: float = 0.0
     number: int = 1
     last: bool = True
+    climb: float | None = None
+    sink: float | None = None
 
 
 @dataclass
@@ -169,7 +172,7 @@ def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> l
         elif part.length > SHORTEST:
             part.direction = part.onward = way / part.length
             up, down = max(-part.direction[2], 0.0), max(part.direction[2], 0.0)
-            vertical = ((limits.climb, up), (limits.sink, down))
+            vertical = ((leg.climb or limits.climb, up), (leg.sink or limits.sink, down))
             part.most = min([leg.speed, *(most / share for most, share in vertical if share > 0.0)])
         else:
             part.length = 0.0

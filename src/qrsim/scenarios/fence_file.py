@@ -9,8 +9,8 @@ from qrsim.errors import UsageError
 from qrsim.models.site import Site
 from qrsim.scenarios.kml_file import read_fence
 from qrsim.scenarios.local import local_ned
-from qrsim.scenarios.plan import Plan
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.reading import read_plan
 
 # A circle becomes a polygon with this many corners on it: nowhere outside the circle, and inside it by at most 0.4 % of
 # its radius.

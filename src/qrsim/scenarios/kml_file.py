@@ -7,13 +7,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from qrsim.errors import UsageError, did_you_mean, readable
 from qrsim.files.user_files import LARGEST_TEXT, read_bytes
 from qrsim.models.scene.fence import polygon_problems
+from qrsim.scenarios.plans.xml import children, tag, text_of, xml_root
 
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", "Track", "MultiTrack")
 # Names in one message.
@@ -35,17 +34,6 @@ class KmlPolygon:
     vertices: tuple[tuple[float, float], ...]
     altitudes: tuple[float, ...]
     holes: tuple[tuple[tuple[float, float], ...], ...] = ()
-
-
-class _Builder(ElementTree.TreeBuilder):
-    """Refuses a document type before any of its entities is read: entities can grow without bound."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
-        raise _DocumentTypeError
-
-
-class _DocumentTypeError(Exception):
-    pass
 
 
 def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
@@ -115,46 +103,21 @@ def _root(path: str) -> Element:
         data = read_bytes(path, LARGEST_TEXT)
     if data.startswith(b"PK"):
         raise UsageError(f"{path}: is a KMZ archive; unpack it and give the KML file inside, usually doc.kml")
-    parser = ElementTree.XMLParser(target=_Builder())
-    try:
-        parser.feed(data)
-        root: Element = parser.close()
-    except _DocumentTypeError:
-        raise UsageError(f"{path}: has a document type (<!DOCTYPE), which KML has not; remove it") from None
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise UsageError(f"{path}: is not XML: {error}") from None
-    if _tag(root) != "kml":
-        raise UsageError(f"{path}: is not KML: its first element is <{_tag(root)}>, expected <kml>")
-    return root
-
-
-def _tag(element: Element) -> str:
-    """Return the tag without its namespace."""
-    return element.tag.rpartition("}")[2]
-
-
-def _children(element: Element, tag: str) -> list[Element]:
-    return [child for child in element if _tag(child) == tag]
-
-
-def _text(element: Element, tag: str) -> str:
-    return "".join((child.text or "").strip() for child in _children(element, tag)[:1])
+    return xml_root(path, data, "KML")
 
 
 def _polygon_elements(path: str) -> list[tuple[str, Element]]:
     """Return (name of the placemark, element) of each polygon; at least one."""
-    placemarks = [element for element in _root(path).iter() if _tag(element) == "Placemark"]
+    placemarks = [element for element in _root(path).iter() if tag(element) == "Placemark"]
     found = [
-        (_text(placemark, "name"), element)
+        (text_of(placemark, "name"), element)
         for placemark in placemarks
         for element in placemark.iter()
-        if _tag(element) == "Polygon"
+        if tag(element) == "Polygon"
     ]
     if not found:
-        others = Counter(
-            _tag(part) for placemark in placemarks for part in placemark.iter() if _tag(part) in GEOMETRIES
-        )
-        words = ", ".join(f"{count} {tag}" for tag, count in others.items()) or "no geometry"
+        others = Counter(tag(part) for placemark in placemarks for part in placemark.iter() if tag(part) in GEOMETRIES)
+        words = ", ".join(f"{count} {kind}" for kind, count in others.items()) or "no geometry"
         raise UsageError(f"{path}: has no Polygon in a Placemark; found {words}")
     return found
 
@@ -162,7 +125,7 @@ def _polygon_elements(path: str) -> list[tuple[str, Element]]:
 def _polygon(path: str, name: str, element: Element, holes: bool = False) -> KmlPolygon:
     """Return a Polygon element; without ``holes``, one that has any is refused."""
     where = f"{path}: polygon {_called(name)}"
-    if _children(element, "innerBoundaryIs") and not holes:
+    if children(element, "innerBoundaryIs") and not holes:
         raise UsageError(
             f"{where}: has a hole (innerBoundaryIs), and a fence has none; give world.area of type zones with "
             "stay_in: [{file: ...}]"
@@ -183,9 +146,9 @@ def _polygon(path: str, name: str, element: Element, holes: bool = False) -> Kml
 def _rings(where: str, element: Element, boundary: str) -> list[list[tuple[float, float, float]]]:
     """Return the corners of each boundary of a kind; the last, which repeats the first, is left out."""
     found = []
-    for part in _children(element, boundary):
-        for ring in _children(part, "LinearRing"):
-            corners = list(_corners(where, _text(ring, "coordinates")))
+    for part in children(element, boundary):
+        for ring in children(part, "LinearRing"):
+            corners = list(_corners(where, text_of(ring, "coordinates")))
             if len(corners) > 1 and corners[0] == corners[-1]:
                 corners.pop()
             found += [corners] if corners else []

@@ -28,6 +28,12 @@ class _LegSpec(Strict):
     """What all legs have."""
 
     speed: Finite | None = Field(None, description="largest speed [m/s]; default: the guidance's", gt=0, le=50)
+    climb_speed: Finite | None = Field(
+        None, description="largest upward speed [m/s]; default: the guidance's", gt=0, le=50
+    )
+    sink_speed: Finite | None = Field(
+        None, description="largest downward speed [m/s], not of a landing; default: the guidance's", gt=0, le=50
+    )
     yaw_rad: Finite | None = Field(None, description="heading [rad]; default: along the way", ge=-6.3, le=6.3)
     facing_ned: Corner | None = Field(None, description="place to face instead [m]: north, east")
     item: int | None = Field(None, description="number for messages; default: the leg's place in the list", ge=1)

@@ -81,7 +81,8 @@ class _Author:
         """Return what every leg says about speed and heading."""
         facing = tuple(spec.facing_ned) if spec.facing_ned else None
         speed = spec.speed or self.guidance.speed
-        return {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "accept_radius": self.guidance.accept_radius}
+        own = {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "climb": spec.climb_speed}
+        return {**own, "sink": spec.sink_speed, "accept_radius": self.guidance.accept_radius}
 
     def _line(self, place: Sequence[float], spec: LegSpec, **more: object) -> Leg:
         north, east, down = place

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,9 +18,8 @@ from qrsim.scenarios.ground import stands
 from qrsim.scenarios.legs import GeodeticSpec, LegSpec
 from qrsim.scenarios.local import local_ned
 from qrsim.scenarios.missions import MISSION
-from qrsim.scenarios.plan import Ignored, Plan, Waypoint
-from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
-from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
+from qrsim.scenarios.plan_ground import PlanGround, amsl_of
+from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
 from qrsim.scenarios.plan_site import (
     HIGH,
     HIGH_ON_RELIEF,
@@ -30,42 +30,61 @@ from qrsim.scenarios.plan_site import (
     in_feet,
     items_far_from_home,
 )
+from qrsim.scenarios.plans.heights import Levels
+from qrsim.scenarios.plans.legs import legs_of, stands_first, touches_ground
+from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
+from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
-from qrsim.scenarios.site_schema import SiteSpec
+from qrsim.scenarios.site_schema import RoutePlanSpec, SiteSpec
 from qrsim.scenarios.zone_places import fence_as_zones, has_places, zones_in_ned
 
 T = TypeVar("T")
 LAND = "NAV_LAND"
 
 
-def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str]]:
+def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str], list[PlannedVehicle]]:
     """Convert positions, routes and fence of a scenario to NED.
 
     What a plan asks for that is not flown is told in warnings.
 
     Returns:
-        The scenario, what is wrong with what its places come from, and for each path that is new in it what to call it
-        in messages.
+        The scenario, what is wrong with what its places come from, for each path that is new in it what to call it in
+        messages, and the plans of its vehicles.
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
     site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None
     if not has_places(scenario.world.area) and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
-        return scenario, [], {}
+        return scenario, [], {}, []
     places = _Places(scenario)
     # Without its site all other places would be wrong.
     if places.problems:
-        return scenario, places.problems, {}
-    fleets = {name: places.fleet(f"fleets.{name}", fleet) for name, fleet in scenario.fleets.items()}
+        return scenario, places.problems, {}, []
     world = scenario.world.model_copy(update={"area": places.area(scenario.world.area)})
+    late, places.problems = places.problems, []
+    places.ground = PlanGround(scenario.model_copy(update={"world": world, "site": places.place}))
+    fleets = {name: places.fleet(f"fleets.{name}", fleet) for name, fleet in scenario.fleets.items()}
+    places.problems += late
     if not places.problems:
         places.warn()
     changes = {"fleets": fleets, "world": world, "site": places.place}
-    return scenario.model_copy(update=changes), places.problems, places.written
+    return scenario.model_copy(update=changes), places.problems, places.written, places.planned
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
     legs = any(vars(leg).get("to_geodetic") for leg in vehicle.legs)
     return bool(vehicle.position_geodetic or vehicle.waypoints_geodetic or vehicle.plan or legs)
+
+
+def _label(spec: RoutePlanSpec) -> str:
+    """Return the name of a plan in messages: its file, and what else makes it another one."""
+    parts = [spec.file]
+    if spec.route is not None:
+        parts.append(f"route '{spec.route}'")
+    if spec.height is not None:
+        parts.append(f"height {spec.height:g}")
+    if spec.home:
+        parts.append(f"home {spec.home}")
+    return ", ".join(parts)
 
 
 def _triple(place: GeodeticSpec) -> tuple[float, float, float]:
@@ -84,8 +103,11 @@ class _Places:
         site = scenario.site if level is None else scenario.site.model_copy(update={"height_amsl": level})
         self.place = self._place(site)
         self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
+        self.site_amsl = None if self.problems else amsl_of(scenario.site, self.place)
+        self.ground: PlanGround
         self.written: dict[str, str] = {}
         self.flown: dict[str, Plan] = {}
+        self.planned: list[PlannedVehicle] = []
         self.fences: dict[str, Plan] = {}
         self.by_route: set[str] = set()
         self.by_wing: set[str] = set()
@@ -126,7 +148,8 @@ class _Places:
 
         Where a plan takes off or lands and the fleet does not say what the ground does to it, its vehicles can stand.
         """
-        planned = [vehicle.plan.file for vehicle in fleet.vehicles if vehicle.plan]
+        specs = [vehicle.plan for vehicle in fleet.vehicles if vehicle.plan]
+        planned = [_label(spec) for spec in specs]
         guidance = fleet.guidance
         mission = guidance.type == MISSION
         if fleet.vehicle.type == "fixed_wing":
@@ -134,20 +157,27 @@ class _Places:
         self.shared.update({file: count for file, count in Counter(planned).items() if count > 1})
         if planned and guidance.type == "route" and "repeat" not in guidance.model_fields_set:
             guidance = guidance.model_copy(update={"repeat": False})
-        plans = [plan for plan in map(self._read, planned if mission else ()) if plan is not None]
+        plans = [plan for plan in map(self._read, specs if mission else ()) if plan is not None]
         if any(map(touches_ground, plans)) and "ground" not in fleet.model_fields_set and not stands(fleet):
             fleet = fleet.model_copy(update={"ground": "parked"})
         self.on_ground = mission and stands(fleet)
         vehicles = [self._vehicle(f"{path}.vehicles.{i}", each, mission) for i, each in enumerate(fleet.vehicles)]
         return fleet.model_copy(update={"vehicles": vehicles, "guidance": guidance})
 
-    def _read(self, file: str) -> Plan | None:
+    def _read(self, spec: RoutePlanSpec) -> Plan | None:
         """Return a plan, None where it cannot be read, which is told of the vehicle that names it."""
         try:
-            self.flown[file] = self.flown.get(file) or read_plan(file)
+            return self._planned(spec)
         except UsageError:
             return None
-        return self.flown[file]
+
+    def _planned(self, spec: RoutePlanSpec) -> Plan:
+        """Return a plan, read once."""
+        label = _label(spec)
+        if label not in self.flown:
+            home = Home(*spec.home) if spec.home else None
+            self.flown[label] = read_plan(spec.file, route=spec.route, height=spec.height, home=home)
+        return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
@@ -160,27 +190,30 @@ class _Places:
             for j in range(len(places)):
                 self.written[f"{path}.waypoints_ned.{j}"] = f"{path}.waypoints_geodetic.{j}"
         if vehicle.plan:
-            file, needs_start = vehicle.plan.file, not (start or vehicle.position_geodetic)
-            planned = self._attempt(f"{path}.plan", lambda: self._plan(file, needs_start))
+            spec, needs_start = vehicle.plan, not (start or vehicle.position_geodetic)
+            label = _label(spec)
+            planned = self._attempt(f"{path}.plan", lambda: self._plan(spec, needs_start))
             start, route = (planned[0] if needs_start and planned else start), planned[1:]
             if needs_start:
-                self.written[f"{path}.position_ned"] = f"{path}.plan: {file}: above home"
+                self.written[f"{path}.position_ned"] = f"{path}.plan: {label}: above home"
             for j in range(len(route)):
-                number = self.flown[file].waypoints[j].item
-                self.written[f"{path}.waypoints_ned.{j}"] = f"{path}.plan: {file}: item {number}"
+                number = self.flown[label].waypoints[j].item
+                self.written[f"{path}.waypoints_ned.{j}"] = f"{path}.plan: {label}: item {number}"
             if not mission:
-                self.by_route.add(file)
+                self.by_route.add(label)
+                self._note(f"{path}.waypoints_ned", spec, [each.item for each in self._waypoints(label)])
             else:
                 route = []
-                if needs_start and start and self.on_ground and stands_first(self.flown[file]):
+                if needs_start and start and self.on_ground and stands_first(self.flown[label]):
                     start = [*start[:2], 0.0]
                     vehicle = vehicle.model_copy(update={"on_ground": True})
         if vehicle.position_geodetic:
             place = _triple(vehicle.position_geodetic)
             start = next(iter(self._attempt(f"{path}.position_geodetic", lambda: local_ned(self.site, [place]))), [])
             self.written[f"{path}.position_ned"] = f"{path}.position_geodetic"
-        if vehicle.plan and mission and start and vehicle.plan.file in self.flown:
-            legs, again = self._legs(path, vehicle.plan.file, start)
+        if vehicle.plan and mission and start and _label(vehicle.plan) in self.flown:
+            legs, again = self._legs(path, _label(vehicle.plan), start, math.degrees(vehicle.yaw_rad))
+            self._note(f"{path}.legs", vehicle.plan, [leg.item for leg in legs])
         changes = {"position_ned": start, "waypoints_ned": route, "legs": legs, "repeat_from": again}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
 
@@ -193,31 +226,72 @@ class _Places:
         self.written[path] = f"{path}.to_geodetic"
         return leg.model_copy(update={"to_ned": points[0] if points else [0.0, 0.0, 0.0], "to_geodetic": None})
 
-    def _legs(self, path: str, file: str, start: list[float]) -> tuple[list[Any], int | None]:
+    def _legs(self, path: str, label: str, start: list[float], yaw_deg: float) -> tuple[list[Any], int | None]:
         """Return the legs of a plan for a vehicle that starts at a place, and which follows the last."""
-        plan, home = self.flown[file], self.flown[file].home
-        points = [(w.latitude_deg, w.longitude_deg, w.height_above_home) for w in plan.waypoints]
-        home_ned, *places = local_ned(self.site, [(home.latitude_deg, home.longitude_deg, 0.0), *points])
-        written, again = legs_of(plan, start, places, home_ned)
+        plan = self.flown[label]
+        try:
+            places = self._placed(plan)[1:]
+        except UsageError:
+            # Told of its route.
+            return [], None
+
+        def to_ned(place: tuple[float, float]) -> list[float]:
+            return local_ned(self.site, [(*place, 0.0)])[0]
+
+        written, again = legs_of(plan, start, places, self.ground.down, to_ned, yaw_deg)
+        if len(written) > LONGEST_ROUTE:
+            self.problems.append(f"{path}.plan: {label}: {len(written)} legs; allowed: at most {LONGEST_ROUTE}")
+            return [], None
         legs = TypeAdapter(list[LegSpec]).validate_python(written)
         for j, leg in enumerate(legs):
             what = f"item {leg.item}" if leg.item else "a delay at the start"
-            self.written[f"{path}.legs.{j}"] = f"{path}.plan: {file}: {what}"
+            self.written[f"{path}.legs.{j}"] = f"{path}.plan: {label}: {what}"
         return legs, again
 
-    def _plan(self, file: str, needs_start: bool) -> list[list[float]]:
-        """Return the start of a plan, then its route."""
-        plan = self.flown[file] = self.flown.get(file) or read_plan(file)
-        route = list(_route(file, plan))
-        if not route and needs_start:
+    def _waypoints(self, label: str) -> tuple[Waypoint, ...]:
+        return self.flown[label].waypoints if label in self.flown else ()
+
+    def _note(self, path: str, spec: RoutePlanSpec, items: list[int | None]) -> None:
+        """Keep which item each leg or waypoint of a vehicle comes from."""
+        label = _label(spec)
+        if label in self.flown:
+            mission = path.endswith(".legs")
+            plan = self.flown[label]
+            self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission))
+
+    def _placed(self, plan: Plan) -> list[list[float]]:
+        """Return the home of a plan, on the ground, and its waypoints, NED [m]."""
+        around = [(plan.home.latitude_deg, plan.home.longitude_deg, 0.0)]
+        around += [(each.latitude_deg, each.longitude_deg, 0.0) for each in plan.waypoints]
+        places = local_ned(self.site, around)
+        north, east = zip(*(place[:2] for place in places), strict=True)
+        downs = self.ground.down(north, east).tolist()
+        levels = Levels(downs[0], plan.home.altitude_amsl, self.site_amsl)
+        found = [[*places[0][:2], downs[0]]]
+        for waypoint, place, down in zip(plan.waypoints, places[1:], downs[1:], strict=True):
+            found.append([*place[:2], levels.down(waypoint, down)])
+        return found
+
+    def _plan(self, spec: RoutePlanSpec, needs_start: bool) -> list[list[float]]:
+        """Return the start of a plan, then its route; nobody lands: over a landing the height before it is kept."""
+        file, plan = _label(spec), self._planned(spec)
+        if len(plan.waypoints) > LONGEST_ROUTE:
+            raise UsageError(f"{file}: has {len(plan.waypoints)} waypoints; allowed: at most {LONGEST_ROUTE}")
+        if not plan.waypoints and needs_start:
             raise UsageError(f"{file}: has no waypoint to start at; give position_ned or position_geodetic")
-        if len(route) > LONGEST_ROUTE:
-            raise UsageError(f"{file}: has {len(route)} waypoints; allowed: at most {LONGEST_ROUTE}")
-        height = route[0][2] if route else 0.0
         try:
-            return local_ned(self.site, [(plan.home.latitude_deg, plan.home.longitude_deg, height), *route])
+            home, *route = self._placed(plan)
         except UsageError as error:
             raise UsageError(f"{file}: {error}") from None
+        for j, waypoint in enumerate(plan.waypoints):
+            if _lands(waypoint) and j == 0:
+                raise UsageError(
+                    f"{file}: item {waypoint.item}, {LAND}, has no waypoint before it to take a height from"
+                )
+            if _lands(waypoint):
+                route[j] = [*route[j][:2], route[j - 1][2]]
+        start = [*home[:2], route[0][2] if route else home[2]]
+        return [start, *route]
 
     def area(self, area: Any) -> Any:
         """Return an area in NED: the polygon of a fence, the zones of files, any other as it is."""
@@ -256,15 +330,17 @@ class _Places:
             if file in self.flown:
                 notes += self._notes(plan, by_route)
             if not by_route:
-                idle = [note for note in notes if note.name in NOT_FLOWN.values()]
+                idle = [note for note in notes if note.name in IDLE]
                 notes = [note for note in notes if note.what and note not in idle]
                 if idle:
-                    warn_user(f"{file}: not carried out: {_listed(idle)}")
+                    warn_user(f"{file}: not carried out: {listed(idle)}")
             for name in dict.fromkeys(note.name for note in notes):
                 first, *others = [note for note in notes if note.name == name]
                 more = f" (and {len(others)} more of its kind)" if others else ""
                 warn_user(f"{file}: {first.route_text if by_route else first.text}{more}")
         for file, plan in self.flown.items():
+            if not self.ground.relief and any(each.above == "ground" and not each.drawn for each in plan.waypoints):
+                warn_user(f"{file}: altitudes above the ground are above z = 0, because world.ground is flat")
             for words in (in_feet(file, plan, self.ceiling, file in self.by_wing), items_far_from_home(file, plan)):
                 if words:
                     warn_user(words)
@@ -286,31 +362,5 @@ class _Places:
         return notes
 
 
-def _listed(notes: list[Ignored]) -> str:
-    """List items by their kinds: DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)."""
-    numbers: dict[str, list[str]] = {}
-    for note in notes:
-        numbers.setdefault(note.name, []).append(str(note.item))
-    return ", ".join(
-        f"{name} ({'item' if len(own) == 1 else 'items'} {', '.join(own)})" for name, own in numbers.items()
-    )
-
-
 def _lands(waypoint: Waypoint) -> bool:
     return waypoint.command == LAND
-
-
-def _route(file: str, plan: Plan) -> Iterator[tuple[float, float, float]]:
-    """Yield latitude, longitude [deg] and height above home [m] of each waypoint.
-
-    Nobody lands here: over a landing the height of the waypoint before it is kept.
-    """
-    height = None
-    for waypoint in plan.waypoints:
-        if not _lands(waypoint):
-            height = waypoint.height_above_home
-        if height is None:
-            raise UsageError(
-                f"{file}: item {waypoint.item}, {LAND}, has no waypoint before it, whose height it would keep"
-            )
-        yield waypoint.latitude_deg, waypoint.longitude_deg, height

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from qrsim.errors import UsageError
 from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
-from qrsim.scenarios.plan import Home, Plan
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plans.plan import Home, Plan
+from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.site_schema import HIGHEST_AMSL, HIGHEST_SITE, LOWEST_AMSL, LOWEST_SITE, SiteSpec
 
@@ -68,9 +68,9 @@ def height_of_home(scenario: ScenarioSpec) -> float | None:
         return None
     site = Site.from_degrees(spec.latitude_deg, spec.longitude_deg)
     plans = [vehicle.plan for fleet in scenario.fleets.values() for vehicle in fleet.vehicles if vehicle.plan]
-    for file in dict.fromkeys(plan.file for plan in plans):
+    for plan in {(plan.file, tuple(plan.home or ())): plan for plan in plans}.values():
         try:
-            home = read_plan(file).home
+            home = Home(*plan.home) if plan.home else read_plan(plan.file).home
         except UsageError:
             # Told of the vehicle that flies it.
             continue
@@ -118,10 +118,8 @@ def items_far_from_home(file: str, plan: Plan) -> str | None:
     if not plan.waypoints:
         return None
     first, home = plan.waypoints[0], plan.home
-    around = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
-    north, east, _ = around.geodetic_to_ned(
-        math.radians(first.latitude_deg), math.radians(first.longitude_deg), home.altitude_amsl
-    )
+    around = Site.from_degrees(home.latitude_deg, home.longitude_deg)
+    north, east, _ = around.geodetic_to_ned(math.radians(first.latitude_deg), math.radians(first.longitude_deg), 0.0)
     distance = math.hypot(north, east)
     if distance <= FAR:
         return None

@@ -238,7 +238,8 @@ def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) ->
         discriminant = cmath.sqrt(damping * damping - 4.0 * stiffness)
         roots = [(-damping + sign * discriminant) / 2.0 for sign in (1, -1)]
         worst = max(root.real for root in roots)
-        if worst >= 0.0:
+        # Of numbers that overflow the root is NaN.
+        if not worst < 0.0:
             yield f"{where}: the {axis} loop is unstable: {numbers} have a root at {worst:.3g} 1/s; expected below 0"
         elif damping < 2.0 * LEAST_DAMPING * math.sqrt(stiffness):
             ratio = damping / (2.0 * math.sqrt(stiffness))

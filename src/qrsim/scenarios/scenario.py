@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from qrsim.scenarios.buildings import with_buildings
 from qrsim.scenarios.cross_checks import problems
 from qrsim.scenarios.forecast import insert_forecast
 from qrsim.scenarios.places import in_ned
+from qrsim.scenarios.plan_lines import PlannedVehicle
 from qrsim.scenarios.plausibility import plausibility_warnings
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.providing import anchor_code, outside_components, provide_components
@@ -51,9 +52,11 @@ class Scenario(Tabled):
 
     Attributes:
         spec: its content, every default filled in, all places in NED.
+        planned: the plans that its vehicles came from, for messages; nothing else depends on them.
     """
 
     spec: ScenarioSpec
+    planned: tuple[PlannedVehicle, ...] = field(default=(), compare=False, repr=False)
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
@@ -134,10 +137,10 @@ _OF_FLEETS = ("vehicle", "controller", "guidance", "battery")
 def _given(part: BaseModel) -> str:
     """Return the parameters of a part that are single numbers or words, with their units."""
     texts = []
-    for name, field in type(part).model_fields.items():
+    for name, info in type(part).model_fields.items():
         value = getattr(part, name)
         if name != "type" and isinstance(value, str | bool | int | float):
-            extra = field.json_schema_extra
+            extra = info.json_schema_extra
             unit = extra.get("unit", "") if isinstance(extra, dict) else ""
             texts.append(f"{name} {number_text(value)}{f' {unit}' if unit not in ('', '1') else ''}")
     return ", ".join(texts)
@@ -191,7 +194,7 @@ def load_scenario(
         spec = ScenarioSpec.model_validate(content)
     except ValidationError as error:
         raise ScenarioError(name, describe(error, ScenarioSpec, content)) from None
-    spec, found, written = in_ned(spec)
+    spec, found, written, planned = in_ned(spec)
     if not found:
         spec, found = with_buildings(spec, quiet)
     if not found:
@@ -203,7 +206,7 @@ def load_scenario(
         raise ScenarioError(name, found)
     for words in () if quiet else (*odd, *plausibility_warnings(spec)):
         warn_user(f"{spec.name}: {words}")
-    return Scenario(spec)
+    return Scenario(spec, tuple(planned))
 
 
 def _as_written(problem: str, written: dict[str, str]) -> str:

@@ -34,7 +34,7 @@ from qrsim.scenarios.legs import GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.radio_schema import FleetRadioSpec, RadioModel
 from qrsim.scenarios.sensor_sets import or_a_set
-from qrsim.scenarios.site_schema import PlanSpec, SiteSpec, or_its_file
+from qrsim.scenarios.site_schema import RoutePlanSpec, SiteSpec, or_its_file
 from qrsim.scenarios.sky_of_receivers import with_sky
 from qrsim.scenarios.slots import slot_of
 from qrsim.scenarios.updraft_slot import MOST_UPDRAFTS, updraft_slot
@@ -76,9 +76,9 @@ class VehicleSpec(Strict):
     waypoints_geodetic: list[GeodeticSpec] = Field(
         [], description="route, instead of NED", max_length=LONGEST_ROUTE, exclude=True
     )
-    plan: PlanSpec | None = Field(
+    plan: RoutePlanSpec | None = Field(
         None,
-        description="route from a .plan file, FILE or {file: FILE}; also the start, if none is given",
+        description="route from a plan, FILE or {file: FILE}; also the start, if none is given",
         exclude=True,
         json_schema_extra=or_its_file,
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
+from qrsim.errors import shortened
 from qrsim.files import Content
 from qrsim.models.geoid import undulation
 from qrsim.scenarios.component_schema import Finite, Strict
@@ -17,11 +18,48 @@ LOWEST_AMSL, HIGHEST_AMSL = -450.0, 9000.0
 # Of the day over the standard atmosphere [K]: from the coldest days of Antarctica to the hottest of deserts.
 COLDEST_DAY, HOTTEST_DAY = -80.0, 50.0
 
+# Ends of names of plans without a home.
+_HOMELESS = (".kml", ".kmz", ".gpx", ".geojson", ".json")
+
 
 class PlanSpec(Strict):
-    """A QGroundControl plan: the route of a vehicle, or the home of which is the site."""
+    """A plan with its home as the site."""
 
     file: str = Field(description="a QGroundControl .plan file", min_length=1)
+
+    @field_validator("file")
+    @classmethod
+    def _has_home(cls, file: str) -> str:
+        if file.lower().endswith(_HOMELESS):
+            raise ValueError(f"'{shortened(file, 200)}' has no home; expected a .plan")
+        return file
+
+
+class RoutePlanSpec(Strict):
+    """A plan: the route of a vehicle."""
+
+    file: str = Field(
+        description="a file: .plan, .waypoints or .txt (QGC WPL), .kml, .kmz, .gpx, .geojson", min_length=1
+    )
+    route: str | None = Field(None, description="name of a route of the file; default: its only one")
+    height: Finite | None = Field(
+        None, description="height above the ground [m] of points without an altitude", gt=0, le=10_000
+    )
+    home: list[Finite] | None = Field(
+        None,
+        description="home of a file without one: latitude, longitude [deg] and perhaps altitude above mean sea level "
+        "[m]; default: its first point",
+        min_length=2,
+        max_length=3,
+    )
+
+    @field_validator("home")
+    @classmethod
+    def _on_earth(cls, home: list[float] | None) -> list[float] | None:
+        if home and (abs(home[0]) > 90.0 or abs(home[1]) > 180.0):
+            hint = "; is it longitude, latitude?" if abs(home[0]) > 90.0 and abs(home[1]) <= 90.0 else ""
+            raise ValueError(f"{home[:2]} is no latitude, longitude{hint}")
+        return home
 
 
 def or_its_file(schema: Content) -> None:

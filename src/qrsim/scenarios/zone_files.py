@@ -14,8 +14,8 @@ from qrsim.files.user_files import LARGEST_TABLE, read_text
 from qrsim.models.site import Site
 from qrsim.scenarios.kml_file import read_polygons
 from qrsim.scenarios.local import local_ned, swapped_hint
-from qrsim.scenarios.plan import Plan
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.reading import read_plan
 
 SUFFIXES = (".plan", ".kml", ".geojson", ".json")
 Corners = tuple[tuple[float, float], ...]

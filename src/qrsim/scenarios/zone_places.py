@@ -9,8 +9,8 @@ from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.site import Site
-from qrsim.scenarios.plan import Plan
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.zone_files import corners_ned, in_ned, zones_of_file
 from qrsim.scenarios.zone_schema import MOST_ZONES, ZoneSpec, zones_model
 

@@ -21,13 +21,15 @@ from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
-from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
+from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Item
+from qrsim.links.mavlink.stack.fence import RALLY_POINT
 from qrsim.links.mavlink.stack.parameters import TABLE
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.injectable import may_fail
 from qrsim.links.shared.kinds import kinds_of
-from qrsim.models.scene.contracts import down_at
+from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.zone import GroundDown, Zone
 from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.vehicles.contracts import Vehicle, handling_of
@@ -36,6 +38,8 @@ from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.models.vehicles.rover.planar import Drives
 from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
+from qrsim.scenarios.plan_ground import ground_down
+from qrsim.scenarios.plans.commands import ABOVE_HOME
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
 
@@ -70,7 +74,7 @@ def prepared(scenario: Scenario, injectable: Sequence[str] = ()) -> Scenario:
     try:
         world = load_scenario(content, quiet=True).world()
         put_down(content, world, {fleet.name for fleet in world.fleets if flown(fleet)})
-        return load_scenario(content, quiet=True)
+        return replace(load_scenario(content, quiet=True), planned=scenario.planned)
     except ScenarioError as error:
         raise UsageError(f"with vehicles on the ground, and controllers that follow paths: {error}") from None
 
@@ -105,6 +109,31 @@ def start_parameters(fleet: Fleet, number: int) -> dict[str, float]:
         if value is not None:
             each = np.asarray(WORDS[name][value] if name in WORDS else value, np.float64)
             found[name] = float(np.broadcast_to(each, (fleet.size,))[number])
+    return found
+
+
+def start_rally(scenario: Scenario, world: World) -> dict[int, tuple[Item, ...]]:
+    """Return the rally points of plans as items, by the row of the vehicle that has the plan.
+
+    Args:
+        scenario: with the plans of its vehicles.
+        world: of it.
+    """
+    found = {}
+    for vehicle in scenario.planned:
+        fleet, _, rest = vehicle.path.removeprefix("fleets.").rpartition(".vehicles.")
+        number = int(rest.partition(".")[0])
+        found[world.rows_of(fleet).start + number] = tuple(
+            Item(
+                seq,
+                ABOVE_HOME[1],
+                RALLY_POINT,
+                x=round(place.latitude_deg * 1e7),
+                y=round(place.longitude_deg * 1e7),
+                z=place.height_above_home,
+            )
+            for seq, place in enumerate(vehicle.plan.rally)
+        )
     return found
 
 
@@ -150,6 +179,9 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         ground=_ground(world),
         z_min=ceiling,
         z_max=floor,
+        ground_down=None
+        if isinstance(world.ground, FlatGround) and world.ground.at_zero
+        else ground_down(world.ground),
     )
     controller = fleet.controller
 
@@ -177,6 +209,10 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         climb_limit=own(speeds[1]),
         sink_limit=own(speeds[2]),
     )
+
+
+def _at_zero(ground: Ground) -> bool:
+    return isinstance(ground, FlatGround) and bool(ground.at_zero)
 
 
 def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:

@@ -60,10 +60,11 @@ class Puppet:
         z_min: float = -math.inf,
         z_max: float = math.inf,
         local_origin: str = "start",
+        ground_down=None,
     ):
         zones = zones or polygon_zones(fence)
         facts = Facts("a", hover_throttle=0.5, has_battery=True, zones=zones, z_min=z_min, z_max=z_max)
-        facts = replace(facts, local_origin=local_origin)  # type: ignore[arg-type]
+        facts = replace(facts, local_origin=local_origin, ground_down=ground_down)  # type: ignore[arg-type]
         self.stack = FlightStack(facts, SITE, flavour=flavour, factor=factor)  # type: ignore[arg-type]
         self.seen = Seen(charge=0.8, present=0xF, healthy=0xF, altitude=488.0)
         self.order: Order | None = None

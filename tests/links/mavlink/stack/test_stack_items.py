@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from puppet import Puppet, flown, item
 
@@ -110,3 +111,56 @@ def test_home_is_set_by_an_item(changed, home):
     )
     north, east, down = puppet.stack.home.position_ned
     assert (north, east, -down) == pytest.approx(home, abs=0.9)
+
+
+def track(items: list, flavour: str, **more) -> np.ndarray:
+    """Fly a mission, and return the places NED [m] of every tick."""
+    puppet, found = Puppet(flavour, **more), []
+    assert puppet.stack.accept(MISSION, items) == (PlanResult.ACCEPTED, -1)
+    assert puppet.stack.set_mode(1, 3 if flavour == "ardupilot" else 0x04040000) == 0
+    assert puppet.do(400, 1) == 0
+    assert puppet.run(
+        240.0,
+        lambda now: now.stack.mission().state is MissionState.COMPLETE,
+        lambda now: found.append(now.seen.position_ned),
+    )
+    return np.array(found)
+
+
+def test_a_spline_is_flown_along_its_curve():
+    """North 40 to east 40 and on to the south: the cubic of ArduPilot is farthest north at 45 m, 20 m east."""
+    items = [
+        item(0, WAYPOINT, up=0.0),
+        item(1, TAKEOFF, up=10.0),
+        item(2, WAYPOINT, 20, 0, 10.0),
+        item(3, WAYPOINT, 40, 0, 10.0),
+        item(4, 82, 40, 40, 10.0, params=(0, 0, 0, 0)),
+        item(5, WAYPOINT, 20, 40, 10.0),
+    ]
+    places = track(items, "ardupilot")
+    # Tangents of 20 m at both ends: 40 + 20 (t - t^2) and 40 (3 t^2 - 2 t^3).
+    time = np.linspace(0.0, 1.0, 201)[:, None]
+    curve = np.hstack([40.0 + 20.0 * (time - time**2), 40.0 * (3.0 * time**2 - 2.0 * time**3)])
+    over = places[(places[:, 0] > 39.0) & (places[:, 1] > 3.0) & (places[:, 1] < 37.0)]
+    off = np.linalg.norm(over[:, None, :2] - curve[None], axis=2).min(axis=1)
+    assert len(over) > 100
+    assert off.max() < 0.8
+    assert over[:, 0].max() == pytest.approx(45.0, abs=0.5)
+
+
+def test_a_line_above_the_ground_follows_it():
+    """Over a ridge of 15 m, 20 m above the ground within 2 m; below a ceiling above home it would be 5 m."""
+
+    def ridge(north, east):
+        return -15.0 * np.exp(-(((np.asarray(north) - 60.0) / 20.0) ** 2)) + 0.0 * np.asarray(east)
+
+    items = [
+        item(0, TAKEOFF, up=20.0),
+        item(1, WAYPOINT, 5, 0, 20.0, frame=11),
+        item(2, WAYPOINT, 120, 0, 20.0, frame=11),
+    ]
+    places = track(items, "px4", ground_down=ridge)
+    over = places[(places[:, 0] > 8.0) & (places[:, 0] < 115.0)]
+    above = ridge(over[:, 0], 0.0) - over[:, 2]
+    assert (float(above.min()), float(above.max())) == pytest.approx((20.0, 20.0), abs=2.0)
+    assert -over[:, 2].min() == pytest.approx(35.0, abs=1.5)

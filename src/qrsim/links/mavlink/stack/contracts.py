@@ -22,6 +22,7 @@ from qrsim.links.mavlink.stack.codes import (
 )
 from qrsim.links.mavlink.stack.statuses import FenceStatus, Health, Heartbeat, MissionStatus, ModeInfo, OrbitStatus
 from qrsim.models.scene.zone import GroundDown, Zone
+from qrsim.scenarios.plans.heights import GroundDown as GroundOfPlans
 
 if TYPE_CHECKING:
     from qrsim.links.mavlink.stack.parameters import Parameters
@@ -60,6 +61,8 @@ class Facts:
         airspeed, airspeed_min: of a fixed wing, that of its controller and that of its stall [m/s].
         loiter_radius: of the circles of a fixed wing [m]; 0: no fixed wing.
         local_origin: where its local frame begins.
+        ground_down: returns the down coordinate of the ground (...) at places north and east (...) [m]; None: it is the
+            plane z = 0.
         datum: what altitudes of messages are measured from; "above mean sea level" here means above that.
     """
 
@@ -84,6 +87,7 @@ class Facts:
     airspeed_min: float = 0.0
     loiter_radius: float = 0.0
     local_origin: LocalOrigin = "start"
+    ground_down: GroundOfPlans | None = None
     datum: Datum = "sea"
 
 

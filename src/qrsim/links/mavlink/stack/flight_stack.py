@@ -25,9 +25,9 @@ from qrsim.links.mavlink.stack.fence import Fence, items_of, rally_points
 from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.stack.modes import ARMED_FLAG, Mode
 from qrsim.links.mavlink.stack.parameters import Parameters
-from qrsim.links.mavlink.stack.plan import WAYPOINT
 from qrsim.links.mavlink.stack.statuses import FenceStatus, Health, Heartbeat, MissionStatus, ModeInfo, OrbitStatus
 from qrsim.models.site import Site
+from qrsim.scenarios.plans.commands import WAYPOINT
 
 # Automatic modes, which sticks that move take over from.
 OVERRIDDEN = frozenset((Mode.HOLD, Mode.TAKEOFF, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.FOLLOW))

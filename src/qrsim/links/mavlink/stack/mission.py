@@ -13,6 +13,8 @@ from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
 from qrsim.links.mavlink.stack.statuses import MissionStatus
+from qrsim.links.mavlink.stack.ways import Way, steep, way_to
+from qrsim.scenarios.plans import commands as known
 
 # An item's height counts as reached within this [m], as NAV_MC_ALT_RAD.
 HEIGHT_RADIUS = 0.8
@@ -57,6 +59,7 @@ class Mission:
     def _forget(self) -> None:
         """Begin with the item that is flown."""
         self._goal: Triple | None = None
+        self._way = Way()
         self._from: Triple | None = None
         self._arrived: float | None = None
         self._turns = Circle()
@@ -167,9 +170,9 @@ class Mission:
     def _next(self, item: Item, craft: Craft) -> bool:
         """Go over to the next item; return whether there is none."""
         craft.tell("item_reached", self.current)
-        self.returns = item.command == plan.RETURN
+        self.returns = item.command == known.RETURN
         following = self.current + 1
-        if item.command == plan.JUMP:
+        if item.command == known.JUMP:
             jumped, times = self._jumps.get(self.current, 0), item.params[1]
             if times == FOR_EVER or jumped < times:
                 self._jumps[self.current] = jumped + 1
@@ -181,9 +184,9 @@ class Mission:
             over, self._cycles = True, 0
         if over:
             self.state = MissionState.COMPLETE
-            self.landed = item.command == plan.LAND
+            self.landed = item.command == known.LAND
         else:
-            if item.command in plan.PLACES:
+            if item.command in known.PLACES:
                 self._heading = None
             before = self._from if item.command in plan.ON_THE_WAY else self._goal
             self.current = following
@@ -195,23 +198,23 @@ class Mission:
     def _fly_item(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
         """Return whether an item is done, and the order."""
         command, params, now = item.command, item.params, craft.seen.time
-        if command == plan.LAND:
+        if command == known.LAND:
             return self._land(item, craft)
-        if command == plan.TAKEOFF:
+        if command == known.TAKEOFF:
             return self._take_off(item, craft)
-        if command in plan.PLACES:
+        if command in known.PLACES:
             return self._go(item, craft)
-        if command in (plan.DELAY, plan.CONDITION_DELAY):
+        if command in (known.DELAY, known.CONDITION_DELAY):
             self._arrived = now if self._arrived is None else self._arrived
             wait = params[0] if params[0] > 0.0 else 0.0
             return now - self._arrived >= wait, self._stay(craft)
         if command in plan.ON_THE_WAY:
             return self._on_the_way(item, craft)
-        if command == plan.CHANGE_SPEED:
+        if command == known.CHANGE_SPEED:
             change_speed(craft, params[0], params[1])
-        elif command == plan.SET_HOME:
+        elif command == known.SET_HOME:
             plan.set_home(item, craft)
-        elif command == plan.CONDITION_YAW:
+        elif command == known.CONDITION_YAW:
             self._heading = heading(craft, params[0], params[2], params[3])
         return True, None
 
@@ -227,7 +230,7 @@ class Mission:
         here, goal = craft.seen.position_ned, self._goal
         if self._arrived is not None or goal is None:
             return True, order
-        if item.command == plan.CONDITION_DISTANCE:
+        if item.command == known.CONDITION_DISTANCE:
             return math.dist(here[:2], goal[:2]) < item.params[0], order
         gate = plan.place_of(item, craft, here)
         north, east = goal[0] - gate[0], goal[1] - gate[1]
@@ -237,7 +240,7 @@ class Mission:
         """Return the heading that is asked for on the way to an item [rad], NaN where none is."""
         if self._heading is not None:
             return self._heading
-        asks = self._flavour == "px4" and item.command in (plan.WAYPOINT, plan.TAKEOFF)
+        asks = self._flavour == "px4" and item.command in (known.WAYPOINT, known.TAKEOFF)
         return math.radians(item.params[3]) if asks else math.nan
 
     def _stay(self, craft: Craft) -> Order | None:
@@ -264,6 +267,7 @@ class Mission:
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
+            self._way = way_to(self.items, item, self._from, self._goal, craft)
             self._lifted = craft.flies
         goal = self._goal
         if not self._lifted:
@@ -273,8 +277,10 @@ class Mission:
             self.rises = not self._lifted
             level, up, down = craft.speeds()
             return False, craft.go((here[0], here[1], top), (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
-        radius = item.params[1] if item.command == plan.WAYPOINT and item.params[1] > 0.0 else 0.0
+        radius = item.params[1] if item.command == known.WAYPOINT and item.params[1] > 0.0 else 0.0
         radius = radius or craft.parameters["NAV_ACC_RAD"]
+        if bend := self._way.through(here, radius):
+            return False, self._pass_through(item, craft, *bend)
         if math.isfinite(turn := self._turns_to(item)):
             craft.turn_to(turn)
             turns = False
@@ -283,7 +289,7 @@ class Mission:
         away = math.hypot(goal[0] - here[0], goal[1] - here[1])
         level = abs(goal[2] - here[2]) < HEIGHT_RADIUS
         near = away < radius and level
-        if item.command == plan.LOITER_TURNS:
+        if item.command == known.LOITER_TURNS:
             near = away < abs(_turn_radius(item)) + radius and level
             if near or self._arrived is not None:
                 return self._circle(item, craft, goal)
@@ -293,14 +299,23 @@ class Mission:
         if turns:
             _, up, down = craft.speeds()
             return False, craft.go(goal, (0.0, up, down))
-        order = craft.go(goal, beyond=0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius)
+        beyond = 0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius
+        order = craft.go(goal, steep(craft, goal) if self._way.bent else None, beyond)
         return self._arrived is not None and now - self._arrived >= hold, order
+
+    def _pass_through(self, item: Item, craft: Craft, place: Triple, onward: float) -> Order:
+        """Return the order to fly through a place at which the way to an item bends, and so far on [m]."""
+        if math.isfinite(turn := self._turns_to(item)):
+            craft.turn_to(turn)
+        else:
+            craft.head_to(place[0], place[1], 1.0)
+        return craft.go(place, steep(craft, place), beyond=onward)
 
     @staticmethod
     def _hold(item: Item) -> float:
-        if item.command == plan.LOITER_UNLIMITED:
+        if item.command == known.LOITER_FOREVER:
             return math.inf
-        timed = item.command in plan.WAYPOINTS or item.command == plan.LOITER_TIME
+        timed = item.command in known.WAYPOINTS or item.command == known.LOITER_TIME
         return item.params[0] if timed and item.params[0] > 0.0 else 0.0
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:

@@ -10,36 +10,35 @@ from qrsim.links.mavlink.stack.codes import UNSET_INT, PlanResult
 from qrsim.links.mavlink.stack.contracts import FlavourName, Home, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, MOST_ITEMS, RELATIVE, bad_place
+from qrsim.scenarios.plans.commands import (
+    CHANGE_SPEED,
+    CONDITION_DISTANCE,
+    CONDITION_YAW,
+    DELAY,
+    FENCE_ENABLE,
+    GATE,
+    JUMP,
+    LAND,
+    LOITER_TURNS,
+    MISSION_FRAME,
+    PLACES,
+    RETURN,
+    SET_HOME,
+    SKIPPED,
+    TAKEOFF,
+    taken_by,
+)
 
-WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-LOITER_TO_ALTITUDE, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED = 31, 93, 112, 177, 178
-SPLINE, CONDITION_DISTANCE, CONDITION_YAW, SET_HOME, GATE = 82, 114, 115, 179, 4501
-# A spline is flown as a waypoint: straight, and round the corner where it does not hold.
-WAYPOINTS = frozenset((WAYPOINT, SPLINE))
-PLACES = WAYPOINTS | {LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALTITUDE}
+# Items by flavour: those of the table of commands that its autopilot takes.
+ACCEPTED: dict[FlavourName, frozenset[int]] = {"px4": taken_by("px4"), "ardupilot": taken_by("ardupilot")}
 # Items that are over at some point of the way to the next place, and of which the next item may be that place.
 ON_THE_WAY = frozenset((CONDITION_DISTANCE, GATE))
-# Cameras, gimbals, regions of interest, grippers, winches, relays and markers: reached at once, without an effect.
-SKIPPED = frozenset((
-    80, 187, 189, 195, 196, 197, 200, 201, 203, 204, 205, 206, 211, 212, 214, 260, 530, 531, 532, 534, 1000, 1001,
-    2000, 2001, 2003, 2500, 2501, 2502, 2503, 42600,
-))  # fmt: skip
-# Servos, relays, camera set-up, the switch of the fence and sprayers are items of ArduPilot only.
-_SKIPPED_BY_ARDUPILOT = frozenset((181, 182, 183, 184, 202, 207, 216))
-_FLOWN = PLACES | {RETURN, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED, SET_HOME}
-# Items by flavour: those of PX4's MavlinkMissionManager and FeasibilityChecker, and of ArduPilot's AP_Mission, that a
-# vehicle without a VTOL transition, an engine, a parachute or scripts can do something about.
-ACCEPTED: dict[FlavourName, frozenset[int]] = {
-    "px4": (_FLOWN - {SPLINE}) | SKIPPED | {GATE},
-    "ardupilot": _FLOWN | SKIPPED | _SKIPPED_BY_ARDUPILOT | {SPLINE, CONDITION_DISTANCE, CONDITION_YAW},
-}
-FRAME_MISSION = 2
 LARGEST_ALTITUDE = 1e5
 
 
 def moves(command: int) -> bool:
     """Return whether an item that is accepted has an effect."""
-    return command not in SKIPPED | _SKIPPED_BY_ARDUPILOT
+    return command not in SKIPPED
 
 
 def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]:
@@ -58,7 +57,7 @@ def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]
 
 
 def _bad_place(item: Item) -> PlanResult | None:
-    if item.frame not in GLOBAL and not (item.command == SET_HOME and item.frame == FRAME_MISSION):
+    if item.frame not in GLOBAL and not (item.command == SET_HOME and item.frame == MISSION_FRAME):
         return PlanResult.UNSUPPORTED_FRAME
     if has_place(item):
         bad = bad_place(item)
@@ -79,6 +78,8 @@ def _bad_numbers(item: Item, total: int) -> PlanResult | None:
             PlanResult.INVALID_PARAM4,
         )[next(place for place, number in enumerate(item.params) if math.isinf(number))]
     if item.command == JUMP and not (first == first and 0 <= first < total and first == int(first)):
+        return PlanResult.INVALID_PARAM1
+    if item.command == FENCE_ENABLE and first == 0.0:
         return PlanResult.INVALID_PARAM1
     if item.command == CHANGE_SPEED:
         if first not in (0.0, 1.0, 2.0, 3.0):
@@ -106,6 +107,8 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
         if item.frame in RELATIVE:
             altitude += home.altitude if home else craft.geodesy.height
         elif item.frame not in AMSL:
+            if craft.facts.ground_down is not None:
+                return _above_ground(item, craft, otherwise)
             # Terrain is flat: the site's own height.
             altitude += craft.geodesy.height
         if has_place(item):
@@ -115,6 +118,16 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
         north, east, _ = craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, craft.geodesy.height)
         return north, east, z
     return otherwise[0], otherwise[1], z
+
+
+def _above_ground(item: Item, craft: Craft, otherwise: Triple) -> Triple:
+    """Return where an item is whose altitude is above the ground of its place."""
+    ground_down = craft.facts.ground_down
+    assert ground_down is not None
+    north, east = otherwise[:2]
+    if has_place(item):
+        north, east, _ = craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, craft.geodesy.height)
+    return north, east, float(ground_down(north, east)) - item.z
 
 
 def next_place(items: Sequence[Item]) -> Item | None:
@@ -136,7 +149,7 @@ def set_home(item: Item, craft: Craft) -> None:
     if item.params[0] >= 0.5 or not has_place(item):
         craft.home_here()
         return
-    if item.frame == FRAME_MISSION:
+    if item.frame == MISSION_FRAME:
         item = replace(item, frame=AMSL[0])
     place = place_of(item, craft, craft.seen.position_ned)
     craft.set_home(Home(*craft.geodesy.to_geodetic(place), place, craft.seen.attitude[2]))

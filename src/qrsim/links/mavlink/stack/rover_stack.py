@@ -14,11 +14,12 @@ from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.ground_setpoints import GroundOffboard, stop_at
 from qrsim.links.mavlink.stack.mission import Mission
 from qrsim.links.mavlink.stack.modes import ROVER_FLAVOURS, Mode
+from qrsim.scenarios.plans import commands as known
 
 # Land, take off, orbit, turn on the spot.
 REFUSED = frozenset((21, 22, 34, 115))
 # Items that need height, or circles.
-UNSUPPORTED = frozenset((plan.LOITER_TURNS, plan.LAND, plan.TAKEOFF, plan.LOITER_TO_ALTITUDE))
+UNSUPPORTED = frozenset((known.LOITER_TURNS, known.LAND, known.TAKEOFF, known.LOITER_TO_ALTITUDE))
 
 
 class Drive(Mission):
@@ -39,7 +40,7 @@ class Drive(Mission):
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
-        radius = item.params[1] if item.command == plan.WAYPOINT and item.params[1] > 0.0 else 0.0
+        radius = item.params[1] if item.command == known.WAYPOINT and item.params[1] > 0.0 else 0.0
         radius = radius or craft.parameters["NAV_ACC_RAD"]
         if self._arrived is None and away(craft, self._goal) < radius:
             self._arrived = now

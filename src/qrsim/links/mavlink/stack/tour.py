@@ -11,8 +11,9 @@ from qrsim.links.mavlink.stack.codes import PlanResult, Severity
 from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.mission import Mission
+from qrsim.scenarios.plans import commands as known
 
-CIRCLES = frozenset((plan.LOITER_UNLIMITED, plan.LOITER_TURNS, plan.LOITER_TIME, plan.LOITER_TO_ALTITUDE))
+CIRCLES = frozenset((known.LOITER_FOREVER, known.LOITER_TURNS, known.LOITER_TIME, known.LOITER_TO_ALTITUDE))
 NO_RUNWAY = "a fixed wing neither takes off nor lands: there is no runway in this version"
 # A line is over so near to its end, that the turn into the next one is not overshot, and a circle begun so near to it;
 # a height counts as reached within the second [m].
@@ -110,16 +111,16 @@ class Tour(Mission):
             self._arrived, self._angle, self._turned = now, angle, 0.0
         self._turned += math.copysign(1.0, radius) * math.remainder(angle - self._angle, 2.0 * math.pi)
         self._angle = angle
-        if item.command == plan.LOITER_TURNS:
+        if item.command == known.LOITER_TURNS:
             return self._turned >= 2.0 * math.pi * item.params[0], order
-        if item.command == plan.LOITER_TIME:
+        if item.command == known.LOITER_TIME:
             return now - self._arrived >= (item.params[0] if item.params[0] > 0.0 else 0.0), order
-        return item.command == plan.LOITER_TO_ALTITUDE, order
+        return item.command == known.LOITER_TO_ALTITUDE, order
 
 
 def radius_of(item: Item, craft: Craft) -> float:
     """Return the radius [m] of the circle of an item, below 0 counterclockwise; that of ``NAV_LOITER_RAD`` without."""
-    radius = item.params[1 if item.command == plan.LOITER_TO_ALTITUDE else 2]
+    radius = item.params[1 if item.command == known.LOITER_TO_ALTITUDE else 2]
     return radius if abs(radius) > 0.1 else orbits.usual_radius(craft)
 
 
@@ -140,13 +141,13 @@ def why_no_airspeed(speed: float, craft: Craft) -> str:
 
 def _cannot(item: Item, craft: Craft) -> tuple[PlanResult, str]:
     """Return the result and the reason of an item that a fixed wing cannot fly; "" of one that it can."""
-    if item.command in (plan.TAKEOFF, plan.LAND):
+    if item.command in (known.TAKEOFF, known.LAND):
         return PlanResult.UNSUPPORTED, NO_RUNWAY
-    if item.command == plan.CHANGE_SPEED:
+    if item.command == known.CHANGE_SPEED:
         return PlanResult.INVALID_PARAM2, why_no_speed(item.params[0], item.params[1], craft)
     if item.command in CIRCLES:
         why = orbits.why_no_radius(radius_of(item, craft), orbits.airspeed(craft))
         if why:
-            to_altitude = item.command == plan.LOITER_TO_ALTITUDE
+            to_altitude = item.command == known.LOITER_TO_ALTITUDE
             return PlanResult.INVALID_PARAM2 if to_altitude else PlanResult.INVALID_PARAM3, why
     return PlanResult.ACCEPTED, ""

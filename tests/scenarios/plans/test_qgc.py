@@ -12,15 +12,16 @@ from typing import Any
 import pytest
 
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.scenarios.plan import FencePolygon, Plan
-from qrsim.scenarios.plan_file import FLOWN, NOT_FLOWN, read_plan
+from qrsim.scenarios.plans.commands import COMMANDS, SKIPPED
+from qrsim.scenarios.plans.plan import FencePolygon, Plan, RallyPoint
+from qrsim.scenarios.plans.reading import read_plan
 
 HOME = [47.0, 8.0, 500.0]
 ABOVE_SEA, ABOVE_HOME, MISSION = 0, 3, 2
 Write = Callable[[Any], str]
 
 
-def item(command: int, *params: float | None, frame: int = ABOVE_HOME, **more: Any) -> dict[str, Any]:
+def item(command: int, *params: Any, frame: int = ABOVE_HOME, **more: Any) -> dict[str, Any]:
     """A simple item; of fewer than seven parameters the first are zero."""
     padded = [0] * (7 - len(params)) + list(params)
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": padded, "autoContinue": True, **more}
@@ -122,8 +123,9 @@ def test_a_plan_with_everything(write: Write) -> None:
         "item 5, DO_SET_CAM_TRIGG_DIST: not carried out",
         "item 7, DO_SET_CAM_TRIGG_DIST: not carried out",
         "geoFence.breachReturn: not used",
-        "rallyPoints.points: 1 not used",
     ]
+    assert read.rally == (RallyPoint(47.0, 8.0, 30.0),)
+    assert (read.hover_speed, read.cruise_speed) == (5.0, 15.0)
     corners = tuple((latitude, longitude) for latitude, longitude in TRIANGLE)
     assert read.polygons == (FencePolygon(True, corners), FencePolygon(False, corners[::-1]))
     (around,) = read.circles
@@ -146,7 +148,7 @@ def test_altitudes_by_frame(write: Write, frame: int, height: float, command: in
     # AltitudeMode is for the editor: the vehicle is told frame and parameters only.
     content = plan(item(command, 47.1, 8.1, 560.0, frame=frame, AltitudeMode=1, Altitude=1.0))
     read = read_plan(write(content))
-    assert waypoints(read) == [(47.1, 8.1, height, 1, FLOWN[command][0])]
+    assert waypoints(read) == [(47.1, 8.1, height, 1, COMMANDS[command].name)]
     assert read.ignored == ()
 
 
@@ -206,11 +208,10 @@ def test_what_a_mission_is_asked_for_is_its_waypoints_own(write: Write) -> None:
         (9, 30.0, None, None, None, 0.0, 0.0),
         (12, 0.0, None, None, None, 0.0, 0.0),
     ]
+    assert [(w.climb, w.sink, w.turn_deg) for w in read.waypoints[-2:]] == [(None, None, None), (1.0, None, 30.0)]
     assert missed(read) == [
         "item 7, NAV_LOITER_TURNS: not flown: parameter 2 = 1",
         "item 9, NAV_LOITER_TIME: not flown: loiter radius 50 m",
-        "item 10, DO_CHANGE_SPEED: speeds of climb and descent are not carried out",
-        "item 11, CONDITION_YAW: a heading relative to the present one is not carried out",
     ]
 
 
@@ -237,9 +238,11 @@ def test_what_no_mission_can_fly_is_refused(write: Write, bad: dict[str, Any], e
 
 
 def test_every_command_that_changes_no_path_is_noted_by_name(write: Write) -> None:
-    read = read_plan(write(plan(*(item(command, None, None, None) for command in NOT_FLOWN))))
+    read = read_plan(write(plan(*(item(command, 1, 0, 0, 0, 0, 0, 0) for command in sorted(SKIPPED)))))
     assert read.waypoints == ()
-    assert [(each.item, each.name) for each in read.ignored] == list(enumerate(NOT_FLOWN.values(), 1))
+    assert [(each.item, each.name) for each in read.ignored] == [
+        (i, COMMANDS[number].name) for i, number in enumerate(sorted(SKIPPED), 1)
+    ]
 
 
 def test_older_surveys_and_other_scans_are_read(write: Write) -> None:
@@ -270,7 +273,7 @@ def altered(content: dict[str, Any], value: Any, *path: Any) -> dict[str, Any]:
 GOOD = (47.1, 8.1, 20.0)
 FIRST = ("mission", "items", 0)
 RTL = item(20, frame=MISSION)
-SUPPORTED_FRAMES = "supported: 0 and 5 (altitude above sea level), 3 and 6 (above home)"
+SUPPORTED_FRAMES = "supported: 0, 3, 5, 6, 10, 11, and 2 where an item has no place"
 BAD: dict[str, tuple[Any, str]] = {
     # No plan, or another version.
     "a list": ([1, 2], "is no plan; expected an object with fileType 'Plan'"),
@@ -339,7 +342,7 @@ BAD: dict[str, tuple[Any, str]] = {
     # What cannot be flown.
     "jump to nowhere": (
         plan(item(16, *GOOD), item(177, 7, 3, 0, 0, 0, 0, 0)),
-        "mission.items.1.params.0: 7 is the doJumpId of no item; there: 1, 2",
+        "mission.items.1.params.0: no item has doJumpId 7; known: 1 to 2",
     ),
     "jump by text": (
         plan(item(16, *GOOD), item(177, "a", 3, 0, 0, 0, 0, 0)),
@@ -347,35 +350,93 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "jump too often": (
         plan(item(16, *GOOD), item(177, 1, 1e6, 0, 0, 0, 0, 0)),
-        "mission.items.0: jumps lead through more than 20000 items",
+        "mission.items.1 (DO_JUMP): more than 1000000 items when unrolled; allowed: 2000",
     ),
-    "spline": (
-        plan(item(16, *GOOD), item(82, *GOOD)),
-        "mission.items.1.command: 82 (NAV_SPLINE_WAYPOINT) cannot be flown (item 2); flown: 16 (NAV_WAYPOINT), "
+    "jumps of many items": (
+        plan(*[item(16, *GOOD)] * 50, item(177, 1, 999, 0, 0, 0, 0, 0)),
+        "mission.items.50 (DO_JUMP): 50000 legs when unrolled; allowed: 2000",
+    ),
+    "jump to itself": (
+        plan(item(16, *GOOD), item(177, 2, 1, 0, 0, 0, 0, 0)),
+        "mission.items.1 (DO_JUMP): jumps to itself",
+    ),
+    "after a jump for ever": (
+        plan(item(16, *GOOD), item(177, 1, -1, 0, 0, 0, 0, 0), RTL),
+        "mission.items.2: is never reached, because DO_JUMP (item 2) repeats endlessly",
+    ),
+    "jumps to each other": (
+        plan(item(16, *GOOD), item(177, 3, -1, 0, 0, 0, 0, 0), item(177, 2, -1, 0, 0, 0, 0, 0)),
+        "mission.items.1 (DO_JUMP): repeats endlessly without an item that leads to a place",
+    ),
+    "jump over a speed": (
+        plan(item(16, *GOOD), item(178, 1, 3, 0, 0, 0, 0, 0), item(177, 2, -1, 0, 0, 0, 0, 0)),
+        "mission.items.2 (DO_JUMP): repeats endlessly without an item that leads to a place",
+    ),
+    "payload": (
+        plan(item(16, *GOOD), item(94, *GOOD)),
+        "mission.items.1.command: 94 (NAV_PAYLOAD_PLACE) cannot be flown (item 2); flown: 16 (NAV_WAYPOINT), "
         "17 (NAV_LOITER_UNLIM), 18 (NAV_LOITER_TURNS), 19 (NAV_LOITER_TIME), 20 (NAV_RETURN_TO_LAUNCH), 21 (NAV_LAND), "
-        "22 (NAV_TAKEOFF), 31 (NAV_LOITER_TO_ALT), 93 (NAV_DELAY), 115 (CONDITION_YAW), 178 (DO_CHANGE_SPEED), "
-        "177 (DO_JUMP)",
+        "22 (NAV_TAKEOFF), 31 (NAV_LOITER_TO_ALT), 82 (NAV_SPLINE_WAYPOINT), 93 (NAV_DELAY), 112 (CONDITION_DELAY), "
+        "114 (CONDITION_DISTANCE), 115 (CONDITION_YAW), 177 (DO_JUMP), 178 (DO_CHANGE_SPEED), 179 (DO_SET_HOME), "
+        "4501 (CONDITION_GATE)",
+    ),
+    "VTOL landing": (
+        plan(item(16, *GOOD), item(85, *GOOD)),
+        "mission.items.1.command: 85 (NAV_VTOL_LAND): no vehicle of qrsim changes between hovering and gliding; take "
+        "fixed_wing or multirotor",
+    ),
+    "VTOL pattern": (
+        plan({"type": "ComplexItem", "complexItemType": "vtolLandingPattern"}),
+        "mission.items.0: 'vtolLandingPattern': no vehicle of qrsim changes between hovering and gliding",
+    ),
+    "fence off": (
+        plan(item(207, 0, 0, 0, 0, 0, 0, 0)),
+        "mission.items.0.params.0: DO_FENCE_ENABLE turns the fence off; the area of a scenario always holds",
+    ),
+    "empty survey": (
+        plan(survey()),
+        "mission.items.0: TransectStyleComplexItem.Items is empty; open and save the plan in QGroundControl",
+    ),
+    "a long delay": (
+        plan(item(16, 604_800, 0, 0, None, *GOOD), item(93, 1, 0, 0, 0, 0, 0, 0)),
+        "mission.items.1.params.0: 604801 s in all are out of range; allowed: 0 to 604800 s",
+    ),
+    "kind of speed": (
+        plan(item(178, 4, 1, 0, 0, 0, 0, 0)),
+        "mission.items.0.params.0: 4 is no kind of speed; allowed: 0",
+    ),
+    "distance": (
+        plan(item(114, -1, 0, 0, 0, 0, 0, 0)),
+        "mission.items.0.params.0: -1 is out of range; allowed: 0 or more",
+    ),
+    "gate": (
+        plan(item(4501, 0, 0, 0, 0, 95, 8, 0)),
+        "mission.items.0.params.4 (latitude): 95 is out of range; allowed: -90 to 90 deg",
+    ),
+    "hover speed": (
+        altered(plan(), 99, "mission", "hoverSpeed"),
+        "mission.hoverSpeed: 99 is out of range; allowed: -50 to 50 m/s",
     ),
     "unknown command": (
         plan(item(999)),
         "mission.items.0.command: 999 cannot be flown (item 1); flown: 16 (NAV_WAYPOINT), 17",
     ),
-    "terrain": (
-        plan(item(16, *GOOD, frame=10)),
-        f"mission.items.0.frame: 10 (GLOBAL_TERRAIN_ALT) is not supported; {SUPPORTED_FRAMES}",
+    "local frame": (
+        plan(item(16, *GOOD, frame=1)),
+        f"mission.items.0.frame: 1 (LOCAL_NED) is not supported; {SUPPORTED_FRAMES}",
     ),
     "unknown frame": (
         plan(item(21, *GOOD, frame=99)),
         f"mission.items.0.frame: 99 is not supported; {SUPPORTED_FRAMES}",
     ),
-    "structure scan": (
-        plan({"type": "ComplexItem", "complexItemType": "StructureScan"}),
-        "mission.items.0: a ComplexItem of type 'StructureScan' cannot be flown; supported: those with "
-        "TransectStyleComplexItem.Items, such as 'survey' and 'CorridorScan'",
+    "unknown pattern": (
+        plan({"type": "ComplexItem", "complexItemType": "Spiral"}),
+        "mission.items.0: a ComplexItem of type 'Spiral' cannot be flown; supported: those with "
+        "TransectStyleComplexItem.Items, such as 'survey' and 'CorridorScan', and 'StructureScan', 'fwLandingPattern'",
     ),
     "return first": (
         plan(item(178), RTL),
-        "mission.items.1: NAV_RETURN_TO_LAUNCH has no waypoint before it, whose height it would keep",
+        "mission.items.1: NAV_RETURN_TO_LAUNCH has no waypoint before it to take a height from",
     ),
     "after the return": (
         plan(item(16, *GOOD), RTL, item(203), item(16, *GOOD)),
@@ -388,22 +449,13 @@ BAD: dict[str, tuple[Any, str]] = {
         "because NAV_LOITER_UNLIM (item 1) before it ends the route",
     ),
     # Places.
-    "null place": (
-        plan(item(19, None, None, 20.0)),
-        "mission.items.0.params.4: latitude and longitude are null, which stands for the current place; "
-        "only NAV_TAKEOFF may leave its place out",
-    ),
-    "zero place": (
-        plan(item(21, 0, 0, 0)),
-        "mission.items.0.params.4: latitude and longitude are 0, which stands for the current place",
-    ),
     "null longitude": (
         plan(item(16, 47.0, None, 20.0)),
         "mission.items.0.params.5 (longitude): expected a number [deg], found null, which means 'the current one'",
     ),
     "null altitude": (
-        plan(item(22, None, None, None)),
-        "mission.items.0.params.6 (altitude): expected a number [m], found null, which means 'the current one'",
+        plan(item(16, 47.0, 8.0, None)),
+        "mission.items.0.params.6 (altitude): is null, which means 'as before', but no place is before it",
     ),
     "NaN": (
         plan(item(16, math.nan, 8.0, 20.0)),
@@ -421,10 +473,10 @@ BAD: dict[str, tuple[Any, str]] = {
     "text": (
         plan(item(16, "47", 8.0, 20.0)),
         "mission.items.0.params.4 (latitude): expected a number [deg], found '47'",
-    ),  # type: ignore[arg-type]
+    ),
     "a hold that is a text": (
         plan(item(16, "long", 0, 0, 0, *GOOD)),
-        "mission.items.0.params.0: expected a number, found 'long'",  # type: ignore[arg-type]
+        "mission.items.0.params.0: expected a number, found 'long'",
     ),
     # Fences.
     "fence without circles": (without(plan(), "geoFence", "circles"), "geoFence.circles: is missing; expected a list"),
@@ -462,6 +514,10 @@ BAD: dict[str, tuple[Any, str]] = {
         "geoFence.circles.0.circle.radius: expected a number [m], found null",
     ),
     "rally points": (plan(rallyPoints={"version": 2}), "rallyPoints.points: is missing; expected a list"),
+    "rally point": (
+        plan(rallyPoints={"version": 2, "points": [[47.0, 8.0]]}),
+        "rallyPoints.points.0: expected [latitude, longitude, altitude], found 2 values",
+    ),
     "twice": ('{"fileType": "Plan", "version": 1, "version": 2}', "'version' is given twice in one object"),
 }
 
@@ -497,22 +553,13 @@ def test_jumps_are_followed_as_often_as_they_say(write: Write) -> None:
 
 def test_a_jump_for_ever_says_where_the_plan_goes_on(write: Write) -> None:
     places = [item(16, 47.0, 8.0 + 1e-4 * i, 10.0) for i in range(3)]
-    path = write(plan(*places, jump(2, -1), item(20)))
+    path = write(plan(*places, jump(2, -1)))
     assert flown(path) == ([1, 2, 3, 2, 3], 3)
     texts = [(note.text, note.route_text) for note in read_plan(path).ignored]
-    never = "item 5, NAV_RETURN_TO_LAUNCH: never reached, because DO_JUMP (item 4) repeats endlessly"
-    assert texts == [("item 4, DO_JUMP: ", "item 4, DO_JUMP: repeated once, not endlessly"), (never, never)]
+    assert texts == [("item 4, DO_JUMP: ", "item 4, DO_JUMP: repeated once, not endlessly")]
     # A delay at the head of the loop is a hold at its end, every time.
     delayed = read_plan(write(plan(places[0], item(93, 5, 0, 0, 0, 0, 0, 0), places[1], jump(2, -1))))
     assert ([waypoint.hold for waypoint in delayed.waypoints], delayed.again) == ([5.0, 5.0, 5.0], 2)
-    # Jumps that fly nothing end the plan, as autopilots give up.
-    for others in ([jump(3, -1), jump(2, -1)], [speed(3.0), jump(2, -1)]):
-        path = write(plan(places[0], *others))
-        assert flown(path) == ([1], None)
-        assert any(
-            note.text.endswith("jumps endlessly over items that are not flown; the plan ends there")
-            for note in read_plan(path).ignored
-        )
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -528,7 +575,7 @@ def test_bad_plans(write: Write, case: str) -> None:
 
 def test_all_problems_are_reported_at_once(write: Write) -> None:
     content = plan(
-        item(82), item(16, *GOOD, frame=10), item(16, *GOOD), survey(item(82, *GOOD)),
+        item(85), item(16, *GOOD, frame=1), item(16, *GOOD), survey(item(85, *GOOD)),
         geoFence={"version": 2, "polygons": [polygon()], "circles": [circle(-1)]},
     )  # fmt: skip
     with pytest.raises(ScenarioError) as caught:
@@ -541,7 +588,7 @@ def test_all_problems_are_reported_at_once(write: Write) -> None:
 
 def test_problems_say_their_line(tmp_path: Path) -> None:
     content = plan(
-        item(16, *GOOD), survey(item(82, *GOOD)), geoFence={"version": 2, "polygons": [], "circles": [circle(-1)]}
+        item(16, *GOOD), survey(item(85, *GOOD)), geoFence={"version": 2, "polygons": [], "circles": [circle(-1)]}
     )
     path = tmp_path / "lines.plan"
     path.write_text(json.dumps(content, indent=1), "utf-8")
@@ -549,7 +596,7 @@ def test_problems_say_their_line(tmp_path: Path) -> None:
         read_plan(path)
     lines = path.read_text("utf-8").splitlines()
     spline, ring = (int(problem.split("(line ")[1].split(")")[0]) for problem in caught.value.problems)
-    item_of = next(i for i, line in enumerate(lines) if '"command": 82' in line)
+    item_of = next(i for i, line in enumerate(lines) if '"command": 85' in line)
     ring_of = next(i for i, line in enumerate(lines) if '"radius"' in line)
     # The braces before them open the objects that they are in.
     assert [spline, ring] == [max(i for i in range(at) if "{" in lines[i]) + 1 for at in (item_of, ring_of)]
@@ -560,7 +607,10 @@ def test_problems_say_their_line(tmp_path: Path) -> None:
     [
         ("", "is not JSON: line 1, column 1: Expecting value"),
         ('{"fileType": "Plan",\n "version" 1}', "is not JSON: line 2, column 12: Expecting ':' delimiter"),
-        ("QGC WPL 110\n", "is a list of waypoints (QGC WPL); QGroundControl opens it and saves it as a .plan"),
+        (
+            "QGC WPL 110\n",
+            "is not JSON: line 1, column 1: Expecting value; it begins as a QGC WPL file: call it .waypoints",
+        ),
         ("[" * 100_000, "is no plan: "),
         ("1" * 5000, "is no plan: "),
     ],

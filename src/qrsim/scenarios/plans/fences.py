@@ -1,12 +1,11 @@
-"""The geofence of a QGroundControl plan, and what of it is not used."""
+"""The geofence and the rally points of a QGroundControl plan, and what of them is not used."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from qrsim.models.scene.fence import polygon_problems
-from qrsim.scenarios.plan import FenceCircle, FencePolygon, Ignored
-from qrsim.scenarios.plan_parts import (
+from qrsim.scenarios.plans.parts import (
     LARGEST_LENGTH,
     PlanFaultError,
     check_version,
@@ -16,6 +15,7 @@ from qrsim.scenarios.plan_parts import (
     place_of,
     section_of,
 )
+from qrsim.scenarios.plans.plan import FenceCircle, FencePolygon, Ignored, RallyPoint
 
 
 class PlannedFence:
@@ -28,14 +28,10 @@ class PlannedFence:
         self.problems: list[str] = []
 
     def add_all(self, content: Mapping[str, object]) -> None:
-        """Add the fence of a plan; plans may have none, and no rally points."""
-        has_rally = "rallyPoints" in content
+        """Add the fence of a plan; plans may have none."""
         try:
             fence = section_of(content, "geoFence", 2) if "geoFence" in content else {"polygons": [], "circles": []}
             polygons, circles = (part_of(fence, key, list, "geoFence") for key in ("polygons", "circles"))
-            rally = (
-                part_of(part_of(content, "rallyPoints", dict, ""), "points", list, "rallyPoints") if has_rally else []
-            )
         except PlanFaultError as fault:
             self.problems.append(str(fault))
             return
@@ -49,8 +45,6 @@ class PlannedFence:
                     self.problems.append(str(fault))
         if fence.get("breachReturn"):
             self.ignored.append(Ignored(None, "geoFence.breachReturn", "not used"))
-        if rally:
-            self.ignored.append(Ignored(None, "rallyPoints.points", f"{len(rally)} not used"))
 
     def _add_polygon(self, entry: Mapping[str, object], path: str) -> None:
         inclusion = part_of(entry, "inclusion", bool, path)
@@ -72,3 +66,20 @@ class PlannedFence:
         if radius <= 0.0:
             raise PlanFaultError(f"{where}.radius: {radius:g} m is not above 0")
         self.circles.append(FenceCircle(inclusion, latitude, longitude, radius))
+
+
+def rally_points(content: Mapping[str, object]) -> tuple[list[RallyPoint], list[str]]:
+    """Return the rally points of a plan, and what is wrong with them; plans may have none."""
+    found, problems = [], []
+    try:
+        section = part_of(content, "rallyPoints", dict, "") if "rallyPoints" in content else {"points": []}
+        points = part_of(section, "points", list, "rallyPoints")
+    except PlanFaultError as fault:
+        return [], [str(fault)]
+    for i, point in enumerate(points):
+        path = f"rallyPoints.points.{i}"
+        try:
+            found.append(RallyPoint(*place_of(of_kind(point, list, path), path, 3)))
+        except PlanFaultError as fault:
+            problems.append(str(fault))
+    return found, problems

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import errno
 import json
 from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ class PlanFaultError(Exception):
     """One fault: the path of a value, and what is wrong with it."""
 
 
-def plan_content(source: str) -> Any:
+def plan_content(source: str, expected: str = "a .plan of QGroundControl") -> Any:
     """Return the JSON content of a plan's file."""
     try:
         text = read_text(source)
@@ -35,12 +36,12 @@ def plan_content(source: str) -> Any:
     try:
         return json.loads(text, object_pairs_hook=_without_twins)
     except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
         if text.startswith("QGC WPL"):
             raise UsageError(
-                f"{source}: is a list of waypoints (QGC WPL); QGroundControl opens it and saves it as a .plan"
+                f"{source}: is not JSON: {where}: {error.msg}; it begins as a QGC WPL file: call it .waypoints"
             ) from None
-        where = f"line {error.lineno}, column {error.colno}"
-        raise UsageError(f"{source}: is not JSON: {where}: {error.msg}; expected a .plan of QGroundControl") from None
+        raise UsageError(f"{source}: is not JSON: {where}: {error.msg}; expected {expected}") from None
     except (ValueError, RecursionError) as error:
         raise UsageError(f"{source}: is no plan: {error}") from None
     except PlanFaultError as fault:
@@ -49,6 +50,16 @@ def plan_content(source: str) -> Any:
 
 def with_lines(source: str, problems: list[str]) -> list[str]:
     """Return problems that begin with the path of a value, with the line of the file on which its object begins."""
+    lines = lines_of(source, [problem.partition(": ")[0] for problem in problems])
+    found = []
+    for problem in problems:
+        path, colon, words = problem.partition(": ")
+        found.append(f"{path} (line {lines[path]}){colon}{words}" if path in lines else problem)
+    return found
+
+
+def lines_of(source: str, paths: list[str]) -> dict[str, int]:
+    """Return for each path of a value in a file the line on which its object begins, where it is known."""
     decoder: Any = json.JSONDecoder()
     lines: dict[int, int] = {}
     kept: list[object] = []
@@ -58,7 +69,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
         found, end = parse(text_and_begin, *args)
         # Kept, because the number of an object that is gone may become another's.
         kept.append(found)
-        lines[id(found)] = text_and_begin[0].count("\n", 0, text_and_begin[1]) + 1
+        lines[id(found)] = text_and_begin[1]
         return found, end
 
     decoder.parse_object = parse_object
@@ -68,25 +79,27 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
         text = read_text(source)
         content = decoder.decode(text)
     except (OSError, ValueError, RecursionError):
-        return problems
+        return {}
     # All on one line, as some tools write it: the path says more.
     if "\n" not in text.strip():
-        return problems
-    return [_with_line(problem, content, lines) for problem in problems]
+        return {}
+    ends = [i for i, letter in enumerate(text) if letter == "\n"]
+    begins = {path: _begin_of(path, content, lines) for path in paths}
+    return {path: bisect.bisect_left(ends, begin) + 1 for path, begin in begins.items() if begin is not None}
 
 
-def _with_line(problem: str, part: object, lines: dict[int, int]) -> str:
-    path, colon, words = problem.partition(": ")
-    line = None
-    for key in path.split("."):
+def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
+    """Return where in the text the innermost object on the path of a value begins."""
+    begin = None
+    for key in path.split(" ")[0].split("."):
         if isinstance(part, list) and key.isdecimal() and int(key) < len(part):
             part = part[int(key)]
         elif isinstance(part, dict) and key in part:
             part = part[key]
         else:
             break
-        line = lines.get(id(part), line)
-    return problem if line is None else f"{path} (line {line}){colon}{words}"
+        begin = begins.get(id(part), begin)
+    return begin
 
 
 def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
@@ -146,7 +159,7 @@ def section_of(content: Mapping[str, object], key: str, version: int) -> Content
 
 
 def number_of(value: object, where: str, limit: float, unit: str) -> float:
-    """Return a number whose size is at most a limit."""
+    """Return a number of at most a size."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         meaning = ", which means 'the current one'" if value is None else ""
         kind = f"a number [{unit}]" if unit else "a number"

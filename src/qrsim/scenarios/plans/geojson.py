@@ -1,0 +1,133 @@
+"""Reads routes and polygons of GeoJSON files (RFC 7946); the third coordinate is above the WGS-84 ellipsoid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
+from qrsim.models.geoid import undulation
+from qrsim.scenarios.plans.drawn import (
+    Drawn,
+    Options,
+    Point,
+    check_count,
+    checked_altitude,
+    checked_place,
+    chosen,
+    closed_ring,
+    drawn_plan,
+)
+from qrsim.scenarios.plans.parts import plan_content, shown
+from qrsim.scenarios.plans.plan import FencePolygon, Plan
+
+_KINDS = ("FeatureCollection", "Feature", "LineString", "MultiLineString", "Point", "GeometryCollection")
+_LACKS = "has points without altitudes"
+
+
+def read_geojson(source: str, options: Options) -> Plan:
+    """Read a route of a GeoJSON file: a LineString, else its Points in their order; and its polygons.
+
+    ``properties.height`` of a feature is a height of all its points above the ground.
+
+    Raises:
+        UsageError: the file cannot be read, is no GeoJSON, has no such route, or a point of it is wrong.
+    """
+    content = plan_content(source, "GeoJSON with a LineString")
+    kind = content.get("type") if isinstance(content, dict) else None
+    if kind not in _KINDS:
+        hint = did_you_mean(str(kind), _KINDS) if kind else ""
+        raise UsageError(f"{source}: its type is {shown(kind)}; expected GeoJSON with a LineString{hint}")
+    routes, points, polygons = [], [], []
+    for where, properties, geometry in _geometries(source, content):
+        height = _height(source, where, properties)
+        name = str(properties.get("name", ""))[:100]
+        coordinates = geometry.get("coordinates")
+        if geometry.get("type") == "Point":
+            points.append(_point(source, where, coordinates, height))
+        elif geometry.get("type") == "LineString":
+            routes.append(_line(source, where, name, coordinates, height))
+        elif geometry.get("type") == "MultiLineString":
+            routes += [_line(source, where, name, each, height) for each in _listed(source, where, coordinates)]
+        elif geometry.get("type") == "Polygon":
+            rings = [_ring(source, where, ring) for ring in _listed(source, where, coordinates)]
+            polygons += [FencePolygon(True, rings[0], tuple(rings[1:]), name)] if rings else []
+    if not routes and points:
+        routes = [Drawn("", tuple(points), _LACKS)]
+    if not routes:
+        raise UsageError(f"{source}: has no route; expected a LineString or Points")
+    return drawn_plan(source, chosen(source, routes, options.route), options, polygons)
+
+
+def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, Content]]:
+    """Yield the place in the file, properties and geometry of each feature."""
+    features: Any = [content]
+    if content["type"] == "FeatureCollection":
+        features = _listed(source, "features", content.get("features"))
+    for number, feature in enumerate(features):
+        where = f"feature {number}"
+        if not isinstance(feature, dict):
+            raise UsageError(f"{source}: {where}: expected an object, found {shown(feature)}")
+        bare = feature.get("type") != "Feature"
+        properties = {} if bare else feature.get("properties")
+        geometry = feature if bare else feature.get("geometry")
+        properties = properties if isinstance(properties, dict) else {}
+        if isinstance(geometry, dict) and geometry.get("type") == "GeometryCollection":
+            inside = _listed(source, where, geometry.get("geometries"))
+            yield from ((where, properties, each) for each in inside if isinstance(each, dict))
+        elif isinstance(geometry, dict):
+            yield where, properties, geometry
+
+
+def _height(source: str, where: str, properties: Content) -> float | None:
+    height = properties.get("height")
+    if height is None:
+        return None
+    if isinstance(height, bool) or not isinstance(height, int | float):
+        raise UsageError(f"{source}: {where}: its height is {shown(height)}; expected a number [m]")
+    return checked_altitude(source, where, height)
+
+
+def _line(source: str, where: str, name: str, coordinates: object, height: float | None) -> Drawn:
+    points = [
+        _point(source, f"{where}, point {i}", each, height)
+        for i, each in enumerate(_listed(source, where, coordinates), 1)
+    ]
+    return Drawn(name, tuple(points), _LACKS)
+
+
+def _point(source: str, where: str, position: object, height: float | None) -> Point:
+    numbers = _position(source, where, position)
+    latitude, longitude = checked_place(source, where, numbers[1], numbers[0])
+    if height is not None:
+        return Point(latitude, longitude, height, "ground")
+    if len(numbers) < 3:
+        return Point(latitude, longitude)
+    return Point(latitude, longitude, checked_altitude(source, where, numbers[2]) - undulation(latitude, longitude))
+
+
+def _ring(source: str, where: str, positions: object) -> tuple[tuple[float, float], ...]:
+    corners = []
+    for i, position in enumerate(_listed(source, where, positions)):
+        numbers = _position(source, f"{where}, corner {i}", position)
+        corners.append(checked_place(source, f"{where}: corner {i}", numbers[1], numbers[0]))
+    return closed_ring(source, where, corners)
+
+
+def _position(source: str, where: str, position: object) -> list[float]:
+    numbers = position if isinstance(position, list) else []
+    whole = all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers)
+    if len(numbers) < 2 or not whole:
+        raise UsageError(f"{source}: {where}: {shown(position)}; expected [longitude, latitude] or with an altitude")
+    try:
+        return [float(each) for each in numbers]
+    except OverflowError:
+        raise UsageError(f"{source}: {where}: {shown(position)}: a number is too large") from None
+
+
+def _listed(source: str, where: str, value: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise UsageError(f"{source}: {where}: expected a list, found {shown(value)}")
+    check_count(source, where, len(value))
+    return value

@@ -1,0 +1,161 @@
+"""Items that QGroundControl makes of patterns while it uploads them, and does not save.
+
+StructureScan as StructureScanComplexItem of QGroundControl (version 3 of the item) makes it, and fwLandingPattern as
+its LandingComplexItem. Both were compared with those sources, not with recorded uploads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from qrsim.files import Content
+from qrsim.models.scene.fence import polygon_problems
+from qrsim.models.site import Site
+from qrsim.scenarios.plans import commands as known
+from qrsim.scenarios.plans.parts import (
+    LARGEST_LENGTH,
+    PlanFaultError,
+    check_version,
+    number_of,
+    of_kind,
+    part_of,
+    place_of,
+)
+
+SCAN, LANDING, VTOL_LANDING = "StructureScan", "fwLandingPattern", "vtolLandingPattern"
+MOST_LAYERS = 500
+# Below this sine of the angle between two edges their corner would be far away.
+_SHARPEST = 0.02
+# An item, and the heading relative to the way to it [deg], None along it.
+Generated = tuple[Content, float | None]
+Point = tuple[float, float]
+
+
+def scan_items(item: Mapping[str, object], path: str) -> list[Generated]:
+    """Return the waypoints of a scan of a structure, which the vehicle faces.
+
+    The polygon is set out by the distance to the surface. Every layer is a round at half of its height, from the first
+    corner and back to it; the scan is entered and left there at the altitude of entrance, above home.
+
+    Raises:
+        PlanFaultError: a part is missing or out of range.
+    """
+    check_version(item, 3, path)
+    camera = part_of(item, "CameraCalc", dict, path)
+    distance = _above_zero(camera, "DistanceToSurface", path)
+    height = _above_zero(camera, "AdjustedFootprintFrontal", path)
+    names = ("EntranceAltitude", "ScanBottomAlt", "StructureHeight")
+    entrance, bottom, top = (_length(item, name, path) for name in names)
+    layers = int(number_of(item.get("Layers"), f"{path}.Layers", MOST_LAYERS, ""))
+    if layers < 1:
+        raise PlanFaultError(f"{path}.Layers: {layers} is out of range; allowed: 1 to {MOST_LAYERS}")
+    falls = bool(item.get("StartFromTop"))
+    corners = _corners(item, path)
+    ring, turn = _set_out(corners, distance, path)
+    first = (top - 0.5 * height) if falls else (bottom + 0.5 * height)
+    step = -height if falls else height
+    found: list[Generated] = [(_waypoint(ring[0], entrance), None)]
+    for layer in range(layers):
+        altitude = first + layer * step
+        found.append((_waypoint(ring[0], altitude), turn))
+        found += [(_waypoint(place, altitude), turn) for place in (*ring[1:], ring[0])]
+    return [*found, (_waypoint(ring[0], entrance), None)]
+
+
+def landing_items(item: Mapping[str, object], path: str) -> list[Generated]:
+    """Return the items of a landing pattern of fixed wings: the approach, and the landing.
+
+    Raises:
+        PlanFaultError: a part is missing or out of range.
+    """
+    approach = "landingApproachCoordinate" if "landingApproachCoordinate" in item else "loiterCoordinate"
+    places = {}
+    for key in (approach, "landCoordinate"):
+        places[key] = place_of(part_of(item, key, list, path), f"{path}.{key}", 3)
+    found = [_item(known.LAND_START, [0.0] * 7, known.MISSION_FRAME)]
+    if item.get("useDoChangeSpeed"):
+        speed = _above_zero(item, "finalApproachSpeed", path)
+        found.append(_item(known.CHANGE_SPEED, [0.0, speed, -1.0, *[0.0] * 4], known.MISSION_FRAME))
+    if item.get("useLoiterToAlt", True):
+        radius = _above_zero(item, "loiterRadius", path)
+        way = radius if item.get("loiterClockwise", True) else -radius
+        params: list[float | None] = [1.0, way, 0.0, 1.0, *places[approach]]
+        found.append(_item(known.LOITER_TO_ALTITUDE, params, _frame(item, "loiterAltitudeRelative")))
+    else:
+        params = [0.0, 0.0, 0.0, None, *places[approach]]
+        found.append(_item(known.WAYPOINT, params, _frame(item, "loiterAltitudeRelative")))
+    landing: list[float | None] = [0.0, 0.0, 0.0, None, *places["landCoordinate"]]
+    found.append(_item(known.LAND, landing, _frame(item, "landingAltitudeRelative")))
+    return [(each, None) for each in found]
+
+
+def _frame(item: Mapping[str, object], old: str) -> int:
+    """Return the frame of altitudes; files before version 2 of the item say it of both places."""
+    return known.ABOVE_HOME[0] if item.get("altitudesAreRelative", item.get(old, True)) else known.ABOVE_SEA[0]
+
+
+def _item(command: int, params: Sequence[float | None], frame: int) -> Content:
+    return {"type": "SimpleItem", "command": command, "frame": frame, "params": list(params), "autoContinue": True}
+
+
+def _waypoint(place: Point, altitude: float) -> Content:
+    return _item(known.WAYPOINT, [0.0, 0.0, 0.0, None, *place, altitude], known.ABOVE_HOME[0])
+
+
+def _length(item: Mapping[str, object], key: str, path: str) -> float:
+    return number_of(item.get(key), f"{path}.{key}", LARGEST_LENGTH, "m")
+
+
+def _above_zero(item: Mapping[str, object], key: str, path: str) -> float:
+    number = _length(item, key, path)
+    if number <= 0.0:
+        raise PlanFaultError(f"{path}: {key} is {number:g} m; allowed: above 0")
+    return number
+
+
+def _corners(item: Mapping[str, object], path: str) -> list[Point]:
+    where, corners = f"{path}.polygon", []
+    for i, corner in enumerate(part_of(item, "polygon", list, path)):
+        latitude, longitude = place_of(of_kind(corner, list, f"{where}.{i}"), f"{where}.{i}", 2)
+        corners.append((latitude, longitude))
+    for problem in polygon_problems(corners):
+        raise PlanFaultError(f"{where}: {problem}")
+    return corners
+
+
+def _set_out(corners: Sequence[Point], distance: float, path: str) -> tuple[list[Point], float]:
+    """Set a polygon out: every edge by a distance [m], with corners where neighbouring edges meet.
+
+    Returns:
+        The corners, latitude and longitude [deg], and the heading relative to the way that faces inwards [deg].
+    """
+    site = Site.from_degrees(*corners[0], 0.0)
+    plane = [
+        tuple(map(float, site.geodetic_to_ned(math.radians(latitude), math.radians(longitude), 0.0)[:2]))
+        for latitude, longitude in corners
+    ]
+    count = len(plane)
+    ways = [_way(plane[i], plane[(i + 1) % count]) for i in range(count)]
+    area = sum(plane[i][0] * plane[(i + 1) % count][1] - plane[(i + 1) % count][0] * plane[i][1] for i in range(count))
+    # From north to east is clockwise: the inside of a polygon of positive area is to the right.
+    side = 1.0 if area > 0.0 else -1.0
+    ring = []
+    for i in range(count):
+        (a, b), (c, d) = ways[i - 1], ways[i]
+        sine, cosine = a * d - b * c, a * c + b * d
+        if abs(sine) < _SHARPEST and cosine < 0.0:
+            raise PlanFaultError(f"{path}.polygon: corner {i} is too sharp to be set out")
+        # Along both edges: as far out as the bisector of their normals leads.
+        more = math.tan(0.5 * math.atan2(sine, cosine))
+        north = plane[i][0] + distance * side * (b + a * more)
+        east = plane[i][1] + distance * side * (-a + b * more)
+        place = site.ned_to_geodetic((north, east, 0.0))
+        ring.append((math.degrees(float(place[0])), math.degrees(float(place[1]))))
+    return ring, 90.0 * side
+
+
+def _way(begin: Sequence[float], end: Sequence[float]) -> Point:
+    north, east = end[0] - begin[0], end[1] - begin[1]
+    length = math.hypot(north, east)
+    return north / length, east / length
