@@ -84,6 +84,7 @@ class Jobs:
             self._code,
             spec.precision,
             spec.own_metrics,
+            spec.track,
         )
 
 
