@@ -66,7 +66,7 @@ class Brief:
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: briefs/NAME)")] = None
     """Folder of the brief."""
     again: bool = False
-    """Discard what the folder has of another operation."""
+    """Discard what the folder has, and begin again."""
     json: bool = False
     """Print the JSON instead of the summary."""
 
@@ -77,11 +77,10 @@ class Brief:
         if self.write is not None:
             return self._write(operation)
         from qrsim.extras import require
-        from qrsim.studies.brief.flights import flights_of, refuse_close_starts
+        from qrsim.studies.brief.flights import flights_of
 
         require("brief", "qrsim brief")
         flights = flights_of(operation, 3600.0 * self.longest)
-        refuse_close_starts(flights)
         folder = self.out or Path("briefs") / operation.operation
         self._clear(folder, operation)
         return self._brief(operation, flights, folder)
@@ -145,7 +144,7 @@ class Brief:
         return 0
 
     def _clear(self, folder: Path, operation: OperationSpec) -> None:
-        """Refuse a folder of another operation, or empty it with --again."""
+        """Empty the folder with --again; else refuse that of another operation."""
         import shutil
 
         from qrsim.files.yaml_text import parse_yaml
@@ -155,12 +154,12 @@ class Brief:
             raise UsageError(f"{folder}: it exists and is no folder of a brief; --out another folder")
         if not there.exists():
             return
-        text = there.read_text("utf-8")
-        if text == operation.to_yaml():
-            return
         if self.again:
             for path in [*folder.glob("nominal_*"), *folder.glob("faults*"), *folder.glob("brief.*"), there]:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
+            return
+        text = there.read_text("utf-8")
+        if text == operation.to_yaml():
             return
         differs = [*_differing(parse_yaml(operation.to_yaml(), "operation"), parse_yaml(text, str(there)))]
         raise UsageError(

@@ -33,13 +33,14 @@ def png(figure: Figure) -> bytes:
 
 def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> Figure:
     """Draw the density of all tracks (E, R, n, 4) with fence, planned routes, ends of lost runs and the worst runs."""
-    figure = new_figure(7.2, 6.2)
-    axes = figure.subplots()
     corners = _fence(scenario)
     low, high = corners.min(axis=0) - 5.0, corners.max(axis=0) + 5.0
     points = _dense(tracks)
     if len(points):
         low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    # As high as the area is long, within a page.
+    figure = new_figure(7.2, float(np.clip(5.4 * (high[0] - low[0]) / max(high[1] - low[1], 1.0) + 0.7, 2.5, 7.5)))
+    axes = figure.subplots()
     cell = max(SMALLEST_M, float(np.max(high - low)) / CELLS)
     edges = [np.arange(low[axis], high[axis] + cell, cell) for axis in (0, 1)]
     counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import ScenarioError, UsageError, did_you_mean, warn_user
+from qrsim.errors import UsageError, did_you_mean, warn_user
 from qrsim.files import Content
 from qrsim.models.atmosphere.wind import ROUGHNESS_M
 from qrsim.models.site import Site
@@ -272,23 +272,6 @@ def _planned_s(scenario: Scenario, operation: OperationSpec) -> Iterator[float]:
 
 
 def _time(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
     return f"{seconds / 3600.0:.1f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.0f} min"
-
-
-def refuse_close_starts(flights: Flights) -> None:
-    """Refuse vehicles that start closer together than they may be.
-
-    Raises:
-        ScenarioError: two do.
-    """
-    spec = flights.scenario.spec
-    places = [(name, np.array(fleet.vehicles[0].position_ned)) for name, fleet in spec.fleets.items()]
-    least = spec.world.collision_distance
-    close = [
-        f"{one} and {other} start {np.linalg.norm(a - b):.1f} m apart; allowed: collision_distance, {least:g} m"
-        for i, (one, a) in enumerate(places)
-        for other, b in places[i + 1 :]
-        if np.linalg.norm(a - b) < least
-    ]
-    if close:
-        raise ScenarioError(spec.name, close)
