@@ -19,9 +19,7 @@ WIDE = [(-60.0, -60.0), (-60.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
 AWAY, ON_THE_LEG = {"x": -40.0, "y": -40.0}, {"x": 12.0, "y": 0.5}
 
 
-def write(
-    folder: Path, fence: list[tuple[float, float]] = WIDE, mast: dict[str, float] = AWAY, **changes: Any
-) -> Path:
+def write(folder: Path, fence: list[tuple[float, float]] = WIDE, mast: dict[str, float] = AWAY, **changes: Any) -> Path:
     """Write an operation: 12 m up, 25 m north, and back, past a mast."""
     folder.mkdir()
     write_plan(folder / "a.plan", fence=fence)

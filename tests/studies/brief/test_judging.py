@@ -20,7 +20,7 @@ class Given(Runs):
 
     def __init__(self, runs: int, **given: Any):
         super().__init__([], ("scout",))
-        good = {name: 0.0 for name in METRICS}
+        good = dict.fromkeys(METRICS, 0.0)
         good |= {"charge_end": 0.6, "fence_horizontal_min_m": 20.0, "ceiling_min_m": 30.0, "ground_min_m": 15.0}
         good |= {"air_separation_min_m": np.nan, "obstacle_min_m": np.nan, "stopped_s": np.nan, "failsafe_s": np.nan}
         self._arrays = {name: np.full(runs, value) for name, value in good.items()}

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.studies.sweep.conftest import planned
+from tests.studies.sweep.conftest import planned, write
 
 from qrsim.errors import ScenarioError
 from qrsim.studies.sweep.axes import Axis
+from qrsim.studies.sweep.prepare import plan_of, plan_of_numbers
 from qrsim.studies.sweep.sampling import Sample
-from qrsim.studies.sweep.study import SamplingSpec
+from qrsim.studies.sweep.study import SamplingSpec, load_study
 
 MASS = "fleets.pelicans.vehicle.mass"
 WIND = "world.wind.speed_20ft"
@@ -151,3 +152,15 @@ def test_tracks_have_a_record_for_each_interval(tmp_path: Path) -> None:
     (group,) = plan.groups.values()
     assert plan.track == (1 + round(group.ticks * group.time_step / 0.1), group.vehicles, 4)
     assert planned(tmp_path).track == ()
+
+
+def test_a_plan_of_numbers_flies_the_same_as_a_plan(tmp_path: Path) -> None:
+    file = write(tmp_path, **sampled("latin_hypercube", 8))
+    one, other = (made(load_study(str(file))) for made in (plan_of, plan_of_numbers))
+    assert one.shape == other.shape
+    assert [place.path for place in other.groups[()].places or ()] == [WIND, MASS]
+    for path, values in one.batch(0).numbers.items():
+        np.testing.assert_array_equal(values, other.batch(0).numbers[path])
+    wrong = write(tmp_path, vary={WIND: {"low": 0.0, "high": 60.0}}, sampling={"type": "sobol", "points": 8})
+    with pytest.raises(ScenarioError, match="speed_20ft: 60 is out of range"):
+        plan_of_numbers(load_study(str(wrong)))

@@ -18,6 +18,7 @@ from qrsim.scenarios.build import component
 from qrsim.scenarios.satellites import for_receivers
 from qrsim.scenarios.scenario import Scenario
 from qrsim.studies.brief.judging import Row, Verdict
+from qrsim.world.state import World
 
 DAY_S, STEP_S, PLACES, REACH_M = 86_400.0, 300.0, 20, 5000.0
 # Around the flights, what counts for the verdict [s].
@@ -85,22 +86,21 @@ def sky_of(scenario: Scenario) -> Sky:
     times = times[(times >= first) & (times <= last)]
     heard = np.array([letter in receiver.systems for letter in ephemeris.system_of])
     satellites = scenario.site.ecef_to_ned(ephemeris.positions_ecef(times)[:, heard])
-    places = places_along(scenario)
+    places, world = places_along(scenario), scenario.world()
     count = np.zeros((len(times), len(places)), int)
     pdop, hdop = np.full(count.shape, NONE_PDOP), np.full(count.shape, NONE_PDOP)
     for i, place in enumerate(places):
         sight = satellites - place
         sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
         used = -sight[..., 2] > math.sin(receiver.elevation_mask_rad)
-        used &= ~_hidden(scenario, place, sight, used)
+        used &= ~_hidden(world, place, sight, used)
         count[:, i] = used.sum(axis=1)
         pdop[:, i], hdop[:, i] = _dilution(sight, used)
     return Sky(times - start, places, count, pdop, hdop)
 
 
-def _hidden(scenario: Scenario, place: NumpyArray, sight: NumpyArray, used: NumpyArray) -> NumpyArray:
+def _hidden(world: World, place: NumpyArray, sight: NumpyArray, used: NumpyArray) -> NumpyArray:
     """Return which satellites (T, S) something hides at a place."""
-    world = scenario.world()
     hidden = np.zeros(used.shape, bool)
     if not can_hide(world.obstacles, world.ground):
         return hidden

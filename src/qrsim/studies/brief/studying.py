@@ -15,7 +15,7 @@ from qrsim.studies.brief.flights import Flights, bearing_deg, speed_20ft
 from qrsim.studies.brief.operation import OperationSpec
 from qrsim.studies.brief.statistics import FEWEST, first_look
 from qrsim.studies.sweep.plan import Batch, Plan
-from qrsim.studies.sweep.prepare import plan_of
+from qrsim.studies.sweep.prepare import plan_of, plan_of_numbers
 from qrsim.studies.sweep.store import Store
 from qrsim.studies.sweep.study import load_study
 from qrsim.studies.sweep.sweeping import sweep, sweep_here
@@ -130,6 +130,7 @@ class Flyer:
     def __init__(self, folder: Path, client: Any, minutes: float, told: Callable[[str, int, int], None]):
         self.folder, self.client, self.minutes, self.told = folder, client, minutes, told
         self.begun = time.monotonic()
+        self._first: Plan | None = None
         self.allow(1.0)
 
     def allow(self, part: float) -> None:
@@ -144,7 +145,13 @@ class Flyer:
         """
         path = self.folder / f"{study['name']}.yaml"
         write_atomically(path, dump_yaml(study).encode())
-        return plan_of(load_study(str(path)))
+        loaded = load_study(str(path))
+        if "sampling" not in study:
+            return plan_of(loaded)
+        # All parts of the nominal stage vary the same numbers.
+        if self._first is None:
+            self._first = plan_of_numbers(loaded)
+        return Plan(loaded, self._first.axes, (), self._first.groups)
 
     def fly(self, study: Content) -> bool:
         """Fly what is missing of a study; return whether it is complete.
