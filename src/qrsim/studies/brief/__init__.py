@@ -1,5 +1,5 @@
-"""The brief before a field day: whether an operation is a go, marginal or a no-go, with the statistics behind it.
+"""The verdict on an operation before a field day, with the statistics behind it (docs/howto/brief_a_mission.md).
 
-It flies studies of ``sweep`` and reads their stores. No other study imports it.
+It may import ``sweep``, the other studies, and the layers below ``studies``.
 Read ``operation.py`` first.
 """

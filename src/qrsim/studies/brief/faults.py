@@ -169,8 +169,17 @@ def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun:
     elsewhere = ~crashed & ~left & ~airborne & ~home
     ended = np.where(of("stopped") > 0.0, of("stopped_s"), of("down_s")) - begun
     bad = ended[~home & np.isfinite(ended)]
-    shares = (float(which.mean()) for which in (home, elsewhere, left, crashed, airborne))
-    return FaultOutcome(fault, part, int(here.sum()), *shares, float(np.median(bad)) if len(bad) else None)
+    return FaultOutcome(
+        fault=fault,
+        part=part,
+        runs=int(here.sum()),
+        home=float(home.mean()),
+        elsewhere=float(elsewhere.mean()),
+        left_area=float(left.mean()),
+        crashed=float(crashed.mean()),
+        airborne=float(airborne.mean()),
+        median_s=float(np.median(bad)) if len(bad) else None,
+    )
 
 
 def fault_rows(outcomes: list[FaultOutcome]) -> list[Row]:

@@ -120,7 +120,7 @@ def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:
         axes.plot([known.min(), known.max()], [number, number], color=colour, lw=1.0)
         axes.plot([low, high], [number, number], color=colour, lw=6.0, solid_capstyle="butt")
         axes.plot([median], [number], "|", color="white", ms=9, mew=2)
-        axes.plot([row.limit], [number], marker="D", color="black", ms=5)
+        axes.plot([row.limit or 0.0], [number], marker="D", color="black", ms=5)
     axes.set_yticks(range(len(shown)), [row.name for row in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
     axes.set_xlim(left=0.0)

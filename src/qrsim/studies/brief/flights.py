@@ -182,7 +182,7 @@ def _area(operation: OperationSpec, plans: tuple[Plan, ...], assumed: list[str])
     fenced = [
         mission.plan
         for mission, plan in zip(operation.missions, plans, strict=True)
-        if any(each.inclusion for each in (*plan.polygons, *plan.circles))
+        if any(each.inclusion for each in plan.polygons) or any(each.inclusion for each in plan.circles)
     ]
     if fenced:
         if len(fenced) > 1:

@@ -62,7 +62,7 @@ class Row:
 def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
     """Return the worst verdict, and the reason of the first row that has it."""
     counted = [row for row in rows if row.decides]
-    worst = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
+    worst: Verdict = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
     reasons = [row.why for row in counted if row.verdict == worst]
     if not counted:
         return "marginal", "nothing was flown"
@@ -133,7 +133,7 @@ def _finished(runs: Runs, look: int | None) -> Row:
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
-    told = f"{_count(hits)} of {total} runs did not finish the mission: below {_percent(bound)}"
+    told = f"{total - hits} of {total} runs finish the mission; the share of the others is below {_percent(bound)}"
     worst = None
     if hits:
         taken = int((runs["failsafes"] > 0.0).sum())

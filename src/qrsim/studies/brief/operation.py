@@ -17,7 +17,8 @@ from qrsim.scenarios.problems import describe
 from qrsim.scenarios.schema import NAME
 from qrsim.studies.brief.words import LARGEST_WIND, share_of, time_of
 
-FAULTS = ("motor", "gnss", "link", "low_battery")
+Fault = Literal["motor", "gnss", "link", "low_battery"]
+FAULTS: list[Fault] = ["motor", "gnss", "link", "low_battery"]
 Share = Annotated[Finite, BeforeValidator(share_of)]
 
 
@@ -100,9 +101,9 @@ class LinkLostSpec(Part):
 class ContingencySpec(Part):
     """Reactions of the vehicles to failures."""
 
-    low_battery: LowBatterySpec = LowBatterySpec()
-    gnss_lost: GnssLostSpec = GnssLostSpec()
-    link_lost: LinkLostSpec = LinkLostSpec()
+    low_battery: LowBatterySpec = LowBatterySpec.model_validate({})
+    gnss_lost: GnssLostSpec = GnssLostSpec.model_validate({})
+    link_lost: LinkLostSpec = LinkLostSpec.model_validate({})
     return_height: Finite = Field(60.0, description="height of a return above home [m]", gt=0.0, le=500.0)
 
 
@@ -133,12 +134,10 @@ class OperationSpec(Part):
     wind: WindSpec = Field(description="forecast of the wind")
     site: dict[str, Any] = Field({}, description="'ceiling' [m above home], and keys of a scenario's site")
     world: dict[str, Any] = Field({}, description="further keys of a scenario's world: buildings, obstacles, ground")
-    uncertain: UncertainSpec = UncertainSpec()
-    contingency: ContingencySpec = ContingencySpec()
-    faults: list[Literal["motor", "gnss", "link", "low_battery"]] = Field(
-        list(FAULTS), description="faults to fly, each at 25, 50 and 75 % of the mission"
-    )
-    criteria: CriteriaSpec = CriteriaSpec()
+    uncertain: UncertainSpec = UncertainSpec.model_validate({})
+    contingency: ContingencySpec = ContingencySpec.model_validate({})
+    faults: list[Fault] = Field(FAULTS, description="faults to fly, each at 25, 50 and 75 % of the mission")
+    criteria: CriteriaSpec = CriteriaSpec.model_validate({})
     extends: str | None = Field(None, description="a scenario below all this")
 
     def to_yaml(self) -> str:

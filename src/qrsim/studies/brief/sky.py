@@ -14,7 +14,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.rays import can_hide, first_hit
 from qrsim.models.site import gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component
+from qrsim.scenarios.components import component
 from qrsim.scenarios.satellites import for_receivers
 from qrsim.scenarios.scenario import Scenario
 from qrsim.studies.brief.judging import Row, Verdict

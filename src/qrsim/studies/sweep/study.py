@@ -47,9 +47,7 @@ class SamplingSpec(Part):
         None, description="number of points; of saltelli, of the base sample", ge=1, le=MOST_POINTS
     )
     seed: int = Field(0, description="of the sample", ge=0)
-    paired: bool = Field(
-        False, description="fly each point with a seed of its own, the first seed plus the number of the point"
-    )
+    paired: bool = Field(False, description="give point i the seed first_seed + i")
 
     @model_validator(mode="after")
     def _points(self) -> SamplingSpec:
