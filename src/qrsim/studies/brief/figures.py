@@ -58,7 +58,7 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> 
         for vehicle in range(tracks.shape[2]):
             path = tracks[run, :, vehicle]
             axes.plot(
-                path[:, 1], path[:, 0], color="#b26a00", lw=0.8, label=None if number or vehicle else "worst runs"
+                path[:, 1], path[:, 0], color="#b26a00", lw=0.6, label=None if number or vehicle else "worst runs"
             )
     axes.set_aspect("equal")
     axes.set_xlabel("east [m]")
@@ -157,12 +157,13 @@ def time_figure(
     if tracks.shape[2] <= 10:
         panels[1].legend(fontsize=8, loc="upper right")
     if sky is not None:
-        _draw_sky(panels[2], sky)
+        _draw_sky(panels[2], sky, last)
     return figure
 
 
-def _draw_sky(axes: Any, sky: Sky) -> None:
+def _draw_sky(axes: Any, sky: Sky, last_s: float) -> None:
     place, hours = sky.worst_place(), sky.seconds / 3600.0
+    axes.axvspan(0.0, last_s / 3600.0, color="#dddddd", lw=0)
     axes.plot(hours, sky.count[:, place], color="#1f4e8c", lw=1.0)
     axes.set_ylabel("satellites", color="#1f4e8c")
     axes.set_ylim(0, max(12, math.ceil(1.1 * sky.count.max())))
