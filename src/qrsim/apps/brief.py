@@ -168,7 +168,7 @@ class Brief:
         )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
-        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, prepared
+        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared
 
         with os_error_as(RunError, f"{folder}: cannot write there"):
             brief = prepared(operation, flights, folder, self.seed)
@@ -179,6 +179,7 @@ class Brief:
             with ExitStack() as opened, _progress() as told:
                 fly(brief, stages, lambda: self._flyer(opened, folder, told))
         except KeyboardInterrupt:
+            keep(brief)
             self._tell(brief, folder)
             raise
         self._tell(brief, folder)

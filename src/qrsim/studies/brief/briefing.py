@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -181,7 +180,7 @@ def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int
 
 
 def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None:
-    """Fly the stages of a brief until its verdict or the end of its time; interrupted, it keeps what is there.
+    """Fly the stages of a brief until its verdict or the end of its time; after an interruption, call ``keep``.
 
     Args:
         brief: changed in place.
@@ -191,28 +190,23 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
     brief.sky = sky_of(brief.flights.scenario)
     both = len(stages) > 1 and bool(brief.operation.faults)
     complete = True
-    with _kept(brief):
-        made = flyer()
-        if "nominal" in stages:
-            # Time is left for the faults, whose runs are few.
-            made.allow(NOMINAL_PART if both else 1.0)
-            complete = _nominal(brief, made)
-            if not complete:
-                _read(brief, look=None)
-        if "faults" in stages and brief.operation.faults:
-            made.allow(1.0)
-            complete &= _faults(brief, made)
-        brief.complete = complete
+    made = flyer()
+    if "nominal" in stages:
+        # Time is left for the faults, whose runs are few.
+        made.allow(NOMINAL_PART if both else 1.0)
+        complete = _nominal(brief, made)
+        if not complete:
+            keep(brief)
+    # What fails without a fault needs no fault.
+    if "faults" in stages and brief.operation.faults and overall(brief.nominal)[0] != "no-go":
+        made.allow(1.0)
+        complete &= _faults(brief, made)
+    brief.complete = complete
 
 
-@contextmanager
-def _kept(brief: Brief) -> Iterator[None]:
-    """Read what has been flown also when the flight is interrupted."""
-    try:
-        yield
-    finally:
-        if not brief.complete:
-            _read(brief, look=None)
+def keep(brief: Brief) -> None:
+    """Read the nominal runs that are there after an interruption; the verdicts of the last look hold."""
+    _read(brief, look=None)
 
 
 def _read(brief: Brief, look: int | None) -> None:

@@ -248,8 +248,8 @@ def _vehicle(mission: MissionSpec, name: str, assumed: list[str]) -> Content:
         return found
     if mission.vehicle not in SETS:
         raise UsageError(
-            f"missions.{name}.vehicle: no model is called '{mission.vehicle}'{did_you_mean(mission.vehicle, SETS)}; "
-            f"known: {', '.join(SETS)}, or a .yaml file"
+            f"missions.{name}.vehicle: no model is called '{mission.vehicle}'{did_you_mean(mission.vehicle, SETS)} "
+            "(or give a .yaml file)"
         )
     assumed.append(f"{name} is the parameter set '{mission.vehicle}', not identified from flights of this vehicle.")
     return {"type": "multirotor", "model": mission.vehicle}

@@ -147,7 +147,9 @@ def _finished(runs: Runs, look: int | None) -> Row:
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     left = np.where(runs["stopped"] > 0.0, np.nan, runs["charge_end"])
     if not np.isfinite(left).any():
-        return Row("reserve", "marginal", None, None, criteria.reserve, "1", "no run came to its end with a battery")
+        return Row(
+            "reserve", "marginal", None, None, criteria.reserve, "1", "no run came to its end, so no charge counts"
+        )
     value = quantile(left, WORST_CHARGE)
     for_go, for_no_go = _levels(look)
     low, _ = quantile_bounds(left, WORST_CHARGE, spent(1) if for_go is None else for_go)
@@ -189,10 +191,10 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
     run = int(np.nanargmin(smallest))
     part = int(np.nanargmin(values[:, run]))
     worst = runs.moment(run, margins[part])
-    words = {"ceiling_min": "ceiling", "ground_min": "ground", "obstacle_min": "nearest obstacle"}
-    words |= {"fence_horizontal_min": "sides of the area", "air_separation_min": "nearest vehicle in the air"}
+    words = {"ceiling_min": "the ceiling", "ground_min": "the ground", "obstacle_min": "an obstacle"}
+    words |= {"fence_horizontal_min": "the sides of the area", "air_separation_min": "another vehicle in the air"}
     told = (
-        f"{name}: 1 % of the runs come nearer than {value:.1f} m; wanted {limit:g} m; the nearest to the "
+        f"{name}: 1 % of the runs come nearer than {value:.1f} m; wanted {limit:g} m; the nearest to "
         f"{words[margins[part]]} was {smallest[run]:.1f} m ({worst.text()})"
     )
     return Row(name, verdict, value, low if math.isfinite(low) else None, limit, "m", told, worst)

@@ -164,6 +164,8 @@ def read_operation(path: Path, changes: Content) -> OperationSpec:
         raise UsageError(f"operation {path}: cannot be read: {error.strerror}") from None
     if not isinstance(content, dict):
         raise ScenarioError(str(path), ["expected keys and values such as operation: my_field"])
+    if "fleets" in content and "missions" not in content:
+        raise UsageError(f"{path}: is a scenario and no operation, which names plans; 'qrsim check {path}' flies it")
     content = {"operation": path.stem, **content, **changes}
     missions = content.get("missions")
     for mission in missions if isinstance(missions, list) else ():
