@@ -41,7 +41,8 @@ def brief(file: Path, *words: str) -> tuple[int, dict[str, Any]]:
     """Brief an operation in this process; return the exit code and the numbers."""
     out = file.parent / "out"
     options = ("--workers", "1", "--minutes", "10", *words)
-    code = cli.main(["brief", str(file), "--stage", "nominal", "--out", str(out), *options])
+    stage = () if "--stage" in words else ("--stage", "nominal")
+    code = cli.main(["brief", str(file), *stage, "--out", str(out), *options])
     return code, json.loads((out / "brief.json").read_text())
 
 
@@ -114,3 +115,19 @@ def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert rows(found)["wind"]["verdict"] == "no-go"
     assert rows(found)["loss"]["value"] > 0.5
     assert found["worst"][0]["command"].startswith("qrsim run ")
+
+
+@pytest.mark.nightly
+def test_faults_end_as_the_reactions_ask(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "faults", battery={"capacity": 5.0})
+    code, found = brief(file, "--stage", "faults")
+    # Without nominal runs nothing is a go.
+    assert (code, found["verdict"], found["complete"]) == (3, "marginal", True)
+    assert len(found["faults"]) == 12
+    by_fault = {name: [each for each in found["faults"] if each["fault"] == name] for name in ("motor", "link", "gnss")}
+    by_fault["low_battery"] = [each for each in found["faults"] if each["fault"] == "low_battery"]
+    assert [each["crashed"] for each in by_fault["motor"]] == [1.0] * 3
+    assert all(each["median_s"] < 10.0 for each in by_fault["motor"])
+    assert [each["home"] for each in by_fault["link"]] == [1.0] * 3
+    assert [each["home"] for each in by_fault["low_battery"]] == [1.0] * 3
+    assert rows(found)["fault motor"]["decides"] is False
