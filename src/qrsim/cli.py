@@ -26,6 +26,7 @@ import tyro
 
 from qrsim.apps.autopilot.command import Ardupilot, Betaflight
 from qrsim.apps.autopilot.px4 import Px4
+from qrsim.apps.brief import Brief
 from qrsim.apps.cache import Clear, Info, Pack, Unpack
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare import Compare
@@ -128,6 +129,7 @@ Example:
 COMMANDS: dict[str, type[Command] | Group] = {
     "run": Run,
     "check": Check,
+    "brief": Brief,
     "list": List,
     "show": Show,
     "schema": Schema,

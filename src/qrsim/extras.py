@@ -20,6 +20,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "envs": ("gymnasium", "pettingzoo"),
     "datasets": ("minari", "h5py"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
+    "brief": ("distributed", "xarray", "zarr", "jinja2"),
     "wind": ("xarray", "netCDF4"),
     "weather": ("netCDF4", "eccodes"),
     "buildings": ("shapely",),

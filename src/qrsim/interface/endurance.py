@@ -38,7 +38,7 @@ class Consumption:
     def update(self, world: World, state: State, counts: Array) -> Consumption:
         """Update with the state at a tick; ``counts`` (n,) is which vehicles still fly."""
         now = charges(world, state)
-        counts = counts & _airborne(world, state)
+        counts = counts & airborne(world, state)
         # A battery that was replaced has more than before.
         spent = jnp.maximum(self.last - now, 0.0)
         return replace(
@@ -68,7 +68,7 @@ def endurance_s(consumption: Consumption | None, like: Floats, dt: float) -> Flo
         return np.where(used > 0.0, time, np.nan)
 
 
-def _airborne(world: World, state: State) -> Array:
+def airborne(world: World, state: State) -> Array:
     """Return which vehicles (n,) are in the air; of those that drive, which are under way."""
     return concatenated([_of_fleet(world, *each) for each in zip(world.fleets, state.fleets, strict=True)])
 

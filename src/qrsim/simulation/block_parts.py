@@ -15,6 +15,7 @@ from jax.sharding import Mesh
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.metrics import FLIGHT_METRICS
+from qrsim.interface.mission_metrics import MISSION_METRICS
 from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
@@ -91,7 +92,7 @@ class Setup:
         """True if all code is this package's, so that the structure identifies the setup in any process."""
         own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}
         asks_nobody = self.policy is None and self.estimator is None
-        return asks_nobody and self.metrics is FLIGHT_METRICS and own
+        return asks_nobody and own and (self.metrics is FLIGHT_METRICS or self.metrics is MISSION_METRICS)
 
     def world(self, fixed: Sequence[object], own: Sequence[object]) -> World:
         """Rebuild a world from shared leaves and its own leaves."""

@@ -17,6 +17,7 @@ from qrsim.engine.layout import Packer, layout_of_each
 from qrsim.engine.settings import threads, uses_llvm
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
+from qrsim.interface.mission_metrics import MissionMetrics
 from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.simulation.block_parts import Carry, Setup
@@ -111,11 +112,22 @@ class Engine:
             self._keep(flight, after, rows[:real], found)
             self.progress(real * (after - tick))
             tick = after
+            if self._ended(flight):
+                self.progress(real * (self.schedule.ticks - tick))
+                found += found[-1:] * (len(self.schedule.records) - len(found))
+                break
         metrics, state = jax.tree.map(
             lambda leaf: np.asarray(leaf)[:real], flight.get(lambda carry: (carry.flight, carry.state))
         )
         recorded = jax.tree.map(lambda *parts: np.stack(parts, axis=1), *found) if found else None
         return self.setup.metrics.finish(metrics, self.example, state), recorded
+
+    def _ended(self, flight: Flight) -> bool:
+        """Return whether every world has ended; metrics of missions define when one has."""
+        metrics = self.setup.metrics
+        if not isinstance(metrics, MissionMetrics):
+            return False
+        return bool(np.all(flight.get(lambda carry: metrics.ended(carry.flight))))
 
     def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[Any]) -> None:
         if self.record is None or tick % self.schedule.record_every:

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from qrsim.engine.backend import Extent, Function, Worlds
+from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.simulation.block_parts import Carry, Setup, begin_world, tick_of_world
 from qrsim.world.state import WorldKeys
 
@@ -49,5 +50,6 @@ def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], car
 
 def _function(name: str, call: Any, setup: Setup) -> Function:
     # Only setups of this package's own code can be identified by their structure in another process.
-    text = (setup.types, setup.varied) if setup.plain else None
+    measured = () if setup.metrics is FLIGHT_METRICS else (type(setup.metrics).__name__,)
+    text = (setup.types, setup.varied, *measured) if setup.plain else None
     return Function(name, partial(call, setup), setup.key, text)

@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.studies.sweep.conftest import planned
+from tests.studies.sweep.conftest import planned, write
 
+from qrsim.errors import ScenarioError
+from qrsim.studies.sweep.axes import Axis
+from qrsim.studies.sweep.prepare import plan_of, plan_of_numbers
 from qrsim.studies.sweep.sampling import Sample
-from qrsim.studies.sweep.study import SamplingSpec
+from qrsim.studies.sweep.study import SamplingSpec, load_study
 
 MASS = "fleets.pelicans.vehicle.mass"
 WIND = "world.wind.speed_20ft"
@@ -126,3 +129,38 @@ def test_a_gust_that_stays_while_the_speed_varies(
     wind = {name: value for name, value in {**FORECAST, **gust}.items() if value is not None}
     planned(tmp_path, set={"world.wind": wind}, vary=vary)
     assert [str(warning.message).partition(",")[0] for warning in recwarn] == words
+
+
+def test_paired_points_have_a_seed_each(tmp_path: Path) -> None:
+    sampling = {"type": "latin_hypercube", "points": 5, "paired": True}
+    plan = planned(tmp_path, vary=RANGES, sampling=sampling, seeds=1, first_seed=40, batch=2)
+    assert [plan.batch(index).seeds.tolist() for index in range(plan.batches)] == [[40, 41], [42, 43], [44]]
+    with pytest.raises(ScenarioError, match="paired points have one seed each; give seeds: 1"):
+        planned(tmp_path, vary=RANGES, sampling=sampling, seeds=2)
+
+
+def test_a_normal_range_has_its_ends_three_deviations_from_the_middle() -> None:
+    axis = Axis("world.wind.speed_20ft", "wind", "m/s", None, 4.0, 10.0, "normal")
+    # Between -3 and 3 deviations lie 0.9973 of a normal number; one deviation above the middle is at
+    # (0.841345 - 0.001350)/0.997300 = 0.842269 of them.
+    found = axis.scaled(np.array([0.0, 0.5, 0.842269, 0.999999999]))
+    np.testing.assert_allclose(found, [4.0, 7.0, 8.0, 10.0], atol=1e-4)
+
+
+def test_tracks_have_a_record_for_each_interval(tmp_path: Path) -> None:
+    plan = planned(tmp_path, track=0.1)
+    (group,) = plan.groups.values()
+    assert plan.track == (1 + round(group.ticks * group.time_step / 0.1), group.vehicles, 4)
+    assert planned(tmp_path).track == ()
+
+
+def test_a_plan_of_numbers_flies_the_same_as_a_plan(tmp_path: Path) -> None:
+    file = write(tmp_path, **sampled("latin_hypercube", 8))
+    one, other = (made(load_study(str(file))) for made in (plan_of, plan_of_numbers))
+    assert one.shape == other.shape
+    assert [place.path for place in other.groups[()].places or ()] == [WIND, MASS]
+    for path, values in one.batch(0).numbers.items():
+        np.testing.assert_array_equal(values, other.batch(0).numbers[path])
+    wrong = write(tmp_path, vary={WIND: {"low": 0.0, "high": 60.0}}, sampling={"type": "sobol", "points": 8})
+    with pytest.raises(ScenarioError, match=r"speed_20ft: 60\.0 is out of range"):
+        plan_of_numbers(load_study(str(wrong)))

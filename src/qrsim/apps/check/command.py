@@ -115,13 +115,17 @@ class Check:
     def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
         import time
 
+        from qrsim.interface.mission_metrics import MISSION_METRICS
         from qrsim.interface.policies import load_function
         from qrsim.scenarios.registry import made
         from qrsim.simulation.rollout import rollout
 
+        missions = any(fleet.guidance.type == "mission" for fleet in scenario.spec.fleets.values())
         functions: dict[str, Any] = {
             "policy": None if self.policy is None else load_function("policy", self.policy),
             "estimator": made("estimator", self.estimator),
+            # A run whose missions are over ends before its duration.
+            "metrics": MISSION_METRICS if missions and self.policy is None else None,
         }
         begun = time.perf_counter()
         with _progress(scenario, self.seeds) as progress:
@@ -144,6 +148,8 @@ class Check:
 
         narrow, consistent = margins(flown), consistency(flown)
         simulated = float(scenario.duration * self.seeds)
+        if "finished" in flown.metrics:
+            simulated = float(flown["flown_s"].max(axis=1).sum())
         if self.json:
             import json
             from dataclasses import asdict
@@ -164,8 +170,9 @@ class Check:
         print(f"{scenario.name}: {self.seeds} runs of {scenario.duration:g} s, {len(flown.vehicles)} vehicles\n")
         _print_outcomes(found, self.seeds)
         print("\nnarrowest margins over all runs")
+        width = max(32, *map(len, narrow))
         for name, (moment, unit) in narrow.items():
-            print(f"  {name:<32} {moment.value:8.2f} {unit if unit != '1' else '':<4} {_where(moment)}")
+            print(f"  {name:<{width}} {moment.value:8.2f} {unit if unit != '1' else '':<4} {_where(moment)}")
         print_consistency(consistent)
         print(
             f"\n{simulated:g} s flown in {wall_s:.1f} s, compiling included ({simulated / wall_s:.0f} times real time)"

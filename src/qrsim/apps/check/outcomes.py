@@ -29,7 +29,8 @@ FAILSAFE = "is taken over by a failsafe"
 BREACHES = "is outside the zones"
 ANY = "any of these"
 # Reported even if nothing went wrong: (metric, whether its smallest value is the worst, unit). A metric without a time
-# and position is reported for the end of the flight.
+# and position is reported for the end of the flight. Those from
+# 'nearest to the ground' on are of scenarios with missions.
 MARGINS = {
     "nearest to the edge of the area": ("fence_distance_min", True, "m"),
     "nearest to another vehicle": ("separation_min", True, "m"),
@@ -37,6 +38,12 @@ MARGINS = {
     "strongest wind": ("wind_max", False, "m/s"),
     "least charge left": ("charge_min", True, "1"),
     "shortest battery endurance": ("endurance", True, "s"),
+    "nearest to the ground between take-off and landing": ("ground_min", True, "m"),
+    "nearest to an obstacle in flight": ("obstacle_min", True, "m"),
+    "nearest to the fence's sides in flight": ("fence_horizontal_min", True, "m"),
+    "nearest to its ceiling in flight": ("ceiling_min", True, "m"),
+    "least charge at the end of a mission": ("charge_end", True, "1"),
+    "longest mission": ("finished", False, "s"),
 }
 
 
@@ -143,7 +150,10 @@ def margins(flown: Rollout) -> dict[str, tuple[Moment, str]]:
     """Return the worst moment of each of MARGINS over all runs, with its unit; margins never seen are omitted."""
     found = {}
     for name, (metric, smallest, unit) in MARGINS.items():
-        values = flown[metric if unit == "1" else f"{metric}_{unit.replace('/', '_')}"]
+        key = metric if unit == "1" else f"{metric}_{unit.replace('/', '_')}"
+        if key not in flown.metrics:
+            continue
+        values = flown[key]
         seen = np.isfinite(values)
         if not seen.any():
             continue

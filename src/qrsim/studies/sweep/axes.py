@@ -29,7 +29,7 @@ class Axis:
         name: of the dimension or coordinate.
         unit: as the study says, "" where it does not.
         values: what it goes through; None where it is sampled between ``low`` and ``high``.
-        log: whether it is sampled evenly in its logarithm.
+        scale: linear, log or normal, see ``VarySpec``.
         step: of times of faults [s], which are rounded down to whole ticks; else 0.
     """
 
@@ -39,7 +39,7 @@ class Axis:
     values: tuple[Any, ...] | None
     low: float = 0.0
     high: float = 0.0
-    log: bool = False
+    scale: str = "linear"
     step: float = 0.0
 
     @property
@@ -66,7 +66,11 @@ class Axis:
 
     def scaled(self, unit: NumpyArray) -> NumpyArray:
         """Return the values of numbers in [0, 1)."""
-        if self.log:
+        if self.scale == "normal":
+            from scipy.stats import truncnorm
+
+            found = 0.5 * (self.low + self.high) + (self.high - self.low) / 6.0 * truncnorm.ppf(unit, -3.0, 3.0)
+        elif self.scale == "log":
             found = np.exp(np.log(self.low) + unit * (np.log(self.high) - np.log(self.low)))
         else:
             found = self.low + unit * (self.high - self.low)
@@ -94,7 +98,7 @@ def axes_of(spec: StudySpec, time_step: float = 0.0) -> tuple[Axis, ...]:
             continue
         low, high = in_ticks(np.array([item.low or 0.0, item.high or 0.0]), step).tolist()
         if item.count is None:
-            found.append(Axis(path, name, unit, None, low, high, item.scale == "log", step))
+            found.append(Axis(path, name, unit, None, low, high, item.scale, step))
             continue
         spaced = in_ticks((np.geomspace if item.scale == "log" else np.linspace)(low, high, item.count), step)
         found.append(Axis(path, name, unit, tuple(spaced.tolist()), step=step))

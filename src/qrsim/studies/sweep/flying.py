@@ -14,7 +14,8 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import QrsimError
 from qrsim.studies.sweep.job import Job, goals
-from qrsim.studies.sweep.metrics import Metric, of_episodes
+from qrsim.studies.sweep.metrics import METRICS, Metric, of_episodes
+from qrsim.studies.sweep.plan import TRACK, track_ticks
 
 # The engine keeps its programs in one place for a process.
 _ALONE = threading.Lock()
@@ -37,7 +38,8 @@ def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
                 found = play(_group(job.group), job)
             else:
                 found = _roll_out(job)
-            return of_episodes(job.metrics, found, _own_metrics(job)[1])
+            kept = {} if job.track is None else {TRACK: found[TRACK]}
+            return {**kept, **of_episodes(job.metrics, found, _own_metrics(job)[1])}
         except QrsimError as error:
             return str(error)
 
@@ -91,6 +93,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
     import jax
 
     from qrsim.engine.settings import use_compilation_cache
+    from qrsim.interface.mission_metrics import MISSION_METRICS
     from qrsim.simulation.blocks import Engine, Schedule
     from qrsim.simulation.rollout import setup_of
 
@@ -100,16 +103,23 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
     given = {"policy": job.policy, "estimator": job.estimator}
     functions: dict[str, Any] = {what: source and _function(what, source, code[what]) for what, source in given.items()}
     own_metrics, _ = _own_metrics(job)
+    missions = any(name in METRICS and METRICS[name].mission for name in job.metrics)
     if own_metrics is not None:
-        functions["metrics"] = _beside_built_in(own_metrics)
+        functions["metrics"] = _beside_built_in(own_metrics, missions)
+    elif missions:
+        functions["metrics"] = MISSION_METRICS
     with jax.enable_x64(job.precision == "float64"):
         if group.places is None:
             worlds = group.loaded(job.numbers, job.precision)
             setup, fixed, own = setup_of(worlds, **functions, policy_ticks=job.policy_ticks)
         else:
             setup, fixed, own = _stacked(group, job, functions)
-        engine = Engine(setup, group.world, fixed, own, Schedule(group.ticks, 0), None, None, lambda done: None)
-        found, _ = engine.fly(np.arange(len(job.seeds)), job.seeds, np.zeros_like(job.seeds))
+        every = 0 if job.track is None else track_ticks(job.track, group.time_step)
+        record = _recorder(job.group) if every else None
+        engine = Engine(setup, group.world, fixed, own, Schedule(group.ticks, every), record, None, lambda done: None)
+        found, recorded = engine.fly(np.arange(len(job.seeds)), job.seeds, np.zeros_like(job.seeds))
+    if every:
+        found = {**found, TRACK: _until_the_end(np.stack(recorded, axis=-1), found["flown_s"], every * group.time_step)}
     if "end_error_m" not in job.metrics:
         return found
     rows = [setup.world(fixed, [part[i] for part in own]) for i in range(len(job.seeds))] if own else [group.world]
@@ -117,12 +127,37 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
 
 
 @lru_cache(maxsize=8)
-def _beside_built_in(own_metrics: object) -> Any:
+def _beside_built_in(own_metrics: object, missions: bool) -> Any:
     """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
     from qrsim.interface.metrics import FLIGHT_METRICS
+    from qrsim.interface.mission_metrics import MISSION_METRICS
     from qrsim.studies.sweep.own_metrics import BothMetrics
 
-    return BothMetrics(FLIGHT_METRICS, own_metrics)
+    return BothMetrics(MISSION_METRICS if missions else FLIGHT_METRICS, own_metrics)
+
+
+@lru_cache(maxsize=8)
+def _recorder(dumped: bytes) -> Any:
+    """Return the function of a state that a track records, the same object for all batches of a group."""
+    import jax.numpy as jnp
+
+    from qrsim.interface.endurance import charges
+
+    world = _group(dumped).world
+
+    def place(state: Any) -> Any:
+        positions = [fleet.vehicle.position_ned for fleet in state.fleets]
+        axes = [jnp.concatenate([getattr(position, axis) for position in positions]) for axis in "xyz"]
+        return (*axes, charges(world, state))
+
+    return place
+
+
+def _until_the_end(tracks: NumpyArray, flown_s: NumpyArray, every: float) -> NumpyArray:
+    """Return tracks (W, R, n, 4) with NaN after the end of each run, the longest flight of ``flown_s`` (W, n) [s]."""
+    time = np.arange(tracks.shape[1]) * every
+    late = time[None, :] > np.max(flown_s, axis=1)[:, None] + 1e-3
+    return np.where(late[..., None, None], np.nan, tracks).astype(np.float32)
 
 
 def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:

@@ -23,6 +23,7 @@ class Job:
         code: digests of the files of both, and of the metrics.
         precision: float32 or float64.
         own_metrics: a user's class, see ``StudySpec``.
+        track: interval [s] of the kept positions; None: none are.
     """
 
     group: bytes
@@ -35,6 +36,7 @@ class Job:
     code: tuple[tuple[str, str], ...]
     precision: str
     own_metrics: str | None = None
+    track: float | None = None
 
 
 def goals(world: World) -> NumpyArray:

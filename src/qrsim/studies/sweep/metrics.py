@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ class Metric:
         of: from the metrics of all vehicles (W, n, ...) to that of the episodes (W,); NaN where it is not defined.
         low_is_bad: whether small values are the bad ones.
         task: whether only a task that its baseline flies has it.
+        mission: whether it is one of ``MissionMetrics``; a run with one ends when its missions are over.
         limits: between which it is, whatever is flown.
     """
 
@@ -32,6 +33,7 @@ class Metric:
     low_is_bad: bool = False
     task: bool = False
     limits: tuple[float, float] = (0.0, np.inf)
+    mission: bool = False
 
 
 def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
@@ -64,9 +66,70 @@ def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
     return of
 
 
+def _not_finished(found: Found) -> NumpyArray:
+    # NaN for a vehicle without a mission, such as the station of a radio.
+    return np.sum(np.asarray(found["finished"]) == 0.0, axis=1).astype(np.float64)
+
+
 def _end_error(found: Found) -> NumpyArray:
     offset = np.asarray(found["position_ned"], np.float64) - found["goal_ned"]
     return _root_mean_square(np.sqrt(np.sum(offset * offset, axis=-1)), axis=1)
+
+
+def _of_narrowest(margin: str, part: str) -> Callable[[Found], NumpyArray]:
+    """Return what gives a part of the narrowest margin: its time or leg, or the number of the vehicle."""
+
+    def of(found: Found) -> NumpyArray:
+        values = np.asarray(found[f"{margin}_m"], np.float64)
+        vehicle = np.argmin(np.where(np.isnan(values), np.inf, values), axis=1)
+        parts = np.broadcast_to(np.arange(values.shape[1]), values.shape)
+        if part != "vehicle":
+            parts = np.where(np.isnan(values), np.nan, np.asarray(found[f"{margin}_{part}"], np.float64))
+        seen = ~np.isnan(values).all(axis=1)
+        return np.where(seen, parts[np.arange(len(values)), vehicle], np.nan)
+
+    return of
+
+
+def _mission(metric: Metric) -> Metric:
+    return replace(metric, mission=True)
+
+
+_MARGINS = {
+    "ground_min": "smallest height above the ground between take-off and landing",
+    "obstacle_min": "smallest distance to an obstacle in flight",
+    "fence_horizontal_min": "smallest distance to the sides of the area in flight",
+    "ceiling_min": "smallest distance to its ceiling in flight",
+    "air_separation_min": "smallest distance between two vehicles in flight",
+}
+
+
+def _of_missions() -> dict[str, Metric]:
+    """Return the metrics of missions by name."""
+    found = {
+        "not_finished": Metric("1", "vehicles that did not finish their mission", _not_finished),
+        "finished_s": Metric("s", "time at which the last vehicle finished its mission",
+                             _over(np.nanmax, "finished_s")),
+        "down_s": Metric("s", "time at which the last vehicle finished, or was landed by a failsafe",
+                         _over(np.nanmax, "down_s")),
+        "charge_end": Metric("1", "charge left at the end of the mission, of the worst vehicle",
+                             _over(np.nanmin, "charge_end"), low_is_bad=True, limits=(0.0, 1.0)),
+        "home_m": Metric("m", "horizontal distance from the start at the end, of the farthest vehicle",
+                         _over(np.nanmax, "home_m")),
+        "in_the_air": Metric("1", "vehicles in the air at the end", _over(np.sum, "in_the_air")),
+        "crashed": Metric("1", "vehicles that hit the ground, crashed, or lost their battery",
+                          _stopped("hit_ground", "crashed", "brown_out", "battery_empty")),
+        "stopped_s": Metric("s", "time at which the first vehicle stopped", _over(np.nanmin, "stopped_at_s")),
+        "failsafe_s": Metric("s", "time at which the first failsafe took over", _over(np.nanmin, "failsafe_at_s")),
+    }  # fmt: skip
+    for margin, doc in _MARGINS.items():
+        found[f"{margin}_m"] = Metric(
+            "m", doc, _over(np.nanmin, f"{margin}_m"), low_is_bad=True, limits=(-np.inf, np.inf)
+        )
+        found[f"{margin}_at_s"] = Metric("s", "time of it", _of_narrowest(margin, "at_s"))
+        found[f"{margin}_leg"] = Metric("1", "leg on which it was, from 1", _of_narrowest(margin, "leg"))
+        found[f"{margin}_vehicle"] = Metric("1", "number of the vehicle", _of_narrowest(margin, "vehicle"))
+    return {name: _mission(metric) for name, metric in found.items()}
 
 
 METRICS: dict[str, Metric] = {
@@ -122,6 +185,7 @@ METRICS: dict[str, Metric] = {
     "found_share": Metric("1", "part of the persons that were found", lambda found: found["found_share"],
                           low_is_bad=True, task=True, limits=(0.0, 1.0)),
     "first_found_s": Metric("s", "time of the first find", lambda found: found["first_found_s"], task=True),
+    **_of_missions(),
 }  # fmt: skip
 
 

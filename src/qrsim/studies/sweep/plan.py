@@ -11,13 +11,14 @@ from itertools import product
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.errors import UsageError
 from qrsim.files import Content
 from qrsim.studies.sweep.axes import Axis
 from qrsim.studies.sweep.groups import Group
 from qrsim.studies.sweep.sampling import Sample
 from qrsim.studies.sweep.study import BASELINE, Study
 
-SEED, POINT = "seed", "point"
+SEED, POINT, TRACK = "seed", "point", "track"
 # A batch is about a second of work for a core, and a small study has some batches all the same.
 VEHICLE_TICKS, FEWEST_BATCHES, MOST_VEHICLES = 3_000_000, 16, 4096
 TASK_EPISODES = 4
@@ -85,6 +86,19 @@ class Plan:
         elif self.listed:
             sizes.append(len(self.sampled[0].values or ()))
         return (*sizes, self.study.spec.seeds)
+
+    @cached_property
+    def track(self) -> tuple[int, ...]:
+        """Number of records, of vehicles, and of numbers of each: north, east, down, charge; () without tracks."""
+        every = self.study.spec.track
+        if every is None:
+            return ()
+        groups = self.groups.values()
+        records = {group.ticks // track_ticks(every, group.time_step) + 1 for group in groups}
+        vehicles = {group.vehicles for group in groups}
+        if len(records) > 1 or len(vehicles) > 1:
+            raise UsageError("track: all conditions need one duration and the same vehicles")
+        return records.pop(), vehicles.pop(), 4
 
     @property
     def points(self) -> int:
@@ -154,6 +168,9 @@ class Plan:
             numbers[axis.path] = np.ascontiguousarray(np.broadcast_to(view, shape)).reshape(-1)
         part = region[-1]
         seeds = self.study.spec.first_seed + np.arange(part.start, part.stop, dtype=np.int64)
+        if self.sample is not None and self.sample.spec.paired:
+            point = region[len(self.crossed)]
+            seeds = seeds + np.arange(point.start, point.stop, dtype=np.int64)[:, None]
         seeds = np.ascontiguousarray(np.broadcast_to(seeds, shape)).reshape(-1)
         return Batch(index, region, shape, tuple(chosen[path] for path in self.structural), numbers, seeds)
 
@@ -192,6 +209,11 @@ class Plan:
             for axis in self.sampled:
                 found[axis.path] = axis.values[point] if axis.values else float(rows[axis.path][0])
         return {axis.path: found[axis.path] for axis in self.axes}
+
+
+def track_ticks(every: float, time_step: float) -> int:
+    """Return the number of ticks from one record of a track to the next, for an interval and a step [s]."""
+    return max(1, round(every / time_step))
 
 
 def choices(axes: tuple[Axis, ...], listed: bool) -> Iterator[tuple[tuple[int, ...], Content]]:

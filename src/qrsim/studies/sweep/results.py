@@ -17,6 +17,7 @@ from qrsim.errors import RunError, UsageError, did_you_mean, did_you_mean_file, 
 from qrsim.files import Content
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.studies.sweep.metrics import METRICS
+from qrsim.studies.sweep.plan import TRACK
 from qrsim.studies.sweep.store import FLOWN, KIND
 from qrsim.studies.sweep.study import StudySpec
 
@@ -109,7 +110,9 @@ class Results:
     @cached_property
     def seeds(self) -> NumpyArray:
         """Seed of each episode (E,)."""
-        return self._spread("seed")[self.flown]
+        first: NumpyArray = self._spread("seed")[self.flown]
+        sampling = self.spec.sampling
+        return first + self.points if sampling is not None and sampling.paired else first
 
     @cached_property
     def positions(self) -> NumpyArray:
@@ -127,11 +130,23 @@ class Results:
         Raises:
             UsageError: the store does not have it.
         """
-        known = [str(key) for key in self.dataset.data_vars if key != FLOWN]
+        known = [str(key) for key in self.dataset.data_vars if key not in (FLOWN, TRACK)]
         if name not in known:
             raise UsageError(f"{self.path}: no metric is called '{name}'{did_you_mean(name, known)}")
         found: NumpyArray = self.dataset[name].values.ravel()[self.flown].astype(np.float64)
         return found
+
+    @cached_property
+    def tracks(self) -> NumpyArray:
+        """North, east, down [m] and charge (E, R, n, 4) of all vehicles at intervals; NaN after the end of a run.
+
+        Raises:
+            UsageError: the study keeps none.
+        """
+        if TRACK not in self.dataset:
+            raise UsageError(f"{self.path}: it has no tracks; its study needs track, an interval in seconds")
+        found: NumpyArray = self.dataset[TRACK].values.reshape(len(self.flown), *self.dataset[TRACK].shape[-3:])
+        return found[self.flown]
 
     def unit(self, metric: str) -> str:
         """Return the unit of a metric."""

@@ -25,7 +25,7 @@ from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files import Content
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.studies.sweep.axes import Axis
-from qrsim.studies.sweep.plan import POINT, SEED, Batch, Plan
+from qrsim.studies.sweep.plan import POINT, SEED, TRACK, Batch, Plan
 from qrsim.studies.sweep.provenance import differences, versions
 
 FLOWN, KIND = "flown", "qrsim sweep"
@@ -108,6 +108,8 @@ class Store:
                 "coordinates": " ".join(coordinates),
             }
             self._array(group, name, "float32", math.nan, about if coordinates else _without(about, "coordinates"))
+        if plan.track:
+            self._write_track(group)
         about = {"long_name": "whether the episode is in the store", "coordinates": " ".join(coordinates)}
         self._array(group, FLOWN, "bool", False, about if coordinates else _without(about, "coordinates"))
         seeds = plan.study.spec.first_seed + np.arange(plan.study.spec.seeds, dtype=np.int64)
@@ -116,6 +118,18 @@ class Store:
             _coordinate(group, axis.name, axis.name, axis.labels, _about(axis))
         if plan.sampled:
             self._write_points(group)
+
+    def _write_track(self, group: Any) -> None:
+        plan = self.plan
+        group.create_array(
+            TRACK,
+            shape=(*plan.shape, *plan.track),
+            chunks=(*plan.chunks, *plan.track),
+            dtype="float32",
+            fill_value=math.nan,
+            dimension_names=(*plan.dims, "record", "vehicle", "number"),
+            attributes={"long_name": "north, east, down [m] and charge", "interval_s": plan.study.spec.track},
+        )
 
     def _write_points(self, group: Any) -> None:
         plan = self.plan
@@ -174,6 +188,8 @@ class Store:
         try:
             for name in self.metrics:
                 self._group[name][batch.region] = results[name].reshape(batch.shape)
+            if self.plan.track:
+                self._group[TRACK][batch.region] = results[TRACK].reshape(*batch.shape, *self.plan.track)
             self._group[FLOWN][batch.region] = np.ones(batch.shape, bool)
         except OSError as error:
             full = error.errno in (errno.ENOSPC, errno.EDQUOT)

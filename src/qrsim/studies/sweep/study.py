@@ -47,11 +47,14 @@ class SamplingSpec(Part):
         None, description="number of points; of saltelli, of the base sample", ge=1, le=MOST_POINTS
     )
     seed: int = Field(0, description="seed of the sample", ge=0)
+    paired: bool = Field(False, description="give point i the seed first_seed + i")
 
     @model_validator(mode="after")
     def _points(self) -> SamplingSpec:
         if (self.type == "list") == (self.points is not None):
             raise ValueError("points: missing" if self.points is None else "a list has as many points as values")
+        if self.paired and self.type == "list":
+            raise ValueError("paired: a list is flown with all seeds")
         if self.type == "saltelli" and self.points is not None and self.points & (self.points - 1):
             raise ValueError(f"points: {self.points} is not a power of 2")
         return self
@@ -100,6 +103,9 @@ class StudySpec(Part):
         None, description="metrics of your own, FILE.py:NAME or MODULE:NAME; 'metrics' names their numbers"
     )
     failure: FailureSpec = Field(FailureSpec.model_validate({"above": 0.0}), description="when an episode failed")
+    track: float | None = Field(
+        None, description="keep position and charge of every vehicle at this interval [s]; default: not", gt=0.0
+    )
     precision: Literal["float32", "float64"] = Field("float32", description="arithmetic")
     batch: int | None = Field(None, description="episodes of a batch, about; default: a second of work", ge=1)
 
@@ -115,6 +121,10 @@ class StudySpec(Part):
             raise ValueError(f"policy: '{BASELINE}' has no estimator and no policy_ticks")
         if self.policy == BASELINE and self.own_metrics:
             raise ValueError(f"own_metrics: 'policy: {BASELINE}' has its own; give a policy of another kind, or none")
+        if self.track is not None and self.policy == BASELINE:
+            raise ValueError(f"track: not with 'policy: {BASELINE}'")
+        if self.sampling is not None and self.sampling.paired and self.seeds != 1:
+            raise ValueError("seeds: paired points have one seed each; give seeds: 1")
         ranges = [path for path, item in self.vary.items() if item.listed is None and item.count is None]
         kind = self.sampling.type if self.sampling else None
         if kind == "list":
@@ -131,7 +141,7 @@ class StudySpec(Part):
         if episodes > MOST_EPISODES:
             raise ValueError(f"{episodes:.3g} episodes; allowed: at most {MOST_EPISODES:.3g}")
         names = [item.name or path for path, item in self.vary.items()]
-        taken = {"seed", "point", "flown", *METRICS}
+        taken = {"seed", "point", "flown", "track", *METRICS}
         for name in names:
             if names.count(name) > 1 or name in taken:
                 raise ValueError(f"vary: the name '{name}' is taken; give another")
@@ -168,6 +178,10 @@ class Study:
         spec["metrics"] = sorted({*self.spec.metrics, self.spec.failure.metric})
         if spec["own_metrics"] is None:
             spec.pop("own_metrics")
+        if spec["track"] is None:
+            spec.pop("track")
+        if spec["sampling"] is not None and not spec["sampling"]["paired"]:
+            spec["sampling"].pop("paired")
         for item in spec["vary"].values():
             item.pop("unit")
             if item["conditions"] is None:

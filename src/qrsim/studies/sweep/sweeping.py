@@ -84,6 +84,7 @@ class Jobs:
             self._code,
             spec.precision,
             spec.own_metrics,
+            spec.track,
         )
 
 
@@ -113,8 +114,13 @@ def _kept(store: Store) -> str:
     return f"the {int(store.done.sum())} batches written before are kept, and the same command goes on from there"
 
 
-def sweep_here(plan: Plan, store: Store) -> None:
+def sweep_here(plan: Plan, store: Store, progress: Callable[[Batch], None] = lambda batch: None) -> None:
     """Fly the batches that are not in the store in this process, without workers.
+
+    Args:
+        plan: of the study.
+        store: of its results.
+        progress: called after each batch.
 
     Raises:
         RunError: a batch cannot be flown or written.
@@ -123,3 +129,4 @@ def sweep_here(plan: Plan, store: Store) -> None:
     for index in np.flatnonzero(~store.done).tolist():
         batch = plan.batch(index)
         store.write(batch, _checked(fly(jobs.job(batch)), batch, store))
+        progress(batch)

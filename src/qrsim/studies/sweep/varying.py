@@ -54,7 +54,11 @@ class VarySpec(Part):
     count: int | None = Field(
         None, description="values from low to high; without it the sampling chooses", ge=2, le=MOST_VALUES
     )
-    scale: Literal["linear", "log"] = Field("linear", description="how values lie between low and high")
+    scale: Literal["linear", "log", "normal"] = Field(
+        "linear",
+        description="how values lie between low and high; normal: sampled around the middle, both ends three standard "
+        "deviations away",
+    )
     name: str | None = Field(None, description="label; default: its path", pattern=NAME, max_length=100)
     unit: str | None = Field(None, description="its unit, for tables and pictures; default: that of the scenario")
 
@@ -69,6 +73,8 @@ class VarySpec(Part):
             raise ValueError(f"low, {self.low:g}, is not below high, {self.high:g}")
         if self.scale == "log" and (self.low is None or self.low <= 0.0):
             raise ValueError("a logarithmic scale needs low and high above 0")
+        if self.scale == "normal" and self.count is not None:
+            raise ValueError("the scale normal is for samples; leave out count")
         if self.values is not None and len({json.dumps(value) for value in self.values}) < len(self.values):
             raise ValueError("a value is given twice")
         return self

@@ -1,0 +1,262 @@
+"""``qrsim brief``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from qrsim.apps import progress_bar
+from qrsim.errors import RunError, UsageError, os_error_as
+
+if TYPE_CHECKING:
+    from qrsim.studies.brief.briefing import Brief as Briefing
+    from qrsim.studies.brief.flights import Flights
+    from qrsim.studies.brief.operation import OperationSpec
+    from qrsim.studies.brief.studying import Flyer
+
+PAGE, NUMBERS, OPERATION = "brief.html", "brief.json", "operation.yaml"
+# More vehicles need more than the default time.
+MANY = 20
+
+
+@dataclass(frozen=True)
+class Brief:
+    """Say go, marginal or no-go before a field day: fly plans many times in the forecast wind, and judge the margins.
+
+    OPERATION is a .plan of QGroundControl, several, or an operation's .yaml file. Every run draws the wind within the
+    error of its forecast, and numbers of the vehicles; faults follow. The folder briefs/NAME gets a page, its numbers
+    as JSON, and the stores of all runs. The same command again continues where it stopped.
+
+    Exit code 0: go; 1: no-go; 2: wrong usage; 3: marginal.
+
+    Example:
+      qrsim brief mission.plan --vehicle x500 --wind 7@250 --at 2026-05-01T10:00Z
+      qrsim brief mission.plan --vehicle x500 --wind 14kn@250 --write operation.yaml
+      qrsim brief operation.yaml --minutes 10
+    """
+
+    operation: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="OPERATION")]
+    """Plans, or one operation's YAML file."""
+    vehicle: Annotated[
+        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(for plans)")
+    ] = field(default_factory=list)
+    """Model or .yaml file of the vehicle; PLAN=NAME for each plan, several times."""
+    wind: Annotated[str | None, tyro.conf.arg(metavar="SPEED@FROM", help_behavior_hint="(for plans)")] = None
+    """Forecast at 10 m, in m/s (or kn, km/h), and the bearing that it comes from, in degrees."""
+    at: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint="(default: now)")] = None
+    """Start of the flights with its zone, such as 2026-05-01T10:00Z."""
+    stage: Annotated[Literal["nominal", "faults", "all"], tyro.conf.arg(metavar="STAGE")] = "all"
+    """nominal, faults or all."""
+    minutes: float = 3.0
+    """Largest time for flying; the verdict may come earlier."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one for each core)")] = None
+    """Processes to fly with; 1: this one."""
+    seed: int = 0
+    """Seed of the first run."""
+    longest: Annotated[float, tyro.conf.arg(metavar="HOURS")] = 1.0
+    """Longest mission [h]."""
+    write: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write the operation with all defaults to a YAML file, and fly nothing."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: briefs/NAME)")] = None
+    """Folder of the brief."""
+    again: bool = False
+    """Discard what the folder has, and begin again."""
+    json: bool = False
+    """Print the JSON instead of the summary."""
+
+    def run(self) -> int:
+        """Check, fly, write the page, print the verdict."""
+        self._check()
+        operation = self._operation()
+        if self.write is not None:
+            return self._write(operation)
+        from qrsim.extras import require
+        from qrsim.studies.brief.flights import flights_of
+
+        require("brief", "qrsim brief")
+        flights = flights_of(operation, 3600.0 * self.longest)
+        folder = self.out or Path("briefs") / operation.operation
+        self._clear(folder, operation)
+        return self._brief(operation, flights, folder)
+
+    def _check(self) -> None:
+        if not self.operation:
+            raise UsageError("OPERATION: missing; expected plans, or an operation's .yaml file")
+        if not 0.0 < self.minutes <= 10_080.0:
+            raise UsageError(f"--minutes {self.minutes:g}: allowed: above 0, at most 10080")
+        if not 0.0 < self.longest <= 24.0:
+            raise UsageError(f"--longest {self.longest:g}: allowed: above 0, at most 24 hours")
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"--workers {self.workers}: expected a positive number")
+        if not 0 <= self.seed < 2**62:
+            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**62 - 1")
+
+    def _operation(self) -> OperationSpec:
+        """Return the operation of the command line, with a note on the time where none was given."""
+        from qrsim.studies.brief.operation import checked, read_operation
+        from qrsim.studies.brief.words import NEEDED, now_rounded, time_of, vehicles_of, wind_of
+
+        files = [Path(name) for name in self.operation]
+        changes: dict[str, object] = {} if self.at is None else {"at": time_of(self.at)}
+        if self.wind is not None:
+            speed, bearing = wind_of(self.wind)
+            changes["wind"] = {"speed": round(speed, 3), "from_deg": bearing}
+            if not self.wind.split("@")[0].replace(".", "").strip().isdigit():
+                print(f"wind: {self.wind} is {speed:.1f} m/s", file=sys.stderr)
+        if any(file.suffix in (".yaml", ".yml") for file in files):
+            if len(files) > 1 or self.vehicle:
+                raise UsageError(f"{files[0]}: an operation's file is given alone, without --vehicle")
+            return read_operation(files[0], changes)
+        for file in files:
+            if file.suffix != ".plan":
+                raise UsageError(f"{file}: expected a .plan of QGroundControl, or an operation's .yaml file")
+        if "wind" not in changes:
+            raise UsageError(f"{files[0].stem}: {NEEDED}")
+        if "at" not in changes:
+            changes["at"] = now_rounded()
+            print(f"no --at: the flights are at {changes['at']}, which decides the satellites", file=sys.stderr)
+        vehicles = vehicles_of(files, self.vehicle)
+        missions = [{"plan": str(file), "vehicle": name} for file, name in zip(files, vehicles, strict=True)]
+        name = "".join(letter if letter.isalnum() or letter in "_.-" else "_" for letter in files[0].stem).strip("_.-")
+        return checked({"operation": name or "brief", "missions": missions, **changes}, str(files[0]))
+
+    def _write(self, operation: OperationSpec) -> int:
+        from qrsim.files.atomic import write_atomically
+
+        assert self.write is not None
+        if self.write.suffix not in (".yaml", ".yml"):
+            raise UsageError(f"--write {self.write}: expected the name of a .yaml file")
+        folder = self.write.parent.absolute()
+        missions = [
+            mission.model_copy(update={key: _relative(getattr(mission, key), folder) for key in ("plan", "vehicle")})
+            for mission in operation.missions
+        ]
+        text = operation.model_copy(update={"missions": missions}).to_yaml()
+        with os_error_as(RunError, f"cannot write {self.write}"):
+            write_atomically(self.write, text.encode())
+        print(f"operation: {self.write}\nto brief it: qrsim brief {self.write}")
+        return 0
+
+    def _clear(self, folder: Path, operation: OperationSpec) -> None:
+        """Empty the folder with --again; else refuse that of another operation."""
+        import shutil
+
+        from qrsim.files.yaml_text import parse_yaml
+
+        there = folder / OPERATION
+        if folder.exists() and not there.exists() and any(folder.iterdir()):
+            raise UsageError(f"{folder}: it exists and is no folder of a brief; --out another folder")
+        if not there.exists():
+            return
+        if self.again:
+            for path in [*folder.glob("nominal_*"), *folder.glob("faults*"), *folder.glob("brief.*"), there]:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            return
+        text = there.read_text("utf-8")
+        if text == operation.to_yaml():
+            return
+        differs = [*_differing(parse_yaml(operation.to_yaml(), "operation"), parse_yaml(text, str(there)))]
+        raise UsageError(
+            f"{folder}: was made of another operation; --out another folder, or --again",
+            *(f"  {line}" for line in differs[:6]),
+        )
+
+    def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
+        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared
+
+        with os_error_as(RunError, f"{folder}: cannot write there"):
+            brief = prepared(operation, flights, folder, self.seed)
+        if not self.json:
+            _print_flights(operation, flights)
+        stages = STAGES if self.stage == "all" else (self.stage,)
+        try:
+            with ExitStack() as opened, _progress() as told:
+                fly(brief, stages, lambda: self._flyer(opened, folder, told))
+        except KeyboardInterrupt:
+            keep(brief)
+            self._tell(brief, folder)
+            raise
+        self._tell(brief, folder)
+        return exit_code(brief.verdict[0])
+
+    def _flyer(self, opened: ExitStack, folder: Path, told: Callable[[str, int, int], None]) -> Flyer:
+        from qrsim.engine.settings import available_cores
+        from qrsim.studies.brief.studying import Flyer
+        from qrsim.studies.sweep.cluster import workers_of
+
+        workers = self.workers or available_cores()
+        client = None if workers == 1 else opened.enter_context(workers_of(None, workers))
+        return Flyer(folder, client, self.minutes, told)
+
+    def _tell(self, brief: Briefing, folder: Path) -> None:
+        """Write the page and its numbers, and print the verdict."""
+        import json
+
+        from qrsim.files.atomic import write_atomically
+        from qrsim.studies.brief.page import write_page
+
+        found = brief.to_json()
+        text = json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        for name, content in {NUMBERS: text, PAGE: write_page(brief)}.items():
+            with os_error_as(RunError, f"cannot write {folder / name}"):
+                write_atomically(folder / name, content.encode())
+        if self.json:
+            print(text, end="")
+            return
+        _print_verdict(brief)
+        print(f"page:    {folder / PAGE}\nnumbers: {folder / NUMBERS}")
+
+
+def _relative(name: str, folder: Path) -> str:
+    """Return a file's path relative to a folder; names of models unchanged."""
+    import os
+
+    return os.path.relpath(name, folder) if Path(name).suffix else name
+
+
+def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
+    """Yield the keys in which two operations differ, with both values."""
+    if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
+        for key in dict.fromkeys([*mine, *theirs]):
+            yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))
+    elif mine != theirs:
+        yield f"{path}: {mine!r:.60} here, {theirs!r:.60} there"
+
+
+def _print_flights(operation: OperationSpec, flights: Flights) -> None:
+    wind = operation.wind
+    blows = f"{wind.speed:g} m/s from {wind.from_deg:g} deg at {wind.height:g} m"
+    print(f"{operation.operation}: {operation.at}, wind {blows}")
+    for name, mission, planned in zip(flights.names, operation.missions, flights.planned_s, strict=True):
+        print(f"  {name:<20} {mission.plan}, {mission.vehicle}: {planned:.0f} s planned")
+    if len(flights.names) > MANY:
+        print(f"  {len(flights.names)} vehicles: runs take long; --minutes gives more time, --stage nominal less work")
+
+
+def _print_verdict(brief: Briefing) -> None:
+    verdict, why = brief.verdict
+    print(f"\n{verdict.upper()}: {why}\n")
+    width = max((len(row.name) for row in brief.rows), default=0)
+    for row in brief.rows:
+        print(f"  {row.name:<{width}}  {row.verdict:<8}  {row.why}{'' if row.decides else ' (reported only)'}")
+    if not brief.complete:
+        print("\nthe brief is not complete; the same command continues it, and --minutes gives it more time")
+    for run in brief.worst()[:1]:
+        print(f"\nto fly the worst run again: {brief.command(run)}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar of the study that is flown, on a terminal only."""
+    with progress_bar("starting", 1.0, "{task.completed:.0f} of {task.total:.0f} runs") as update:
+
+        def told(study: str, done: int, planned: int) -> None:
+            update(description=study, completed=done, total=planned)
+
+        yield told

@@ -1,0 +1,254 @@
+"""A brief from its operation to its verdict: the stages in their order, what they found, and the numbers as JSON."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from qrsim.core.arrays import NumpyArray
+from qrsim.files import Content
+from qrsim.files.atomic import write_atomically
+from qrsim.files.yaml_text import dump_yaml
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.wind_limits import gust_sigma, mean_wind
+from qrsim.studies.brief import faults
+from qrsim.studies.brief.flights import Flights
+from qrsim.studies.brief.judging import Row, Verdict, judge, overall, undecided
+from qrsim.studies.brief.operation import OperationSpec
+from qrsim.studies.brief.runs import Runs
+from qrsim.studies.brief.sky import Sky, sky_of, sky_row
+from qrsim.studies.brief.statistics import wilson
+from qrsim.studies.brief.studying import SCENARIO, Flyer, nominal_study, pieces
+
+STAGES = ("nominal", "faults")
+# Part of the time that the nominal stage may take if the faults follow.
+NOMINAL_PART = 0.6
+# Runs whose flights are named again, and metrics that the page and the JSON give as quantiles.
+WORST = 3
+QUANTILES = {
+    "charge_end": "1", "finished_s": "s", "wind_max_m_s": "m/s", "tracking_error_max_m": "m",
+    "gnss_horizontal_rms_m": "m", "gnss_vertical_rms_m": "m", "fence_horizontal_min_m": "m", "ceiling_min_m": "m",
+    "ground_min_m": "m", "obstacle_min_m": "m", "air_separation_min_m": "m",
+}  # fmt: skip
+NOT_MODELLED = (
+    "Not modelled: wind near trees and buildings, thermals, rain, icing, cold or aged batteries, moving payloads, "
+    "pilots, electromagnetic interference, damaged propellers, firmware.",
+    "Orbits are nominal, not those of that day, unless the scenario names an SP3 file.",
+    "A simulation is no permission.",
+)
+
+
+@dataclass
+class Brief:
+    """A brief so far.
+
+    Attributes:
+        operation: what is to be flown.
+        flights: its scenario.
+        folder: its files.
+        seed: of the first run.
+        runs: nominal runs.
+        sky: GNSS of the day, None before it is computed.
+        nominal: rows of the nominal stage.
+        outcomes: of faults.
+        complete: whether it ended by itself, and not by an interruption or its time.
+    """
+
+    operation: OperationSpec
+    flights: Flights
+    folder: Path
+    seed: int
+    runs: Runs
+    sky: Sky | None = None
+    nominal: list[Row] = field(default_factory=list)
+    outcomes: list[faults.FaultOutcome] = field(default_factory=list)
+    complete: bool = False
+
+    @property
+    def rows(self) -> list[Row]:
+        """Every criterion with its verdict."""
+        found = list(self.nominal)
+        if self.operation.criteria.wind_limit is not None:
+            found.append(wind_row(self.flights, self.operation.criteria.wind_limit))
+        if self.sky is not None:
+            found.append(sky_row(self.sky, self.flights.scenario.duration))
+        return [*found, *faults.fault_rows(self.outcomes)]
+
+    @property
+    def verdict(self) -> tuple[Verdict, str]:
+        """The verdict and its reason; a brief without flights is marginal at best."""
+        found = overall(self.rows)
+        if not self.nominal and found[0] == "go":
+            return "marginal", "nothing was flown"
+        return found
+
+    def worst(self) -> list[int]:
+        """Return the numbers of the worst runs: lost ones, then by charge, fence and tracking error."""
+        runs = self.runs
+        if not len(runs):
+            return []
+        lost = np.flatnonzero(runs["stopped"] > 0.0)
+        order = list(lost[np.argsort(runs["stopped_s"][lost], kind="stable")])
+        order += list(np.flatnonzero(runs["not_finished"] > 0.0)[:1])
+        for metric, sign in (("charge_end", 1.0), ("fence_horizontal_min_m", 1.0), ("tracking_error_max_m", -1.0)):
+            values = sign * runs[metric]
+            if np.isfinite(values).any():
+                order.append(np.nanargmin(values))
+        return [int(run) for run in dict.fromkeys(order)][:WORST]
+
+    def command(self, run: int) -> str:
+        """Return the command that flies a run again."""
+        values = [f"{path}={value!r}" for path, value in self.runs.values_at(run).items()]
+        words = ["qrsim", "run", str(self.folder / SCENARIO), "--seed", str(int(self.runs.seeds[run]))]
+        return shlex.join([*words, *(word for value in values for word in ("--set", value))])
+
+    def to_json(self) -> Content:
+        """Return the numbers; equal runs give equal numbers, to the bit."""
+        verdict, why = self.verdict
+        runs = self.runs
+        total = len(runs)
+        kinds = ("stopped", "left_area", "collided", "crashed", "not_finished", "failsafes")
+        return {
+            "qrsim": version("qrsim"),
+            "operation": self.operation.operation,
+            "at": self.operation.at,
+            "verdict": verdict,
+            "why": why,
+            "complete": self.complete,
+            "runs": total,
+            "first_seed": self.seed,
+            "criteria": [asdict(row) for row in self.rows],
+            "vehicles": [
+                {"name": name, "planned_s": round(planned, 2)}
+                for name, planned in zip(self.flights.names, self.flights.planned_s, strict=True)
+            ],
+            "shares": {kind: _share(int((runs[kind] > 0.0).sum()), total) for kind in kinds} if total else {},
+            "quantiles": {name: found for name in QUANTILES if total and (found := _quantiles(runs, name))},
+            "charge_cvar5": _cvar(runs["charge_end"]) if total else None,
+            "faults": [each.to_json() for each in self.outcomes],
+            "worst": [{"seed": int(runs.seeds[run]), "command": self.command(run)} for run in self.worst()],
+            "assumed": list(self.flights.assumed),
+            "not_modelled": list(NOT_MODELLED),
+        }
+
+
+def _share(hits: int, total: int) -> Content:
+    low, high = wilson(hits, total)
+    return {"runs": hits, "share": hits / total, "low": low, "high": high}
+
+
+def _quantiles(runs: Runs, name: str) -> Content | None:
+    values = runs[name][np.isfinite(runs[name])]
+    if not len(values):
+        return None
+    low, median, high = (float(each) for each in np.quantile(values, [0.05, 0.5, 0.95]))
+    return {"p5": low, "median": median, "p95": high, "unit": QUANTILES[name]}
+
+
+def _cvar(values: NumpyArray) -> float | None:
+    """Return the mean of the smallest 5 % of the values, None without any."""
+    known = np.sort(values[np.isfinite(values)])
+    return float(known[: max(1, len(known) // 20)].mean()) if len(known) else None
+
+
+def wind_row(flights: Flights, limit: float) -> Row:
+    """Return the verdict on the wind with three standard deviations of its gusts, at the highest leg."""
+    spec = flights.scenario.spec
+    places = [place for fleet in spec.fleets.values() for each in fleet.vehicles for place in each.places_ned.values()]
+    heights = np.array([max([-place[2] for place in places] or [0.0])])
+    wind = float((mean_wind(spec, heights) + 3.0 * gust_sigma(spec, heights))[0])
+    verdict: Verdict = "go" if wind < limit - 2.0 else "no-go" if wind > limit else "marginal"
+    told = f"wind: {wind:.1f} m/s with gusts of 3 sigma at {heights[0]:.0f} m; the maker's limit is {limit:g} m/s"
+    return Row("wind", verdict, wind, None, limit, "m/s", told)
+
+
+def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int) -> Brief:
+    """Return a brief without runs, its operation and scenario written into its folder.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / "operation.yaml", operation.to_yaml().encode())
+    write_atomically(folder / SCENARIO, dump_yaml(flights.content).encode())
+    return Brief(operation, flights, folder, seed, Runs([], flights.names))
+
+
+def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None:
+    """Fly the stages of a brief until its verdict or the end of its time; after an interruption, call ``keep``.
+
+    Args:
+        brief: changed in place.
+        stages: names.
+        flyer: called once something has to be flown.
+    """
+    brief.sky = sky_of(brief.flights.scenario)
+    both = len(stages) > 1 and bool(brief.operation.faults)
+    complete = True
+    made = flyer()
+    if "nominal" in stages:
+        # Time is left for the faults, whose runs are few.
+        made.allow(NOMINAL_PART if both else 1.0)
+        complete = _nominal(brief, made)
+        if not complete:
+            keep(brief)
+    # What fails without a fault needs no fault.
+    if "faults" in stages and brief.operation.faults and overall(brief.nominal)[0] != "no-go":
+        made.allow(1.0)
+        complete &= _faults(brief, made)
+    brief.complete = complete
+
+
+def keep(brief: Brief) -> None:
+    """Read the nominal runs that are there after an interruption; the verdicts of the last look hold."""
+    _read(brief, look=None)
+
+
+def _read(brief: Brief, look: int | None) -> None:
+    """Read the nominal runs that are there; ``look`` is None between two looks, where the last one's verdicts hold."""
+    stores = []
+    for piece in pieces(brief.operation.criteria.p_loss):
+        path = brief.folder / f"{piece.name}.zarr"
+        if not path.exists():
+            break
+        stores.append(path)
+    runs = Runs(stores, brief.flights.names)
+    if look is not None or len(runs) > len(brief.runs):
+        brief.runs = runs
+        decided = {row.name: row for row in brief.nominal if row.verdict != "marginal"} if look is None else {}
+        brief.nominal = [decided.get(row.name, row) for row in judge(runs, brief.operation.criteria, look)]
+
+
+def _nominal(brief: Brief, flyer: Flyer) -> bool:
+    """Fly the nominal stage look by look; return whether it came to a verdict."""
+    for piece in pieces(brief.operation.criteria.p_loss):
+        if not flyer.fly(nominal_study(piece, brief.operation, brief.flights, brief.seed)):
+            return False
+        _read(brief, piece.look)
+        if not undecided(brief.nominal):
+            return True
+    return False
+
+
+def _faults(brief: Brief, flyer: Flyer) -> bool:
+    """Fly the stage of faults; return whether it is complete."""
+    scenario = faults.fault_scenario(brief.operation, brief.flights)
+    load_scenario(scenario, quiet=True)
+    write_atomically(brief.folder / faults.SCENARIO, dump_yaml(scenario).encode())
+    known = brief.runs["finished_s"]
+    known = known[np.isfinite(known)]
+    finished_s = float(np.median(known)) if len(known) else max(brief.flights.planned_s)
+    study = faults.fault_study(brief.operation, brief.flights, finished_s, brief.seed)
+    complete = flyer.fly(study)
+    brief.outcomes = faults.fault_outcomes(brief.folder / f"{faults.NAME}.zarr", study)
+    return complete
+
+
+def exit_code(verdict: Verdict) -> int:
+    """Return the exit code of a verdict: 0 go, 3 marginal, 1 no-go."""
+    return {"go": 0, "marginal": 3, "no-go": 1}[verdict]

@@ -1,0 +1,175 @@
+"""Figures of the page of a brief."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from qrsim.core.arrays import NumpyArray
+from qrsim.runs.picture import colours_of, new_figure
+from qrsim.scenarios.scenario import Scenario
+from qrsim.studies.brief.judging import Row
+from qrsim.studies.brief.runs import Runs
+from qrsim.studies.brief.sky import Sky
+
+DPI = 100
+# Runs whose tracks are drawn, cells of the map's longer side, smallest cell [m], and points between two records.
+MOST_TRACKS, CELLS, SMALLEST_M, BETWEEN = 512, 200, 2.0, 8
+COLOURS = {"go": "#146c2e", "marginal": "#b26a00", "no-go": "#b3261e"}
+
+
+def png(figure: Figure) -> bytes:
+    """Render a figure; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=DPI, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> Figure:
+    """Draw the density of all tracks (E, R, n, 4) with fence, planned routes, ends of lost runs and the worst runs."""
+    corners = _fence(scenario)
+    low, high = corners.min(axis=0) - 5.0, corners.max(axis=0) + 5.0
+    points = _dense(tracks)
+    if len(points):
+        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    # As high as the area is long, within a page.
+    figure = new_figure(7.2, float(np.clip(5.4 * (high[0] - low[0]) / max(high[1] - low[1], 1.0) + 0.7, 2.5, 7.5)))
+    axes = figure.subplots()
+    cell = max(SMALLEST_M, float(np.max(high - low)) / CELLS)
+    edges = [np.arange(low[axis], high[axis] + cell, cell) for axis in (0, 1)]
+    counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
+    if counts.any():
+        shown = np.where(counts > 0.0, counts / counts.sum(), np.nan)
+        drawn = axes.pcolormesh(edges[1], edges[0], shown, norm=LogNorm(), cmap="Blues", rasterized=True)
+        figure.colorbar(drawn, ax=axes, label="share of the time in a cell", shrink=0.7)
+    ring = np.vstack([corners, corners[:1]])
+    axes.plot(ring[:, 1], ring[:, 0], color="#b3261e", lw=1.5, label="fence")
+    _obstacles(axes, scenario)
+    for number, vehicle in enumerate(_vehicles(scenario)):
+        line = np.array([vehicle.position_ned, *vehicle.places_ned.values()])
+        axes.plot(line[:, 1], line[:, 0], color="black", lw=0.8, ls="--", label=None if number else "planned route")
+    for number, run in enumerate(worst):
+        for vehicle in range(tracks.shape[2]):
+            path = tracks[run, :, vehicle]
+            axes.plot(
+                path[:, 1], path[:, 0], color="#b26a00", lw=0.6, label=None if number or vehicle else "worst runs"
+            )
+    axes.set_aspect("equal")
+    axes.set_xlabel("east [m]")
+    axes.set_ylabel("north [m]")
+    axes.legend(loc="upper left", fontsize=8)
+    return figure
+
+
+def _dense(tracks: NumpyArray) -> NumpyArray:
+    """Return places (K, 2), with straight lines between the records of each track."""
+    one, other = tracks[:, :-1, :, :2], tracks[:, 1:, :, :2]
+    parts = [one + (other - one) * (step / BETWEEN) for step in range(BETWEEN)]
+    found = np.concatenate([part.reshape(-1, 2) for part in parts])
+    return found[np.isfinite(found).all(axis=1)]
+
+
+def _fence(scenario: Scenario) -> NumpyArray:
+    area: Any = scenario.spec.world.area
+    if area.type == "polygon":
+        return np.array(area.corners_ned, np.float64)
+    return np.array(
+        [[area.x_min, area.y_min], [area.x_min, area.y_max], [area.x_max, area.y_max], [area.x_max, area.y_min]]
+    )
+
+
+def _vehicles(scenario: Scenario) -> list[Any]:
+    return [vehicle for fleet in scenario.spec.fleets.values() for vehicle in fleet.vehicles if vehicle.legs]
+
+
+def _obstacles(axes: Any, scenario: Scenario) -> None:
+    from matplotlib.patches import Circle, Rectangle
+
+    for each in scenario.spec.world.obstacles:
+        part: Any = each
+        if part.type == "cylinder":
+            axes.add_patch(Circle((part.y, part.x), max(part.radius, 1.0), color="#555555"))
+        elif part.type == "box":
+            size = (part.y_max - part.y_min, part.x_max - part.x_min)
+            axes.add_patch(Rectangle((part.y_min, part.x_min), *size, color="#555555"))
+
+
+def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:
+    """Draw each margin of the runs as median, 5 to 95 % and extremes, with its criterion; None without margins."""
+    values = {
+        "fence": np.fmin(runs["fence_horizontal_min_m"], runs["ceiling_min_m"]),
+        "ground": runs["ground_min_m"],
+        "obstacle": runs["obstacle_min_m"],
+        "separation": runs["air_separation_min_m"],
+    }
+    shown = [row for row in rows if row.name in values]
+    if not shown:
+        return None
+    figure = new_figure(7.2, 0.8 + 0.55 * len(shown))
+    axes = figure.subplots()
+    for number, row in enumerate(shown):
+        known = values[row.name][np.isfinite(values[row.name])]
+        low, median, high = np.quantile(known, [0.05, 0.5, 0.95])
+        colour = COLOURS[row.verdict]
+        axes.plot([known.min(), known.max()], [number, number], color=colour, lw=1.0)
+        axes.plot([low, high], [number, number], color=colour, lw=6.0, solid_capstyle="butt")
+        axes.plot([median], [number], "|", color="white", ms=9, mew=2)
+        axes.plot([row.limit or 0.0], [number], marker="D", color="black", ms=5)
+    axes.set_yticks(range(len(shown)), [row.name for row in shown])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("smallest distance of a run [m]; thick: 5 to 95 %, diamond: criterion")
+    return figure
+
+
+def time_figure(
+    runs: Runs, tracks: NumpyArray, low_battery: float, reserve: float, sky: Sky | None, every_s: float
+) -> Figure:
+    """Draw charge and height of each vehicle over time, median and 5 to 95 %, and satellites and PDOP below."""
+    figure = new_figure(7.2, 6.4 if sky is not None else 4.6)
+    panels = figure.subplots(3 if sky is not None else 2, 1)
+    ends = runs["flown_s"]
+    last = float(np.nanmax(ends)) if len(ends) else every_s
+    time = np.arange(tracks.shape[1]) * every_s
+    used = time <= last + every_s
+    for vehicle, colour in enumerate(colours_of(max(1, tracks.shape[2]))):
+        for axes, values in ((panels[0], tracks[:, used, vehicle, 3]), (panels[1], -tracks[:, used, vehicle, 2])):
+            known = np.isfinite(values).sum(axis=0) > 0
+            band = np.nanquantile(values[:, known], [0.05, 0.5, 0.95], axis=0)
+            axes.plot(time[used][known], band[1], color=colour, lw=1.2, label=runs.names[vehicle])
+            axes.fill_between(time[used][known], band[0], band[2], color=colour, alpha=0.25, lw=0)
+    panels[0].axhline(reserve, color=COLOURS["marginal"], lw=0.9, ls="--")
+    panels[0].axhline(low_battery, color=COLOURS["no-go"], lw=0.9, ls="--")
+    panels[0].text(0.0, reserve, " reserve", fontsize=8, va="bottom")
+    panels[0].text(0.0, low_battery, " low battery", fontsize=8, va="top")
+    panels[0].set_ylim(0.0, 1.02)
+    panels[0].set_ylabel("charge [1]")
+    panels[1].set_ylabel("height [m]")
+    panels[1].set_xlabel("time of the flight [s]")
+    for axes in panels[:2]:
+        axes.set_xlim(0.0, max(last, 1.0))
+    if tracks.shape[2] <= 10:
+        panels[1].legend(fontsize=8, loc="upper right")
+    if sky is not None:
+        _draw_sky(panels[2], sky, last)
+    return figure
+
+
+def _draw_sky(axes: Any, sky: Sky, last_s: float) -> None:
+    place, hours = sky.worst_place(), sky.seconds / 3600.0
+    axes.axvspan(0.0, last_s / 3600.0, color="#dddddd", lw=0)
+    axes.plot(hours, sky.count[:, place], color="#1f4e8c", lw=1.0)
+    axes.set_ylabel("satellites", color="#1f4e8c")
+    axes.set_ylim(0, max(12, math.ceil(1.1 * sky.count.max())))
+    other = axes.twinx()
+    other.plot(hours, sky.pdop[:, place], color="#b26a00", lw=1.0)
+    other.set_ylabel("PDOP", color="#b26a00")
+    other.set_ylim(0.0, 8.0)
+    axes.set_xlim(hours[0], hours[-1])
+    axes.set_xlabel("hours after the start of the flights; at the place with the worst sky")

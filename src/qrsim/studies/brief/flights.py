@@ -1,0 +1,277 @@
+"""From an operation to the scenario that is flown: site, area, vehicles, reactions, and the length of a run."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean, warn_user
+from qrsim.files import Content
+from qrsim.models.atmosphere.wind import ROUGHNESS_M
+from qrsim.models.site import Site
+from qrsim.models.vehicles.multirotor.sets import SETS
+from qrsim.scenarios.plan import Plan
+from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.reading import merged, read_scenario
+from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.scenarios.vehicle_file import read_vehicle_file
+from qrsim.studies.brief.operation import MissionSpec, OperationSpec
+
+# Around a route without a fence, above the highest point of a route, and between two homes [m].
+AROUND, ABOVE, FARTHEST = 50.0, 30.0, 50e3
+# Largest length of a run [s], and how much longer than its path a run is.
+LONGEST_S, SLACK, SLACK_S = 3600.0, 1.5, 30.0
+TIME_STEP = 0.02
+SENSORS: dict[str, Content] = {
+    "gnss": {"type": "gnss", "preset": "f9p_single"},
+    "imu": {"type": "imu", "preset": "icm42688p"},
+    "magnetometer": {"type": "magnetometer"},
+    "barometer": {"type": "barometer"},
+}
+_LOW_BATTERY = {"warn": "warn", "land": "land", "return": "return_or_land"}
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What is flown.
+
+    Attributes:
+        content: the scenario, every place in NED.
+        scenario: the same, checked.
+        names: of the vehicles, in the order of the missions.
+        planned_s: time of the path of each vehicle [s], without wind.
+        plans: of the missions.
+        assumed: defaults that count, one sentence each.
+    """
+
+    content: Content
+    scenario: Scenario
+    names: tuple[str, ...]
+    planned_s: tuple[float, ...]
+    plans: tuple[Plan, ...]
+    assumed: tuple[str, ...]
+
+
+def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flights:
+    """Return the flights of an operation.
+
+    Raises:
+        UsageError, ScenarioError: a plan or a vehicle cannot be flown, or takes too long.
+    """
+    plans = tuple(plan_of(mission.plan) for mission in operation.missions)
+    names = names_of(operation)
+    assumed: list[str] = []
+    _check_homes(operation, plans)
+    content = _content(operation, plans, names, assumed)
+    content["duration"] = longest_s
+    scenario = load_scenario(content, quiet=True)
+    planned = tuple(_planned_s(scenario, operation))
+    wanted = SLACK * max(planned) + SLACK_S
+    if max(planned) > longest_s:
+        raise UsageError(
+            f"{operation.operation}: takes {_time(max(planned))}; allowed: {_time(longest_s)}; see --longest"
+        )
+    whole = scenario.spec.model_dump(mode="json")
+    for name, mission in zip(names, operation.missions, strict=True):
+        if mission.delay:
+            whole["fleets"][name]["vehicles"][0]["legs"].insert(0, {"type": "loiter", "time": mission.delay})
+    whole["duration"] = math.ceil(min(wanted, longest_s))
+    return Flights(whole, load_scenario(whole), names, planned, plans, tuple(assumed))
+
+
+def plan_of(file: str) -> Plan:
+    """Return a plan with something to fly.
+
+    Raises:
+        UsageError: it cannot be read, or is empty.
+        ScenarioError: it is no plan that can be flown.
+    """
+    plan = read_plan(file)
+    if not plan.waypoints:
+        raise UsageError(f"{file}: mission.items: is empty; there is nothing to fly")
+    if plan.again is not None:
+        raise UsageError(f"{file}: repeats for ever; a brief needs a mission that ends: give its DO_JUMP a number")
+    return plan
+
+
+def names_of(operation: OperationSpec) -> tuple[str, ...]:
+    """Return the name of each vehicle: its own, or that of its plan's file.
+
+    Raises:
+        UsageError: two have the same.
+    """
+    found = []
+    for mission in operation.missions:
+        name = mission.name or re.sub(r"[^A-Za-z0-9_-]+", "_", Path(mission.plan).stem).strip("_-") or "vehicle"
+        if name in found:
+            raise UsageError(f"missions: two are called '{name}'; give each a name")
+        found.append(name)
+    return tuple(found)
+
+
+def speed_20ft(operation: OperationSpec) -> float:
+    """Return the factor from the forecast's speed to that at 20 ft, by the logarithmic profile over grass."""
+    return math.log(6.096 / ROUGHNESS_M) / math.log(operation.wind.height / ROUGHNESS_M)
+
+
+def bearing_deg(operation: OperationSpec) -> float:
+    """Return the bearing of the wind [deg], -180 to 180, so that its errors stay within the bounds of scenarios."""
+    return (operation.wind.from_deg + 180.0) % 360.0 - 180.0
+
+
+def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
+    first = plans[0].home
+    site = Site.from_degrees(first.latitude_deg, first.longitude_deg, first.altitude_amsl)
+    for mission, plan in zip(operation.missions, plans, strict=True):
+        home = plan.home
+        place = math.radians(home.latitude_deg), math.radians(home.longitude_deg)
+        north, east, _ = site.geodetic_to_ned(*place, first.altitude_amsl)
+        if math.hypot(north, east) > FARTHEST:
+            raise UsageError(
+                f"{mission.plan}: its home is {math.hypot(north, east) / 1000.0:.0f} km from that of "
+                f"{operation.missions[0].plan}; allowed: {FARTHEST / 1000.0:.0f}"
+            )
+
+
+def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str, ...], assumed: list[str]) -> Content:
+    """Return the content of the scenario, its places still those of the plans."""
+    site = {key: value for key, value in operation.site.items() if key != "ceiling"}
+    content: Content = {
+        "name": operation.operation,
+        "duration": LONGEST_S,
+        "time_step": TIME_STEP,
+        "start_time": operation.at,
+        "site": site or {"plan": operation.missions[0].plan},
+        "world": {
+            "area": _area(operation, plans, assumed),
+            "wind": {
+                "type": "log_shear",
+                "speed_20ft": operation.wind.speed * speed_20ft(operation),
+                "wind_from_deg": bearing_deg(operation),
+            },
+            "turbulence": {"type": "dryden"},
+            **operation.world,
+        },
+        "fleets": {
+            name: _fleet(mission, plan, name, operation, assumed)
+            for name, mission, plan in zip(names, operation.missions, plans, strict=True)
+        },
+    }
+    assumed.append("Legs without a speed are flown at 5 m/s. Gusts are those of MIL-F-8785C for the mean wind.")
+    if operation.extends is None:
+        return content
+    _, below = read_scenario(operation.extends)
+    return merged({key: value for key, value in below.items() if key != "fleets"}, content)
+
+
+def _area(operation: OperationSpec, plans: tuple[Plan, ...], assumed: list[str]) -> Content:
+    """Return the area: the fence of the first plan that has one, else a box around the routes."""
+    highest = max(waypoint.height_above_home for plan in plans for waypoint in plan.waypoints)
+    ceiling = operation.site.get("ceiling")
+    if ceiling is None:
+        ceiling = math.ceil(highest + ABOVE)
+        assumed.append(f"No ceiling was given: it is at {ceiling:g} m, {ABOVE:g} m above the highest item.")
+    elif isinstance(ceiling, bool) or not isinstance(ceiling, int | float) or not 0.0 < ceiling <= 10_000.0:
+        raise UsageError(f"site.ceiling: {ceiling!r:.40}; allowed: a height above home, 0 to 10000 m")
+    fenced = [
+        mission.plan
+        for mission, plan in zip(operation.missions, plans, strict=True)
+        if any(each.inclusion for each in plan.polygons) or any(each.inclusion for each in plan.circles)
+    ]
+    if fenced:
+        if len(fenced) > 1:
+            assumed.append(f"The fence is that of {Path(fenced[0]).name}; those of other plans are not used.")
+        return {"type": "fence", "file": fenced[0], "z_min": -float(ceiling), "z_max": 0.0}
+    assumed.append(f"No fence in the plan: the area is a box {AROUND:g} m around the route.")
+    return {"type": "box", **_box(plans), "z_min": -float(ceiling), "z_max": 0.0}
+
+
+def _box(plans: tuple[Plan, ...]) -> Content:
+    home = plans[0].home
+    site = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
+    places = [(plan.home.latitude_deg, plan.home.longitude_deg) for plan in plans]
+    places += [(each.latitude_deg, each.longitude_deg) for plan in plans for each in plan.waypoints]
+    points = [
+        site.geodetic_to_ned(math.radians(north), math.radians(east), home.altitude_amsl)[:2] for north, east in places
+    ]
+    (north, east), (far_north, far_east) = np.min(points, axis=0), np.max(points, axis=0)
+    return {
+        "x_min": math.floor(north - AROUND), "x_max": math.ceil(far_north + AROUND),
+        "y_min": math.floor(east - AROUND), "y_max": math.ceil(far_east + AROUND),
+    }  # fmt: skip
+
+
+def _fleet(mission: MissionSpec, plan: Plan, name: str, operation: OperationSpec, assumed: list[str]) -> Content:
+    contingency = operation.contingency
+    critical = contingency.low_battery.at
+    if plan.waypoints[0].command != "NAV_TAKEOFF":
+        warn_user(
+            f"{mission.plan}: has no take-off: {name} starts in the air at item {plan.waypoints[0].item}, and the "
+            "energy of the climb is not counted"
+        )
+    if not mission.battery:
+        assumed.append(f"{name} has a full pack of 4 cells and 5 Ah, that of an X500.")
+    return {
+        "vehicle": _vehicle(mission, name, assumed),
+        "controller": {"type": "cascade"},
+        "guidance": {"type": "mission"},
+        "estimator": {"type": "ekf"},
+        "battery": {"type": "lithium_cells", **mission.battery},
+        "sensors": {sensor: dict(numbers) for sensor, numbers in SENSORS.items()},
+        "failsafes": {
+            "COM_LOW_BAT_ACT": _LOW_BATTERY[contingency.low_battery.do],
+            "BAT_LOW_THR": max(0.15, critical),
+            "BAT_CRIT_THR": critical,
+            "BAT_EMERGEN_THR": min(0.05, critical),
+            "COM_GNSSLOSS_ACT": contingency.gnss_lost.do,
+            "RTL_RETURN_ALT": contingency.return_height,
+        },
+        "vehicles": [{"plan": mission.plan, "name": name}],
+    }
+
+
+def _vehicle(mission: MissionSpec, name: str, assumed: list[str]) -> Content:
+    """Return the vehicle of a mission as a scenario writes it."""
+    if mission.vehicle.endswith((".yaml", ".yml")):
+        found = read_vehicle_file(Path(mission.vehicle))
+        if found["type"] != "multirotor":
+            raise UsageError(
+                f"missions.{name}.vehicle: {mission.vehicle}: its type is '{found['type']}'; a brief needs the power "
+                "and the rotors of a 'multirotor'"
+            )
+        return found
+    if mission.vehicle not in SETS:
+        raise UsageError(
+            f"missions.{name}.vehicle: no model is called '{mission.vehicle}'{did_you_mean(mission.vehicle, SETS)} "
+            "(or give a .yaml file)"
+        )
+    assumed.append(f"{name} is the parameter set '{mission.vehicle}', not identified from flights of this vehicle.")
+    return {"type": "multirotor", "model": mission.vehicle}
+
+
+def _planned_s(scenario: Scenario, operation: OperationSpec) -> Iterator[float]:
+    """Yield the time [s] of the path of each vehicle, without wind."""
+    spec: Any = scenario.spec
+    for (name, fleet), built, mission in zip(
+        spec.fleets.items(), scenario.world().fleets, operation.missions, strict=True
+    ):
+        for number, leg in enumerate(fleet.vehicles[0].legs, 1):
+            if leg.type == "loiter" and vars(leg).get("time") is None and vars(leg).get("turns") is None:
+                raise UsageError(
+                    f"{mission.plan}: leg {number} of {name} loiters for ever; a brief needs one that ends"
+                )
+        route: Any = built.route
+        parts = (route.rise_s, route.cruise_s, route.fall_s, route.turn_s, route.hold_s)
+        yield float(sum(np.sum(np.asarray(part, np.float64)) for part in parts)) + mission.delay
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 3600.0:.1f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.0f} min"

@@ -1,0 +1,91 @@
+"""The runs of a brief that are in its stores, as arrays over all of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from qrsim.core.arrays import NumpyArray
+from qrsim.errors import RunError
+from qrsim.files import Content
+from qrsim.studies.sweep.results import Results
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The moment of a margin or a loss.
+
+    Attributes:
+        seed: of the run.
+        vehicle: its name, "" where it is not known.
+        leg: its number from 1, None where it is not known.
+        at_s: time in the run [s], None where it is not known.
+    """
+
+    seed: int
+    vehicle: str
+    leg: int | None
+    at_s: float | None
+
+    def text(self) -> str:
+        """Return the moment in words."""
+        parts = [self.vehicle, "" if self.leg is None else f"leg {self.leg}"]
+        parts += ["" if self.at_s is None else f"{self.at_s:.0f} s", f"seed {self.seed}"]
+        return ", ".join(part for part in parts if part)
+
+
+class Runs:
+    """Runs of several stores, one after the other, in the order of their seeds.
+
+    Args:
+        stores: paths; those without any run are left out.
+        names: of the vehicles.
+    """
+
+    def __init__(self, stores: Iterable[Path], names: tuple[str, ...]):
+        self.names = names
+        self._results = []
+        for path in stores:
+            try:
+                self._results.append(Results(path))
+            except RunError:  # nothing has been flown yet
+                continue
+
+    def __len__(self) -> int:
+        return sum(results.episodes for results in self._results)
+
+    def __getitem__(self, metric: str) -> NumpyArray:
+        """Return a metric (E,) in double precision."""
+        return np.concatenate([np.empty(0), *(results.metric(metric) for results in self._results)])
+
+    @property
+    def seeds(self) -> NumpyArray:
+        """Seed (E,) of each run."""
+        return np.concatenate([np.empty(0, np.int64), *(results.seeds for results in self._results)])
+
+    def tracks(self, most: int) -> NumpyArray:
+        """Return north, east, down and charge (E, R, n, 4) of at most so many runs; NaN after their ends."""
+        found: list[NumpyArray] = []
+        for results in self._results:
+            if (left := most - sum(map(len, found))) > 0:
+                found.append(results.tracks[:left])
+        return np.concatenate(found) if found else np.empty((0, 1, len(self.names), 4))
+
+    def values_at(self, run: int) -> Content:
+        """Return the varied numbers of a run by path."""
+        for results in self._results:
+            if run < results.episodes:
+                return results.values_at(run)
+            run -= results.episodes
+        raise IndexError(run)
+
+    def moment(self, run: int, margin: str) -> Moment:
+        """Return the moment of a margin of a run."""
+        vehicle, leg, at = (float(self[f"{margin}_{part}"][run]) for part in ("vehicle", "leg", "at_s"))
+        name = "" if math.isnan(vehicle) else self.names[int(vehicle)] if int(vehicle) < len(self.names) else ""
+        known = not math.isnan(leg)
+        return Moment(int(self.seeds[run]), name, int(leg) if known else None, at if known else None)

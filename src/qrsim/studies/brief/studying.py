@@ -1,0 +1,184 @@
+"""Studies of a brief: which runs each part of the nominal stage has, and their flight until they or the time end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from qrsim.files import Content
+from qrsim.files.atomic import write_atomically
+from qrsim.files.yaml_text import dump_yaml
+from qrsim.studies.brief.flights import Flights, bearing_deg, speed_20ft
+from qrsim.studies.brief.operation import OperationSpec
+from qrsim.studies.brief.statistics import FEWEST, first_look
+from qrsim.studies.sweep.plan import Batch, Plan
+from qrsim.studies.sweep.prepare import plan_of, plan_of_numbers
+from qrsim.studies.sweep.store import Store
+from qrsim.studies.sweep.study import load_study
+from qrsim.studies.sweep.sweeping import sweep, sweep_here
+
+SCENARIO = "scenario.yaml"
+# Interval of the tracks [s], runs of a batch, and the share of runs that may not finish.
+TRACK_S, BATCH, UNFINISHED = 2.0, 16, 0.05
+MARGINS = ("fence_horizontal_min", "ceiling_min", "ground_min", "obstacle_min", "air_separation_min")
+METRICS = (
+    "stopped", "left_area", "collided", "crashed", "stopped_s", "not_finished", "finished_s", "down_s", "flown_s",
+    "charge_end", "failsafes", "failsafe_s", "home_m", "in_the_air", "wind_max_m_s", "tracking_error_max_m",
+    "gnss_horizontal_rms_m", "gnss_vertical_rms_m", "without_fix_s",
+    *(f"{margin}_{part}" for margin in MARGINS for part in ("m", "at_s", "leg", "vehicle")),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Runs of the nominal stage between two looks.
+
+    Attributes:
+        look: the look after it; 0: one for a no-go alone.
+        first: number of its first run.
+        runs: how many it has.
+    """
+
+    look: int
+    first: int
+    runs: int
+
+    @property
+    def name(self) -> str:
+        """Name of its study and store."""
+        return f"nominal_{self.look}"
+
+
+def pieces(p_loss: float) -> Iterator[Piece]:
+    """Yield the parts of the nominal stage, without end; the totals double from the second look on."""
+    first = first_look(min(p_loss, UNFINISHED))
+    done = 0
+    if first > FEWEST:
+        yield Piece(0, 0, FEWEST)
+        done = FEWEST
+    look, total = 1, first
+    while True:
+        yield Piece(look, done, total - done)
+        done, total, look = total, 2 * total, look + 1
+
+
+def varied(operation: OperationSpec, flights: Flights) -> Content:
+    """Return what varies from run to run, as a study writes it: the wind, and numbers of every vehicle."""
+    wind, factor, spec = operation.wind, speed_20ft(operation), operation.uncertain
+    found: Content = {}
+    if wind.std > 0.0:
+        low, high = (max(0.0, (wind.speed + sign * 3.0 * wind.std) * factor) for sign in (-1.0, 1.0))
+        found["world.wind.speed_20ft"] = {"low": low, "high": min(high, 50.0), "scale": "normal"}
+    if wind.from_std > 0.0:
+        low, high = (bearing_deg(operation) + sign * 3.0 * wind.from_std for sign in (-1.0, 1.0))
+        found["world.wind.wind_from_deg"] = {"low": low, "high": high, "scale": "normal"}
+    for name in flights.names:
+        fleet = flights.content["fleets"][name]
+        numbers = {
+            "battery.capacity": spec.battery_capacity,
+            "vehicle.mass": spec.mass,
+            "vehicle.drag_x": spec.drag,
+            "vehicle.drag_y": spec.drag,
+        }
+        for path, share in numbers.items():
+            part, key = path.split(".")
+            value = float(fleet[part][key])
+            if share > 0.0 and value > 0.0:
+                found[f"fleets.{name}.{path}"] = {"low": value * (1.0 - share), "high": value * (1.0 + share)}
+        low, high = spec.initial_charge
+        if low < high:
+            found[f"fleets.{name}.battery.initial_charge"] = {"low": low, "high": high}
+    return found
+
+
+def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed: int) -> Content:
+    """Return the study of a part of the nominal stage: one point of a Latin hypercube for each run."""
+    vary = varied(operation, flights)
+    study: Content = {
+        "name": piece.name,
+        "description": f"Runs {piece.first} to {piece.first + piece.runs - 1} of the brief {operation.operation}.",
+        "scenario": SCENARIO,
+        "first_seed": seed + piece.first,
+        "metrics": list(METRICS),
+        "track": TRACK_S,
+        "batch": BATCH,
+    }
+    if not vary:
+        speed = float(flights.content["world"]["wind"]["speed_20ft"])
+        return {**study, "vary": {"world.wind.speed_20ft": {"values": [speed]}}, "seeds": piece.runs}
+    sampling = {"type": "latin_hypercube", "points": piece.runs, "seed": piece.look, "paired": True}
+    return {**study, "vary": vary, "sampling": sampling, "seeds": 1}
+
+
+class OutOfTimeError(Exception):
+    """The time that the brief has is over."""
+
+
+class Flyer:
+    """Flies studies into the folder of a brief, until its time is over.
+
+    Args:
+        folder: of the brief.
+        client: of Dask, None to fly in this process.
+        minutes: that all studies together may take.
+        told: called after each batch, with the study's name, and its episodes done and planned.
+    """
+
+    def __init__(self, folder: Path, client: Any, minutes: float, told: Callable[[str, int, int], None]):
+        self.folder, self.client, self.minutes, self.told = folder, client, minutes, told
+        self.begun = time.monotonic()
+        self._first: Plan | None = None
+        self.allow(1.0)
+
+    def allow(self, part: float) -> None:
+        """Let the studies that follow take this part of the whole time, from its begin on."""
+        self.deadline = self.begun + 60.0 * self.minutes * part
+
+    def prepare(self, study: Content) -> Plan:
+        """Write a study into the folder, and return its plan.
+
+        Raises:
+            UsageError: values of it are not allowed.
+        """
+        path = self.folder / f"{study['name']}.yaml"
+        write_atomically(path, dump_yaml(study).encode())
+        loaded = load_study(str(path))
+        if "sampling" not in study:
+            return plan_of(loaded)
+        # All parts of the nominal stage vary the same numbers.
+        if self._first is None:
+            self._first = plan_of_numbers(loaded)
+        return Plan(loaded, self._first.axes, (), self._first.groups)
+
+    def fly(self, study: Content) -> bool:
+        """Fly what is missing of a study; return whether it is complete.
+
+        Raises:
+            UsageError: the folder has a store of another study.
+            RunError: it cannot be flown or written.
+        """
+        plan = self.prepare(study)
+        store = Store(self.folder / f"{study['name']}.zarr", plan)
+        done = sum(plan.batch(i).episodes for i, known in enumerate(store.done) if known)
+
+        def progress(batch: Batch) -> None:
+            nonlocal done
+            done += batch.episodes
+            self.told(str(study["name"]), done, plan.episodes)
+            if time.monotonic() > self.deadline and not store.done.all():
+                raise OutOfTimeError
+
+        try:
+            if not store.done.all():
+                if self.client is None:
+                    sweep_here(plan, store, progress)
+                else:
+                    sweep(plan, store, self.client, progress)
+        except OutOfTimeError:
+            return False
+        finally:
+            store.close()
+        return True

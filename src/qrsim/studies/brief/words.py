@@ -1,0 +1,98 @@
+"""What the command line of a brief says in short: a wind as SPEED@FROM, a time with its zone, vehicles of plans."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.vehicles.multirotor.sets import SETS
+
+# Largest speed of a wind [m/s], that of scenarios, and what units are in m/s.
+LARGEST_WIND = 50.0
+UNITS = {"": 1.0, "m/s": 1.0, "kn": 1852.0 / 3600.0, "kt": 1852.0 / 3600.0, "km/h": 1.0 / 3.6}
+NEEDED = "needs the wind: --wind SPEED@FROM (m/s, and the bearing in degrees that it comes from)"
+_PART = re.compile(r"\s*([+-]?\d+(?:\.\d*)?|\.\d+)\s*([a-zA-Z/]*)\s*", re.ASCII)
+
+
+def wind_of(text: str) -> tuple[float, float]:
+    """Return the speed [m/s] and the bearing [deg] of a wind such as ``7@250`` or ``14kn@250``.
+
+    Raises:
+        UsageError: it is not one.
+    """
+    speed_text, at, from_text = text.partition("@")
+    speed, bearing = _PART.fullmatch(speed_text), _PART.fullmatch(from_text)
+    if not at or speed is None or bearing is None or bearing[2]:
+        raise UsageError(f"--wind {text}: expected SPEED@FROM, for example 7@250")
+    if speed[2] not in UNITS:
+        allowed = ", ".join(name for name in UNITS if name)
+        raise UsageError(
+            f"--wind {text}: the unit '{speed[2]}' is unknown{did_you_mean(speed[2], UNITS)}; allowed: {allowed}"
+        )
+    found, degrees = float(speed[1]) * UNITS[speed[2]], float(bearing[1])
+    if not 0.0 <= found <= LARGEST_WIND:
+        swapped = f"; is it {from_text}@{speed_text}?" if 0.0 <= degrees <= LARGEST_WIND and found <= 360.0 else ""
+        raise UsageError(
+            f"--wind {text}: {found:g} m/s is out of range{swapped or f'; allowed: 0 to {LARGEST_WIND:g}'}"
+        )
+    if not 0.0 <= degrees <= 360.0:
+        raise UsageError(f"--wind {text}: bearing {degrees:g}; allowed: 0 to 360")
+    return found, degrees
+
+
+def time_of(text: str) -> str:
+    """Return a time with its zone as ISO 8601 in UTC.
+
+    Raises:
+        UsageError: it is no time, or has no zone.
+    """
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise UsageError(f"--at {text}: is no time; expected for example 2026-05-01T10:00Z") from None
+    if found.tzinfo is None:
+        raise UsageError(f"--at {text}: needs Z (UTC) or an offset, for example {text}Z or {text}+02:00")
+    return _written(found)
+
+
+def now_rounded() -> str:
+    """Return the time of now, rounded to 10 minutes, as ISO 8601 in UTC."""
+    now = datetime.now(UTC) + timedelta(minutes=5)
+    return _written(now - timedelta(minutes=now.minute % 10, seconds=now.second, microseconds=now.microsecond))
+
+
+def _written(time: datetime) -> str:
+    return time.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def vehicles_of(plans: Sequence[Path], given: Sequence[str]) -> list[str]:
+    """Return the vehicle of each plan: one for all, or ``PLAN=VEHICLE`` for each.
+
+    Raises:
+        UsageError: a plan has none, or a name is of no plan.
+    """
+    if not given:
+        raise UsageError(f"needs the vehicle: --vehicle NAME or FILE.yaml; names: {', '.join(SETS)}")
+    named = {name: vehicle for name, equals, vehicle in (text.partition("=") for text in given) if equals}
+    plain = [text for text in given if "=" not in text]
+    if len(plain) > 1:
+        raise UsageError(f"--vehicle {plain[1]}: is a second one for all plans; expected PLAN=VEHICLE for each")
+    known = [*(str(plan) for plan in plans), *(plan.stem for plan in plans)]
+    for name in named:
+        if name not in known:
+            raise UsageError(f"--vehicle {name}={named[name]}: no plan is called '{name}'{did_you_mean(name, known)}")
+    found = [named.get(str(plan)) or named.get(plan.stem) or next(iter(plain), None) for plan in plans]
+    for plan, vehicle in zip(plans, found, strict=True):
+        if vehicle is None:
+            raise UsageError(f"--vehicle: {plan} has none; expected --vehicle {plan}=NAME")
+    return [vehicle for vehicle in found if vehicle is not None]
+
+
+def share_of(value: object) -> object:
+    """Return a share from a number or from a text in percent, such as ``5 %``; other values unchanged."""
+    if isinstance(value, str) and (found := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%\s*", value)):
+        return float(found[1]) / 100.0
+    return value

@@ -1,0 +1,133 @@
+"""``qrsim brief``: planted failures are found, each with its criterion, leg and time; a stopped brief goes on.
+
+All flights are one compiled program: plans, fences, packs, masts and winds differ in their numbers only.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from tests.studies.brief.plans import write_plan
+
+from qrsim import cli
+
+WIDE = [(-60.0, -60.0), (-60.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
+AWAY, ON_THE_LEG = {"x": -40.0, "y": -40.0}, {"x": 12.0, "y": 0.5}
+
+
+def write(folder: Path, fence: list[tuple[float, float]] = WIDE, mast: dict[str, float] = AWAY, **changes: Any) -> Path:
+    """Write an operation: 12 m up, 25 m north, and back, past a mast."""
+    folder.mkdir()
+    write_plan(folder / "a.plan", fence=fence)
+    battery = changes.pop("battery", {"capacity": 1.0})
+    operation = {
+        "operation": "field",
+        "at": "2026-05-01T10:00Z",
+        "missions": [{"plan": "a.plan", "vehicle": "x500", "battery": battery}],
+        "wind": {"speed": 4, "from": 250, "std": 0.5},
+        "world": {"obstacles": [{"type": "cylinder", "radius": 0.5, "z_min": -30.0, **mast}]},
+        "criteria": {"p_loss": 0.05},
+        **changes,
+    }
+    (folder / "field.yaml").write_text(yaml.safe_dump(operation))
+    return folder / "field.yaml"
+
+
+def brief(file: Path, *words: str) -> tuple[int, dict[str, Any]]:
+    """Brief an operation in this process; return the exit code and the numbers."""
+    out = file.parent / "out"
+    options = ("--workers", "1", "--minutes", "10", *words)
+    stage = () if "--stage" in words else ("--stage", "nominal")
+    code = cli.main(["brief", str(file), *stage, "--out", str(out), *options])
+    return code, json.loads((out / "brief.json").read_text())
+
+
+def rows(found: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in found["criteria"]}
+
+
+@pytest.mark.long
+def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = write(tmp_path / "good")
+    # Out of time after its first batch, it is marginal.
+    code, part = brief(file, "--minutes", "0.0001")
+    assert (code, part["runs"], part["complete"], part["verdict"]) == (3, 16, False, "marginal")
+    assert "the brief is not complete" in capsys.readouterr().out
+    code, found = brief(file)
+    assert (code, found["verdict"], found["why"]) == (0, "go", "every criterion is met")
+    assert (found["runs"], found["complete"]) == (72, True)
+    assert {row["verdict"] for row in found["criteria"]} == {"go"}
+    assert [row["name"] for row in found["criteria"]] == [
+        "loss", "finished", "reserve", "fence", "ground", "obstacle", "gnss"
+    ]  # fmt: skip
+    assert rows(found)["obstacle"]["worst"]["vehicle"] == "a"
+    # The page has the pictures in it, and fetches nothing.
+    page = (file.parent / "out" / "brief.html").read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert "<script" not in page
+    assert "http" not in page
+    assert len(page) < 2_000_000
+    # Again it flies nothing; flown at once it is the same to the bit.
+    numbers = (file.parent / "out" / "brief.json").read_bytes()
+    brief(file)
+    assert (file.parent / "out" / "brief.json").read_bytes() == numbers
+    other = write(tmp_path / "at_once")
+    brief(other)
+    assert (other.parent / "out" / "brief.json").read_text().replace("at_once", "good") == numbers.decode()
+    # Another operation does not go into its folder.
+    write_plan(file.parent / "a.plan", fence=WIDE)
+    file.write_text(file.read_text().replace("speed: 4", "speed: 5"))
+    assert cli.main(["brief", str(file), "--out", str(file.parent / "out")]) == 2
+    assert "wind.speed: 5.0 here, 4.0 there" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = [(-60.0, -60.0), (-60.0, 1.2), (80.0, 1.2), (80.0, -60.0)]
+    code, found = brief(write(tmp_path / "fence", fence=near))
+    assert (code, found["verdict"]) == (1, "no-go")
+    row = rows(found)["fence"]
+    assert row["verdict"] == "no-go"
+    assert row["worst"]["leg"] in (1, 2, 3)
+    assert row["worst"]["at_s"] > 0.0
+
+    code, found = brief(write(tmp_path / "mast", mast=ON_THE_LEG))
+    assert (code, found["verdict"]) == (1, "no-go")
+    assert "lost (" in found["why"]
+    assert "collided" in found["why"]
+    assert rows(found)["loss"]["value"] > 0.9
+    row = rows(found)["obstacle"]
+    assert (row["verdict"], row["worst"]["leg"]) == ("no-go", 2)
+
+    # The low battery's return takes over; no run finishes.
+    code, found = brief(write(tmp_path / "pack", battery={"capacity": 0.12}))
+    assert (code, rows(found)["finished"]["verdict"]) == (1, "no-go")
+    assert found["shares"]["failsafes"]["share"] > 0.9
+
+    code, found = brief(write(tmp_path / "wind", wind={"speed": 35, "from": 250}, criteria={"wind_limit": 12}))
+    assert (code, found["verdict"]) == (1, "no-go")
+    assert rows(found)["wind"]["verdict"] == "no-go"
+    assert rows(found)["loss"]["value"] > 0.5
+    assert found["worst"][0]["command"].startswith("qrsim run ")
+
+
+@pytest.mark.nightly
+def test_faults_end_as_the_reactions_ask(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "faults", battery={"capacity": 5.0})
+    code, found = brief(file, "--stage", "faults")
+    # Without nominal runs nothing is a go.
+    assert (code, found["verdict"], found["complete"]) == (3, "marginal", True)
+    assert len(found["faults"]) == 12
+    by_fault = {name: [each for each in found["faults"] if each["fault"] == name] for name in ("motor", "link", "gnss")}
+    by_fault["low_battery"] = [each for each in found["faults"] if each["fault"] == "low_battery"]
+    assert [each["crashed"] for each in by_fault["motor"]] == [1.0] * 3
+    assert all(each["median_s"] < 10.0 for each in by_fault["motor"])
+    assert [each["home"] for each in by_fault["link"]] == [1.0] * 3
+    assert [each["home"] for each in by_fault["low_battery"]] == [1.0] * 3
+    assert rows(found)["fault motor"]["decides"] is False

@@ -1,0 +1,120 @@
+"""Verdicts by the runs: what is a go, marginal and a no-go at which look."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qrsim.studies.brief.judging import Row, judge, overall, undecided
+from qrsim.studies.brief.operation import CriteriaSpec
+from qrsim.studies.brief.runs import Runs
+from qrsim.studies.brief.studying import METRICS, Piece, pieces
+
+LIMITS = CriteriaSpec(p_loss=0.05)
+
+
+class Given(Runs):
+    """Runs with numbers: of every metric what a good run has, unless it is given."""
+
+    def __init__(self, runs: int, **given: Any):
+        super().__init__([], ("scout",))
+        good = dict.fromkeys(METRICS, 0.0)
+        good |= {"charge_end": 0.6, "fence_horizontal_min_m": 20.0, "ceiling_min_m": 30.0, "ground_min_m": 15.0}
+        good |= {"air_separation_min_m": np.nan, "obstacle_min_m": np.nan, "stopped_s": np.nan, "failsafe_s": np.nan}
+        self._arrays = {name: np.full(runs, value) for name, value in good.items()}
+        for name, value in given.items():
+            self._arrays[name][: len(value)] = value
+
+    def __len__(self) -> int:
+        return len(self._arrays["stopped"])
+
+    def __getitem__(self, metric: str) -> Any:
+        return self._arrays[metric]
+
+    @property
+    def seeds(self) -> Any:
+        return np.arange(len(self))
+
+
+def rows(runs: Runs, look: int | None, criteria: CriteriaSpec = LIMITS) -> dict[str, Row]:
+    return {row.name: row for row in judge(runs, criteria, look)}
+
+
+def verdicts(runs: Runs, look: int | None, criteria: CriteriaSpec = LIMITS) -> dict[str, str]:
+    return {name: row.verdict for name, row in rows(runs, look, criteria).items()}
+
+
+def test_the_pieces_of_the_nominal_stage() -> None:
+    found = pieces(0.05)
+    # 32 runs for an early no-go; the totals at the looks are 72, 144 and 288.
+    assert [next(found) for _ in range(4)] == [Piece(0, 0, 32), Piece(1, 32, 40), Piece(2, 72, 72), Piece(3, 144, 144)]
+    # A loose limit on losses does not loosen that on missions that do not finish.
+    assert next(pieces(0.4)) == Piece(0, 0, 32)
+
+
+def test_72_runs_without_a_loss_are_a_go() -> None:
+    found = verdicts(Given(72), 1)
+    assert found == {"loss": "go", "finished": "go", "reserve": "go", "fence": "go", "ground": "go"}
+    assert overall(judge(Given(72), LIMITS, 1)) == ("go", "every criterion is met")
+    assert not undecided(judge(Given(72), LIMITS, 1))
+
+
+def test_one_loss_needs_another_look() -> None:
+    lost = {"stopped": [1.0], "stopped_s": [12.0], "left_area": [1.0]}
+    assert verdicts(Given(72, **lost), 1)["loss"] == "marginal"
+    assert undecided(judge(Given(72, **lost), LIMITS, 1))
+    assert verdicts(Given(144, **lost), 2)["loss"] == "go"
+    loss = rows(Given(144, **lost), 2)["loss"]
+    assert loss.why.startswith("144 runs, 1 lost (1 left the area): below")
+    assert loss.worst is not None
+    assert (loss.worst.seed, loss.worst.at_s) == (0, 12.0)
+
+
+def test_between_two_looks_nothing_that_needs_runs_is_decided() -> None:
+    found = verdicts(Given(100), None)
+    assert (found["loss"], found["finished"], found["reserve"]) == ("marginal", "marginal", "marginal")
+    assert found["fence"] == "go"
+
+
+def test_the_early_look_decides_against_only() -> None:
+    assert verdicts(Given(32), 0)["loss"] == "marginal"
+    found = rows(Given(32, stopped=[1.0] * 6, stopped_s=[30.0, 20.0, 25.0, 30.0, 30.0, 30.0], crashed=[1.0] * 6), 0)
+    assert found["loss"].verdict == "no-go"
+    assert found["loss"].why == "32 runs, 6 lost (6 crashed), the earliest at 20 s, seed 1"
+    assert not undecided(list(found.values()))
+
+
+def test_runs_that_do_not_finish() -> None:
+    found = rows(Given(72, not_finished=[1.0] * 20, failsafes=[1.0] * 20, failsafe_s=[50.0] * 20), 1)
+    assert found["finished"].verdict == "no-go"
+    assert "a failsafe took over in 20" in found["finished"].why
+
+
+@pytest.mark.parametrize(("charge", "verdict"), [(0.21, "go"), (0.15, "marginal"), (0.05, "no-go")])
+def test_the_reserve_is_that_of_the_worst_runs(charge: float, verdict: str) -> None:
+    assert verdicts(Given(72, charge_end=[charge] * 12), 1)["reserve"] == verdict
+
+
+def test_a_lost_run_says_nothing_of_the_reserve() -> None:
+    found = Given(72, charge_end=[0.01], stopped=[1.0], stopped_s=[3.0])
+    assert rows(found, 1)["reserve"].value == 0.6
+
+
+@pytest.mark.parametrize(("metres", "verdict"), [(6.0, "go"), (3.0, "marginal"), (1.0, "no-go"), (-1.0, "no-go")])
+def test_a_margin_names_its_moment(metres: float, verdict: str) -> None:
+    margin = "fence_horizontal_min"
+    given = {f"{margin}_m": [20.0, metres], f"{margin}_leg": [1.0, 3.0], f"{margin}_at_s": [5.0, 80.0]}
+    row = rows(Given(72, **given), 1)["fence"]
+    assert row.verdict == verdict
+    assert row.why.endswith(f"the nearest to the sides of the area was {metres:.1f} m (scout, leg 3, 80 s, seed 1)")
+
+
+def test_the_worst_counts_and_what_is_only_reported_does_not() -> None:
+    good = Row("loss", "go", 0.0, 0.0, 0.01, "1", "fine")
+    bad = Row("fence", "no-go", 0.0, 0.0, 5.0, "m", "near")
+    reported = Row("fault motor", "no-go", 0.0, None, 0.95, "1", "falls", None, False)
+    assert overall([good, reported]) == ("go", "every criterion is met")
+    assert overall([good, bad, reported]) == ("no-go", "near")
+    assert overall([]) == ("marginal", "nothing was flown")
