@@ -16,8 +16,8 @@ from qrsim.files import Content
 from qrsim.models.atmosphere.wind import ROUGHNESS_M
 from qrsim.models.site import Site
 from qrsim.models.vehicles.multirotor.sets import SETS
-from qrsim.scenarios.plan import Plan
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.reading import merged, read_scenario
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.vehicle_file import read_vehicle_file
