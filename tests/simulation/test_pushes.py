@@ -164,12 +164,13 @@ def test_every_kind_of_vehicle_is_pushed() -> None:
         if axis == 2:
             np.testing.assert_array_equal(gained[3:], 0.0)
             np.testing.assert_array_equal(felt[3:], 0.0)
-    with pytest.raises(UsageError, match="'body' is not injectable|cannot|no vehicle"):
+    with pytest.raises(UsageError, match="target: no vehicle here can be pushed; one of type 'fixed_point' cannot"):
         simulation.push([1.0, 0.0, 0.0], 1.0, "mast_0")
 
 
 def test_a_run_has_the_events_of_its_pushes(tmp_path: Path) -> None:
-    fly(load_scenario(content(events=[{"at": 0.4, "push": PUSH}]), quiet=True), tmp_path / "run", seed=2, precision="float32")
+    scenario = load_scenario(content(events=[{"at": 0.4, "push": PUSH}]), quiet=True)
+    fly(scenario, tmp_path / "run", seed=2, precision="float32")
     found = [(event.tick, event.vehicle, event.kind, event.field) for event in open_run(tmp_path / "run").events]
     assert (20, "a_1", "fault_begins", "body") in found
     assert (45, "a_1", "fault_ends", "body") in found
@@ -181,7 +182,7 @@ def test_a_run_has_the_events_of_its_pushes(tmp_path: Path) -> None:
         ({"vehicles": ["a_2"]}, "push.vehicles: no vehicle is called 'a_2'; did you mean"),
         ({"for": 0.51}, "push.for: 0.51 s is not a multiple of the time step"),
         ({"acceleration_ned": [2.0, 0.0]}, "push.acceleration_ned: expected 3 numbers, found 2"),
-        ({"acceleration_ned": [0.0, 0.0, 1001.0]}, "acceleration_ned.2: 1001.0 is out of range; allowed: -1000 to 1000"),
+        ({"acceleration_ned": [0.0, 0.0, 1001.0]}, "acceleration_ned.2: 1001.0 is out of range; allowed: -1000"),
         ({"acceleration_ned": None}, "push.acceleration_ned: missing; a push needs it, or acceleration_body"),
         ({"acceleration_nde": [1.0, 0.0, 0.0]}, "did you mean 'acceleration_ned'?"),
     ],
@@ -219,5 +220,5 @@ def test_what_cannot_be_pushed() -> None:
         simulation.inject("body", "pull")
     with pytest.raises(UsageError, match="a push is of target 'body'"):
         simulation.inject("world", "push")
-    with pytest.raises(UsageError, match="'injectable: {body: true}' under fleets.a"):
+    with pytest.raises(UsageError, match=r"'injectable: \{body: true\}' under fleets.a"):
         Simulation(load_scenario(content(), quiet=True).world()).push([1.0, 0.0, 0.0], 1.0)

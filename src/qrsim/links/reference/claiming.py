@@ -185,7 +185,7 @@ class SharedCalls(ABC):
                 for part, number in axes:
                     request.number.add(name=part, value=float(number))
             except (TypeError, ValueError, OverflowError):
-                raise UsageError(f"{name}: {value!r:.100}; expected a number") from None
+                raise UsageError(f"{name}: {value!r:.100}; expected a number, or 3 of a vector") from None
         return str(self._ask(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
 
     def clear(self, target: str | None = None, vehicles: object = None) -> str:
