@@ -168,6 +168,23 @@ def test_every_kind_of_vehicle_is_pushed() -> None:
         simulation.push([1.0, 0.0, 0.0], 1.0, "mast_0")
 
 
+@pytest.mark.long
+def test_every_episode_draws_when_a_vehicle_is_pushed() -> None:
+    entry = {"type": "body", "at": 0.4, "end": 3.0, "acceleration_ned": [2.0, 0.0, 0.0], "vehicles": ["a_1"]}
+    made = content({"faults": [entry]})
+    made["ranges"] = [{"path": "fleets.a.faults.0.at", "low": 0.2, "high": 2.0}]
+    flights = qrsim.rollout(
+        made, seeds=range(8), ticks=120, record=lambda state: state.fleets[0].vehicle.position_ned.x, record_every=1
+    )
+    north = np.asarray(flights.recorded)
+    first = [int(np.argmax(np.abs(row) > 1e-5)) for row in north[:, :, 1]]
+    # 0.2 s and 2 s are ticks 10 and 100; it moves within the first ticks of the push.
+    assert min(first) > 10
+    assert max(first) < 103
+    assert len(set(first)) > 4
+    np.testing.assert_array_equal(north[:, :, 0], 0.0)
+
+
 def test_a_run_has_the_events_of_its_pushes(tmp_path: Path) -> None:
     scenario = load_scenario(content(events=[{"at": 0.4, "push": PUSH}]), quiet=True)
     fly(scenario, tmp_path / "run", seed=2, precision="float32")

@@ -78,8 +78,11 @@ class SimWind:
             table["SIM_WIND_SPD"], table["SIM_WIND_DIR"] = speed, bearing
 
     def again(self) -> None:
-        """Let it be what the parameters say, after a reset."""
+        """Let it be what the parameters say, after a reset, which ends shoves."""
         self.now = self._of_world()
+        for _, values in self.shoves.values():
+            values["SIM_SHOVE_TIME"] = 0.0
+        self.shoves.clear()
         if self._by:
             table = self.tables[0]
             self.ask(table["SIM_WIND_SPD"], table["SIM_WIND_DIR"], table["SIM_WIND_TC"], self._by)
