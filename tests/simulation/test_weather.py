@@ -201,7 +201,7 @@ def test_a_jammer_is_turned_on_and_off() -> None:
             "world.events.0.at: 0.41 s is not a multiple of the time step",
         ),
         ({"at": 4.0, "gusts": {"times": 2}}, "world.events.0.at: 4 s is not within the run"),
-        ({"at": 0.4}, "world.events.0: expected one of wind, gusts, jam, found none"),
+        ({"at": 0.4}, "world.events.0: expected one of wind, gusts, jam, push, found none"),
         ({"at": 0.4, "wind": {}}, "world.events.0.wind: speed_20ft: missing; kind 'wind' needs it, or wind_from_deg"),
         ({"at": 0.4, "wind": {"speed_20ft": 51}}, "speed_20ft: 51.0; allowed: 0 to 50 m/s"),
         ({"at": 0.4, "gust": {"times": 2}}, "did you mean 'gusts'?"),

@@ -84,8 +84,8 @@ class Mavlink:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors, battery,
-    radio, or all; can be given several times."""
+    """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors,
+    battery, radio, body, or all; can be given several times."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
     """Folder for recordings, one folder for each flight; 'qrsim replay' flies its run again."""
     truth: bool = False

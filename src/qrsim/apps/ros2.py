@@ -92,8 +92,8 @@ class Ros2:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, radio, or all; can be given several
-    times."""
+    """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, radio, body, or all; can be
+    given several times."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
     """Folder for recordings: a folder for this flight, in it a run folder for each reset. 'qrsim replay' flies a run
     again."""

@@ -85,8 +85,8 @@ class Serve:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let clients inject faults: name of a sensor of SCENARIO, rotors, battery, radio, or all; can be given several
-    times."""
+    """Let clients inject faults: name of a sensor of SCENARIO, rotors, battery, radio, body, or all; can be
+    given several times."""
     allow_inject: bool = False
     """Let the clients of a shared world change its wind."""
     allow_quit: bool = False

@@ -280,6 +280,9 @@ class EventFinder:
                 told = "radio fails" if radio.off else "radio loses packets"
                 edges.append((radio.start_tick, radio.affected, "fault_begins", "radio", told))
                 edges.append((radio.end_tick, radio.affected, "fault_ends", "radio", "radio is well again"))
+            for push in fleet.pushes:
+                edges.append((push.start_tick, push.affected, "fault_begins", "body", "push begins"))
+                edges.append((push.end_tick, push.affected, "fault_ends", "body", "push ends"))
             for edge, affected, kind, part, words in edges:
                 for row in np.flatnonzero(history.ticks == int(edge)):
                     for i in np.flatnonzero(affected):

@@ -38,6 +38,7 @@ from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
+from qrsim.scenarios.pushes import pushes
 from qrsim.scenarios.radio import with_fleets
 from qrsim.scenarios.ranges import ranges_of
 from qrsim.scenarios.satellites import for_receivers, needs_slots, of_vehicles, slotted_sky, warn_of_systems
@@ -217,7 +218,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
     built = [with_beacons(sensor, scenario) for sensor in built]
     sensors, fittings = fitted(spec, built)
     controller = component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle)
-    sensor_slots, rotor_slots, battery_slot, radio_slot = slots(name, spec, scenario)
+    sensor_slots, rotor_slots, battery_slot, radio_slot, push_slot = slots(name, spec, scenario)
     return Fleet(
         vehicle=vehicle,
         controller=controller,
@@ -242,6 +243,8 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
         battery_slot=battery_slot,
         radio_faults=radio_faults(name, spec, scenario),
         radio_slot=radio_slot,
+        pushes=pushes(name, spec, scenario),
+        push_slot=push_slot,
         fittings=fittings,
         estimator=_estimator(spec, scenario, sensors, fittings),
         failsafes=None

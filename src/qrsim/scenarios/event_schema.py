@@ -1,13 +1,13 @@
-"""Schema of a scenario's changes of the weather, at set times and in flight."""
+"""Schema of a scenario's changes of the weather, and of pushes, at set times and in flight."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, create_model
 
 from qrsim.scenarios.component_schema import Finite, Strict
-from qrsim.scenarios.fault_schema import ALL
+from qrsim.scenarios.fault_schema import ALL, Push3
 from qrsim.simulation.changing import JAM, TAKES
 
 MOST_EVENTS = 50
@@ -39,13 +39,32 @@ class JamEvent(Strict):
     over: Finite = _OVER
 
 
+# ``for`` is a word of Python, so that a class cannot declare it.
+_LASTS: Any = {"for": (Finite, Field(description="duration [s], a multiple of the time step", gt=0, le=1e6))}
+PushEvent: Any = create_model(
+    "PushEvent",
+    __base__=Strict,
+    __doc__="A push of some vehicles, a force per mass.",
+    acceleration_ned=(Push3 | None, Field(None, description="north, east, down [m/s^2]")),
+    acceleration_body=(
+        Push3 | None,
+        Field(
+            None, description="forward, right, down in body axes [m/s^2], in place of acceleration_ned or in addition"
+        ),
+    ),
+    **_LASTS,
+    vehicles=(list[str] | None, Field(None, description="names; default: all that can be pushed", min_length=1)),
+)
+
+
 class EventSpec(Strict):
-    """A change of the weather at a time: one of wind, gusts and jam."""
+    """An event at a time: a change of the weather (wind, gusts or jam), or a push of vehicles."""
 
     at: Finite = Field(description="when [s], a multiple of the time step", ge=0)
     wind: WindEvent | None = Field(None, description="another mean wind, of type log_shear or veering_shear")
     gusts: GustsEvent | None = Field(None, description="random gusts of another strength")
     jam: JamEvent | None = Field(None, description="another power of a jammer")
+    push: PushEvent | None = Field(None, description="a push of vehicles")
 
 
 def _every_kind(value: object) -> object:

@@ -1,4 +1,4 @@
-"""Changes of the weather at set times, and room for those in flight: checked and built."""
+"""Events at set times, and room for changes of the weather in flight: checked and built."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.scenarios.event_schema import EventSpec
+from qrsim.scenarios.pushes import push_event_problems
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.spans import moment_problems
 from qrsim.scenarios.timing import is_multiple
 from qrsim.simulation.changing import GUSTS, JAM, TAKES, WIND, changed, with_changes
 from qrsim.world.state import World
+
+EVENTS = (*TAKES, "push")
 
 
 def _change(event: EventSpec) -> tuple[str, dict[str, Any]]:
@@ -25,16 +28,18 @@ def event_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield what is wrong with the events of a scenario, each for itself."""
     for i, event in enumerate(scenario.world.events):
         path = f"world.events.{i}"
-        given = [kind for kind in TAKES if getattr(event, kind) is not None]
+        given = [kind for kind in EVENTS if getattr(event, kind) is not None]
         if len(given) != 1:
-            yield f"{path}: expected one of {', '.join(TAKES)}, found {' and '.join(given) or 'none'}"
+            yield f"{path}: expected one of {', '.join(EVENTS)}, found {' and '.join(given) or 'none'}"
+        if event.push is not None:
+            yield from push_event_problems(f"{path}.push", event.push, scenario)
         if event.at and not is_multiple(event.at, scenario.time_step, math.inf):
             yield f"{path}.at: {event.at:g} s is not a multiple of the time step {scenario.time_step:g} s"
         yield from moment_problems(f"{path}.at", event.at, scenario.duration)
 
 
 def with_events(world: World, scenario: ScenarioSpec) -> World:
-    """Return a world with its changes at set times, and room for those in flight.
+    """Return a world with its changes of the weather at set times, and room for those in flight.
 
     Args:
         world: of the scenario, in its precision.
@@ -44,7 +49,8 @@ def with_events(world: World, scenario: ScenarioSpec) -> World:
         UsageError: an event is not possible; names it.
     """
     spec = scenario.world
-    events = sorted(enumerate(spec.events), key=lambda item: item[1].at)
+    changes = [(number, event) for number, event in enumerate(spec.events) if event.push is None]
+    events = sorted(changes, key=lambda item: item[1].at)
     kinds = {*spec.injectable, *(_change(event)[0] for _, event in events)}
     if not kinds:
         return world

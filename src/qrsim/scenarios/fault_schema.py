@@ -1,4 +1,4 @@
-"""Schema of faults of sensors, rotors, batteries and radios."""
+"""Schema of faults of sensors, rotors, batteries and radios, and of pushes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from qrsim.models.vehicles.fault_numbers import WEAKEST_BATTERY
+from qrsim.models.vehicles.fault_numbers import MOST_PUSH, WEAKEST_BATTERY
 from qrsim.scenarios.component_schema import Finite, Strict
 
 # Rotors of a fleet that may fail; its mixer is prepared for every set of them.
@@ -24,7 +24,7 @@ def _first_rotors(value: object) -> object:
 
 def _all_of(value: object) -> object:
     """Return what "all" is of: it is of as much as a vehicle has."""
-    return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True} if value == ALL else value
+    return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True, "body": True} if value == ALL else value
 
 
 def or_all(schema: dict[str, Any]) -> None:
@@ -122,6 +122,23 @@ class RadioFaultSpec(Strict):
         return self
 
 
+_Push = Annotated[Finite, Field(ge=-MOST_PUSH, le=MOST_PUSH)]
+Push3 = Annotated[list[_Push], Field(min_length=3, max_length=3)]
+
+
+class PushSpec(Strict):
+    """A push: a force per mass for a time."""
+
+    type: Literal["body"] = Field(description="what is pushed")
+    at: Finite = Field(description="start [s]", ge=0)
+    end: Finite | None = Field(None, description="end [s]; default: the end of the run", gt=0)
+    acceleration_ned: Push3 | None = Field(None, description="north, east, down [m/s^2]")
+    acceleration_body: Push3 | None = Field(
+        None, description="forward, right, down in body axes [m/s^2], in place of acceleration_ned or in addition"
+    )
+    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
+
+
 class InjectableSpec(Strict):
     """Parts of a fleet's vehicles that may be made to fail in flight; they are compiled, and cost a little."""
 
@@ -135,13 +152,20 @@ class InjectableSpec(Strict):
     )
     battery: bool = Field(False, description="the battery can be made to lose charge", strict=True)
     radio: bool = Field(False, description="the radio may fail", strict=True)
+    body: bool = Field(False, description="the vehicles can be pushed", strict=True)
     delay_max: Finite = Field(0.0, description="longest delay of kind delayed [s]", ge=0, le=60)
 
 
 InjectableModel = Annotated[InjectableSpec, BeforeValidator(_all_of)]
 
 
-_TYPES: dict[str, type[Strict]] = {"sensor": FaultSpec, "rotor": RotorFaultSpec, "battery": BatteryFaultSpec}
+_TYPES: dict[str, type[Strict]] = {
+    "sensor": FaultSpec,
+    "rotor": RotorFaultSpec,
+    "battery": BatteryFaultSpec,
+    "radio": RadioFaultSpec,
+    "body": PushSpec,
+}
 
 
 def _what_fails(fault: object) -> str:
@@ -156,6 +180,7 @@ AnyFault = Annotated[
     Annotated[FaultSpec, Tag("sensor")]
     | Annotated[RotorFaultSpec, Tag("rotor")]
     | Annotated[BatteryFaultSpec, Tag("battery")]
-    | Annotated[RadioFaultSpec, Tag("radio")],
+    | Annotated[RadioFaultSpec, Tag("radio")]
+    | Annotated[PushSpec, Tag("body")],
     Discriminator(_what_fails),
 ]

@@ -25,7 +25,7 @@ from qrsim.models.sensors.fault_numbers import (
     number_problems,
 )
 from qrsim.models.sensors.faults import LAST_TICK, Fault, FaultSlot
-from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.models.vehicles.faults import BatteryFault, Push, RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.components import component
@@ -35,6 +35,7 @@ from qrsim.scenarios.fault_schema import (
     BatteryFaultSpec,
     FaultSpec,
     InjectableSpec,
+    PushSpec,
     RadioFaultSpec,
     RotorFaultSpec,
 )
@@ -67,9 +68,9 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
             numbers = fault_numbers(spec.kind, _given(spec), chosen, fields, dt, ticks, white)
             found.append(
                 Fault(
-                    start_tick=_tick(spec.start, dt),
-                    end_tick=_tick(spec.end, dt),
-                    affected=_mask(names, spec.vehicles),
+                    start_tick=tick_of(spec.start, dt),
+                    end_tick=tick_of(spec.end, dt),
+                    affected=mask_of(names, spec.vehicles),
                     numbers=numbers,
                     sensor=spec.sensor,
                     kind=kind_of(spec.kind),
@@ -105,7 +106,8 @@ def _given(spec: FaultSpec) -> dict[str, float | None]:
     return {name: getattr(spec, name) for name in NAMES}
 
 
-def _tick(seconds: float | None, dt: float) -> Any:
+def tick_of(seconds: float | None, dt: float) -> Any:
+    """Return a time [s] in ticks, () int32; None: never."""
     return np.array(LAST_TICK if seconds is None else min(round(seconds / dt), LAST_TICK), np.int32)
 
 
@@ -115,10 +117,10 @@ def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> t
     found = []
     for spec in fleet.faults:
         if isinstance(spec, RotorFaultSpec):
-            times = (_tick(spec.at, dt), _tick(NOTICED_S, dt), _tick(spec.end, dt))
+            times = (tick_of(spec.at, dt), tick_of(NOTICED_S, dt), tick_of(spec.end, dt))
             # A stuck rotor keeps its speed, so its health has no effect.
             health = spec.health if spec.speed is None else 1.0
-            fault = record_of(RotorFault, *times, _mask(names, spec.vehicles), health, spec.rotor, speed=spec.speed)
+            fault = record_of(RotorFault, *times, mask_of(names, spec.vehicles), health, spec.rotor, speed=spec.speed)
             found.append(fault)
     return tuple(found)
 
@@ -130,8 +132,8 @@ def battery_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
     for spec in fleet.faults:
         if isinstance(spec, BatteryFaultSpec):
             left = (1.0 if spec.charge is None else spec.charge, 1.0 if spec.health is None else spec.health)
-            times = (_tick(spec.at, dt), _tick(spec.end, dt))
-            found.append(record_of(BatteryFault, *times, _mask(names, spec.vehicles), *left))
+            times = (tick_of(spec.at, dt), tick_of(spec.end, dt))
+            found.append(record_of(BatteryFault, *times, mask_of(names, spec.vehicles), *left))
     return tuple(found)
 
 
@@ -141,9 +143,9 @@ def radio_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> t
     return tuple(
         record_of(
             RadioFault,
-            _tick(spec.at, dt),
-            _tick(spec.end, dt),
-            _mask(names, spec.vehicles),
+            tick_of(spec.at, dt),
+            tick_of(spec.end, dt),
+            mask_of(names, spec.vehicles),
             np.array(spec.kind == "off"),
             spec.share or 0.0,
         )
@@ -163,12 +165,14 @@ _OTHER_PATHS = {
         ("rotor_faults", ("health", "speed")),
         ("battery_faults", ("charge", "health")),
         ("radio_faults", ("share",)),
+        ("pushes", ()),
     )
 }
 _OTHER_PLACES: dict[type, str] = {
     RotorFaultSpec: "rotor_faults",
     BatteryFaultSpec: "battery_faults",
     RadioFaultSpec: "radio_faults",
+    PushSpec: "pushes",
 }
 TIMES = ("start", "end", "at")
 
@@ -200,9 +204,14 @@ def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
     rotors = [rotor for rotor in spec.rotors if rotor < rotors_of(fleet)]
     battery = spec.battery and bool(known.BATTERIES[fleet.battery.type].drains)
     radio = spec.radio and has_radio and (fleet.radio is None or fleet.radio.works)
-    return spec.model_copy(
-        update={"sensors": list(fleet.sensors), "rotors": rotors, "battery": battery, "radio": radio}
-    )
+    body = spec.body and is_pushable(fleet)
+    parts = {"sensors": list(fleet.sensors), "rotors": rotors, "battery": battery, "radio": radio, "body": body}
+    return spec.model_copy(update=parts)
+
+
+def is_pushable(fleet: FleetSpec) -> bool:
+    """Return whether the vehicles of a fleet can be pushed."""
+    return bool(known.VEHICLES[fleet.vehicle.type].pushable)
 
 
 def rotors_of(fleet: FleetSpec) -> int:
@@ -212,8 +221,8 @@ def rotors_of(fleet: FleetSpec) -> int:
 
 def slots(
     fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec
-) -> tuple[tuple[FaultSlot, ...], tuple[RotorFault, ...], BatteryFault | None, RadioFault | None]:
-    """Build the slots of a fleet for faults of sensors, rotors, battery and radio in flight, all empty."""
+) -> tuple[tuple[FaultSlot, ...], tuple[RotorFault, ...], BatteryFault | None, RadioFault | None, Push | None]:
+    """Build the slots of a fleet for faults of sensors, rotors, battery and radio and pushes in flight, all empty."""
     spec = injectable_of(fleet, scenario.world.radio is not None)
     dt, count = scenario.time_step, len(fleet.vehicles)
     sensors = []
@@ -225,12 +234,14 @@ def slots(
                 count, name, fields, ticks, dt, min(MOST_READINGS, math.ceil(spec.delay_max / dt / ticks - 1e-6))
             )
         )
-    broken = tuple(RotorFault.empty(count, rotor, _tick(NOTICED_S, dt)) for rotor in spec.rotors)
+    broken = tuple(RotorFault.empty(count, rotor, tick_of(NOTICED_S, dt)) for rotor in spec.rotors)
     battery = BatteryFault.empty(count) if spec.battery else None
-    return tuple(sensors), broken, battery, RadioFault.empty(count) if spec.radio else None
+    radio, push = RadioFault.empty(count) if spec.radio else None, Push.empty(count) if spec.body else None
+    return tuple(sensors), broken, battery, radio, push
 
 
-def _mask(names: tuple[str, ...], chosen: list[str] | None) -> Any:
+def mask_of(names: tuple[str, ...], chosen: list[str] | None) -> Any:
+    """Return which vehicles (n,) are among the chosen names, bool; None: all."""
     return np.array([chosen is None or name in chosen for name in names])
 
 
@@ -273,6 +284,9 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
             elif isinstance(fault, RadioFaultSpec):
                 yield from _moment_problems(path, fault, scenario)
                 yield from _radio_problems(f"{path}.type", fleet, scenario)
+            elif isinstance(fault, PushSpec):
+                yield from _moment_problems(path, fault, scenario)
+                yield from push_problems(path, f"{path}.type", fault, fleet)
             else:
                 yield from _time_problems(path, fault, scenario)
                 yield from _problems(path, fault, fleet, scenario)
@@ -290,11 +304,21 @@ def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iter
         yield f"{path}: the fleet has no radio that could fail (radio: none)"
 
 
+def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterator[str]:
+    """Yield why vehicles of a fleet cannot be pushed so; ``where`` is the path at which they are chosen."""
+    if not is_pushable(fleet):
+        yield f"{where}: a '{fleet.vehicle.type}' cannot be pushed"
+    if push.acceleration_ned is None and push.acceleration_body is None:
+        yield f"{path}.acceleration_ned: missing; a push needs it, or acceleration_body"
+
+
 def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
     """Yield what is wrong with what of a fleet may be made to fail in flight."""
     spec = injectable_of(fleet, scenario.world.radio is not None)
     if spec.radio:
         yield from _radio_problems(f"{path}.radio", fleet, scenario)
+    if spec.body and not is_pushable(fleet):
+        yield f"{path}.body: a '{fleet.vehicle.type}' cannot be pushed"
     for name in spec.sensors:
         if name not in fleet.sensors:
             yield f"{path}.sensors: no sensor is called '{name}'{did_you_mean(name, fleet.sensors)}"
@@ -318,9 +342,9 @@ def _name_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) 
 
 
 def _moment_problems(
-    path: str, fault: RotorFaultSpec | BatteryFaultSpec | RadioFaultSpec, scenario: ScenarioSpec
+    path: str, fault: RotorFaultSpec | BatteryFaultSpec | RadioFaultSpec | PushSpec, scenario: ScenarioSpec
 ) -> Iterator[str]:
-    """Yield what is wrong with the times of a fault of a rotor, a battery or a radio."""
+    """Yield what is wrong with the times of a push, or of a fault that is not of a sensor."""
     for name, seconds in (("at", fault.at), ("end", fault.end)):
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"

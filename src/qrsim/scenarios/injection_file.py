@@ -15,14 +15,14 @@ from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.models.sensors.fault_numbers import NAMES
 from qrsim.models.sensors.faults import LAST_TICK
-from qrsim.models.vehicles.fault_numbers import number_of
+from qrsim.models.vehicles.fault_numbers import number_of, push_numbers
 from qrsim.scenarios import catalogue
-from qrsim.scenarios.faults import rotors_of, vehicle_names
+from qrsim.scenarios.faults import is_pushable, rotors_of, vehicle_names
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.schema import FleetSpec, WorldSpec
 from qrsim.scenarios.timing import is_multiple
 from qrsim.simulation.changing import JAM, TAKES, WIND
-from qrsim.simulation.injections import LINK, OK, WORLD, Injection, plain_target
+from qrsim.simulation.injections import BODY, LINK, OK, WORLD, Injection, plain_target
 from qrsim.simulation.requests import after_request
 
 LARGEST_BYTES, MOST_ENTRIES = 2**24, 10_000
@@ -30,18 +30,17 @@ LARGEST_BYTES, MOST_ENTRIES = 2**24, 10_000
 KEYS = ("target", "kind", "tick", "at", "end", "vehicles", "asked_by")
 BATTERY, RADIO = "battery", "radio"
 # Targets of which a vehicle has one, and that are no sensor.
-PLAIN = (BATTERY, RADIO, LINK)
+PLAIN = (BATTERY, RADIO, BODY, LINK)
 
 
 def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Injection, ...]]:
     """Return a scenario in which the injections of a file are possible, and the requests that are made in flight.
 
-    A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery``, ``radio``, ``link`` or ``world``),
-    ``kind``, ``at`` [s],
-    perhaps ``end`` [s] and ``vehicles``, and the numbers of the kind. Entries of a recorded flight have a ``tick`` too,
-    at which they were asked for. Where a file has such entries, or ends faults (kind ``ok``), all of its faults are
-    requests, for which the scenario gets room: a fault takes the place of the one before it. Otherwise its faults are
-    added to those of the scenario. Changes of the world are always requests.
+    A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery``, ``radio``, ``body``, ``link`` or
+    ``world``), ``kind``, ``at`` [s], perhaps ``end`` [s] and ``vehicles``, and the numbers of the kind. Entries of a
+    recorded flight have a ``tick`` too, at which they were asked for. Where a file has such entries, or ends faults
+    (kind ``ok``), all of its faults are requests, for which the scenario gets room: a fault takes the place of the one
+    before it. Otherwise its faults are added to those of the scenario. Changes of the world are always requests.
 
     Args:
         scenario: what is flown.
@@ -169,6 +168,8 @@ def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
         return True
     if target == RADIO:
         return world.radio is not None and (fleet.radio is None or fleet.radio.works)
+    if target == BODY:
+        return is_pushable(fleet)
     return target == BATTERY and bool(catalogue.BATTERIES[fleet.battery.type].drains)
 
 
@@ -222,6 +223,8 @@ def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
         return numbers | rest | {"sensor": target, "kind": kind, "start": entry["at"]}
     what = target if rotor is None else "rotor"
     try:
+        if what == BODY:
+            return push_numbers(kind, numbers) | rest | {"type": what, "at": entry["at"]}
         number_of(what, kind, numbers)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
@@ -269,7 +272,7 @@ def _make_room(content: Content, entry: Mapping[str, Any], fleets: list[tuple[st
         spec = fleet["injectable"] or {"sensors": [], "rotors": [], "battery": False, "delay_max": 0.0}
         if rotor is not None:
             spec["rotors"] = sorted({*spec["rotors"], rotor})
-        elif target in (BATTERY, RADIO):
+        elif target in (BATTERY, RADIO, BODY):
             spec[target] = True
         elif target != LINK and spec["sensors"] != ["all"]:
             spec["sensors"] = [sensor for sensor in fleet["sensors"] if sensor in {*spec["sensors"], target}]

@@ -28,7 +28,8 @@ class Request:
     """A request of a client or of the page.
 
     Attributes:
-        target: sensor, ``rotor N``, ``battery``, ``radio``, ``link``, ``world``; None: all, which can only be cleared.
+        target: sensor, ``rotor N``, ``battery``, ``radio``, ``body``, ``link``, ``world``; None: all, which can only be
+            cleared.
         kind: of the fault; ``ok`` clears it; of the world ``wind``, ``gusts`` or ``jam``.
         vehicles: names; None: all that have the target.
         at: simulated time [s]; None: from the next tick on.
@@ -76,7 +77,7 @@ def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
         simulation.clear(request.target, vehicles, asked_by)
         return f"Cleared: {request.target or 'all'}{whom}"
     if request.target is None:
-        raise UsageError("target: missing; a sensor, 'rotor N', 'battery' or 'world'")
+        raise UsageError("target: missing; a sensor, 'rotor N', 'battery', 'body' or 'world'")
     # These names would be taken for arguments of ``inject``.
     for name in numbers:
         if not isinstance(name, str) or name in ("target", "kind", "vehicles", "at", "duration", "asked_by"):

@@ -188,7 +188,9 @@ class WorldSpec(Strict):
         [], description="jammers, spoofers, outages and storms that affect receivers of type gnss", max_length=MOST
     )
     events: list[EventSpec] = Field(
-        [], description="changes of wind, gusts and jammers at set times", max_length=MOST_EVENTS
+        [],
+        description="changes of wind, gusts and jammers, and pushes of vehicles, at set times",
+        max_length=MOST_EVENTS,
     )
     injectable: Changeable = Field(
         [],
@@ -226,7 +228,9 @@ class FleetSpec(Strict):
     )
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[AnyFault] = Field(
-        [], description="faults of rotors, radios, and of sensors, applied in this order", max_length=100
+        [],
+        description="faults of sensors, applied in this order, of rotors, batteries and radios, and pushes",
+        max_length=100,
     )
     failsafes: FailsafesModel | None = Field(
         None, description="reactions to a low battery, a lost link and lost GNSS, by PX4's parameters; default: none"

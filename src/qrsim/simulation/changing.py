@@ -59,6 +59,7 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
     if kind not in TAKES:
         near = nearest(str(kind), TAKES)
         hint = f"; did you mean '{near}'?" if near else ""
+        hint = "; a push is of target 'body'" if kind == "push" else hint
         raise UsageError(f"kind: '{str(kind)[:60]}' does not suit the world; allowed: {', '.join(TAKES)}{hint}")
     needed, optional = TAKES[kind]
     for name in numbers:

@@ -9,6 +9,8 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from qrsim.core.arrays import is_number
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import LONGEST_NAME, RunError, UsageError, os_error_as
@@ -90,18 +92,19 @@ class Injecting(Alone):
         A vehicle has one injected fault of a target at a time: a new one takes its place.
 
         Args:
-            target: name of a sensor, ``rotor N``, ``battery`` or ``radio``, which is ``injectable`` in the scenario; or
-                ``link``, that of a vehicle to MAVLink and ROS 2.
+            target: name of a sensor, ``rotor N``, ``battery``, ``radio`` or ``body``, which is ``injectable`` in the
+                scenario; or ``link``, that of a vehicle to MAVLink and ROS 2.
             kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
                 ``intermittent``; of a rotor ``off``, ``weak`` or ``stuck``; of a radio ``off`` or ``weak``; of a
-                battery ``drop`` or ``weak``; of a link ``off``; ``ok`` for none.
+                battery ``drop`` or ``weak``; of a link ``off``; of a body ``push``; ``ok`` for none.
             vehicles: name or names; None: all that can have it.
             at: when [s], rounded up to a tick; None: from the next tick on.
             duration: how long [s]; None: for good.
             asked_by: who asks, for records.
             numbers: how large it is: ``field`` and ``bias``, ``scale``, ``rate``, ``limit``, ``std``, ``range``,
                 ``every``, ``by``, ``share``, ``on``, ``off`` of a sensor, ``health`` or ``speed`` of a rotor,
-                ``share`` of a radio, ``charge`` that a battery drops to, or its ``health``.
+                ``share`` of a radio, ``charge`` that a battery drops to, or its ``health``; ``acceleration_ned`` or
+                ``acceleration_body`` of a push, 3 numbers [m/s^2].
 
         Raises:
             UsageError: it cannot be injected; nothing has changed.
@@ -127,6 +130,28 @@ class Injecting(Alone):
         self._make([Injection(self._count + 1, target, kind, chosen, *ticks, numbers, asked_by, self.tick)])
         self._asked = (self.tick, self._asked[1] + 1 if self._asked[0] == self.tick else 1)
         return self._count
+
+    def push(
+        self,
+        acceleration_ned: Sequence[float],
+        duration: float,
+        vehicles: Iterable[str] | str | None = None,
+        asked_by: str = "python",
+    ) -> int:
+        """Push vehicles from the next tick on, and return the number of the push; ``clear`` ends it early.
+
+        Args:
+            acceleration_ned: north, east, down [m/s^2]: the force per mass. Rovers are pushed along the ground only.
+            duration: how long [s], rounded up to a tick.
+            vehicles: name or names; None: all whose ``body`` is ``injectable`` in the scenario.
+            asked_by: who asks, for records.
+
+        Raises:
+            UsageError: a vehicle cannot be pushed, or a number is out of range; nothing has changed.
+        """
+        return self.inject(
+            "body", "push", vehicles, duration=duration, asked_by=asked_by, acceleration_ned=acceleration_ned
+        )
 
     @alone
     def clear(
@@ -348,11 +373,13 @@ class Injecting(Alone):
 
 
 def plain(value: Any) -> Any:
-    """Return a number or text of any type as one of Python's own, which saved states and files can have."""
+    """Return numbers or a text of any type as Python's own, which saved states and files can have."""
     if isinstance(value, Mapping):
         return {str(name): plain(number) for name, number in value.items()}
     if isinstance(value, str):
         return str(value)
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(number) for number in value]
     if not is_number(value):
         return value
     return int(value) if isinstance(value, Integral) else float(value)

@@ -24,8 +24,9 @@ from qrsim.models.sensors.fault_numbers import (
 )
 from qrsim.models.sensors.faults import KINDS, LAST_TICK, OLD_NAMES, FaultNumbers, FaultSlot
 from qrsim.models.vehicles.fault_numbers import number_of
-from qrsim.models.vehicles.faults import FREE, BatteryFault, RotorFault
+from qrsim.models.vehicles.faults import BatteryFault, Push, RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
+from qrsim.simulation.part_slots import battery_fault_in, push_in, put, radio_fault_in, rotor_fault_in
 from qrsim.world.state import Fleet, World
 
 # What may be injected in one tick.
@@ -34,8 +35,10 @@ MOST_AT_ONCE = 64
 WORLD, OK = "world", "ok"
 # The link of a vehicle to MAVLink and ROS 2. It is no part of the world, so it needs no slot.
 LINK = "link"
+# What a push acts on.
+BODY = "body"
 # Targets that are no sensors, so that no sensor can have these names, nor that of a rotor.
-TARGETS = ("battery", "radio", LINK, WORLD)
+TARGETS = ("battery", "radio", BODY, LINK, WORLD)
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Injection:
 
     Attributes:
         id: number of the fault, from 1; 0 for other requests.
-        target: sensor, ``rotor N``, ``battery``, ``radio``, ``link`` or ``world``.
+        target: sensor, ``rotor N``, ``battery``, ``radio``, ``body``, ``link`` or ``world``.
         kind: kind of the fault; ``ok`` ends faults.
         vehicles: names; empty for the world.
         start_tick, end_tick: first tick of the fault, and first tick after it.
@@ -116,7 +119,7 @@ def injected(
 
     Args:
         world: its parameters, on the host.
-        target: sensor, ``rotor N``, ``battery``, ``radio`` or ``link``.
+        target: sensor, ``rotor N``, ``battery``, ``radio``, ``body`` or ``link``.
         kind: what happens to it; ``ok``: no fault any more.
         vehicles: names, of ``named_vehicles``; None: all that have the target in a slot.
         ticks: first tick of the fault, and first tick after it.
@@ -184,21 +187,18 @@ def without_faults(world: World) -> World:
         rotors = tuple(RotorFault.empty(n, slot.rotor, slot.noticed_ticks) for slot in fleet.rotor_slots)
         battery = None if fleet.battery_slot is None else BatteryFault.empty(n)
         radio = None if fleet.radio_slot is None else RadioFault.empty(n)
+        push = None if fleet.push_slot is None else Push.empty(n)
         slots = {"fault_slots": sensors, "rotor_slots": rotors, "battery_slot": battery, "radio_slot": radio}
-        changes = cast(slots, dtype)
-        fleets.append(replace(fleet, **changes))
+        fleets.append(replace(fleet, **cast(slots | {"push_slot": push}, dtype)))
     return replace(world, fleets=tuple(fleets))
 
 
 def targets_of(fleet: Fleet) -> list[str]:
     """Return the names of a fleet's parts that can be made to fail in flight: those with a slot in the program."""
     rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
-    others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot}
-    return (
-        [slot.sensor for slot in fleet.fault_slots]
-        + rotors
-        + [name for name, slot in others.items() if slot is not None]
-    )
+    others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot, BODY: fleet.push_slot}
+    sensors = [slot.sensor for slot in fleet.fault_slots]
+    return sensors + rotors + [name for name, slot in others.items() if slot is not None]
 
 
 def _slot(fleet: Fleet, target: str) -> bool:
@@ -214,11 +214,13 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
     if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
         return UsageError("target: there is no battery that drains, so none can lose charge")
+    if target == BODY and not any(fleet.vehicle.pushable for fleet in fleets):
+        return UsageError("target: no vehicle here can be pushed; one of type 'fixed_point' cannot")
     if target.startswith("rotor ") and not any(isinstance(fleet.vehicle, Multirotor) for fleet in fleets):
         return UsageError(f"target: there is no '{target:.60}'; only a 'multirotor' has rotors of its own")
     having = [fleet.name for fleet in fleets if target in _parts(fleet)]
     if having:
-        part = f"{target}: true" if target in ("battery", "radio") else f"sensors: [{target}]"
+        part = f"{target}: true" if target in ("battery", "radio", BODY) else f"sensors: [{target}]"
         part = "rotors: all" if target.startswith("rotor ") else part
         return UsageError(
             f"target: '{target}' is not injectable; write 'injectable: {{{part}}}' under fleets.{having[0]} of the "
@@ -231,7 +233,8 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
 def _parts(fleet: Fleet) -> list[str]:
     """Return the names of a fleet's parts that a scenario can declare injectable."""
     rotors = range(len(fleet.vehicle.rotors)) if isinstance(fleet.vehicle, Multirotor) else ()
-    return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *["battery"] * bool(fleet.battery.drains), "radio"]
+    others = {"battery": fleet.battery.drains, "radio": True, BODY: fleet.vehicle.pushable}
+    return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *(name for name, has in others.items() if has)]
 
 
 def _with_fault(
@@ -251,12 +254,14 @@ def _with_fault(
             return replace(fleet, fault_slots=_swapped(fleet.fault_slots, place, changed))
     for place, rotor in enumerate(fleet.rotor_slots):
         if target == f"rotor {rotor.rotor}":
-            broken = _rotor_fault(rotor, kind, chosen, ticks, numbers)
+            broken = rotor_fault_in(rotor, kind, chosen, ticks, numbers)
             return replace(fleet, rotor_slots=_swapped(fleet.rotor_slots, place, broken))
     if target == "battery" and fleet.battery_slot is not None:
-        return replace(fleet, battery_slot=_battery_fault(fleet.battery_slot, kind, chosen, ticks, numbers))
+        return replace(fleet, battery_slot=battery_fault_in(fleet.battery_slot, kind, chosen, ticks, numbers))
     if target == "radio" and fleet.radio_slot is not None:
-        return replace(fleet, radio_slot=_radio_fault(fleet.radio_slot, kind, chosen, ticks, numbers))
+        return replace(fleet, radio_slot=radio_fault_in(fleet.radio_slot, kind, chosen, ticks, numbers))
+    if target == BODY and fleet.push_slot is not None:
+        return replace(fleet, push_slot=push_in(fleet.push_slot, kind, chosen, ticks, numbers))
     raise _not_injectable([fleet], target)
 
 
@@ -275,17 +280,17 @@ def _sensor_fault(
 ) -> FaultSlot:
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
-        return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, empty)
+        return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, empty)
     if kind not in KINDS and kind not in OLD_NAMES:
         raise UsageError(f"kind: '{kind:.60}' is not known{did_you_mean(kind, KINDS)}")
     asked = _of_fields(slot, kind, numbers, dt, white)
     return replace(
         slot,
-        start_tick=_put(slot.start_tick, chosen, ticks[0]),
-        end_tick=_put(slot.end_tick, chosen, ticks[1]),
+        start_tick=put(slot.start_tick, chosen, ticks[0]),
+        end_tick=put(slot.end_tick, chosen, ticks[1]),
         affected=slot.affected | chosen,
-        kinds=_put(slot.kinds, chosen, KINDS.index(kind_of(kind))),
-        numbers=map_tree(lambda old, new: _put(old, chosen, new), slot.numbers, asked),
+        kinds=put(slot.kinds, chosen, KINDS.index(kind_of(kind))),
+        numbers=map_tree(lambda old, new: put(old, chosen, new), slot.numbers, asked),
     )
 
 
@@ -339,60 +344,3 @@ def _checked(
             "injectable.delay_max of the scenario"
         )
     return fault_numbers(kind, given, chosen_fields(part, slot.fields), slot.fields, dt, slot.ticks, white)
-
-
-def _rotor_fault(
-    slot: RotorFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
-) -> RotorFault:
-    if kind == "ok":
-        empty = replace(RotorFault.empty(len(chosen), slot.rotor, slot.noticed_ticks), noticed_ticks=slot.noticed_ticks)
-        return map_tree(lambda old, new: _put(old, chosen, new[chosen]) if np.ndim(old) else old, slot, empty)
-    number = number_of("rotor", kind, numbers)
-    return replace(
-        slot,
-        start_tick=_put(slot.start_tick, chosen, ticks[0]),
-        end_tick=_put(slot.end_tick, chosen, ticks[1]),
-        affected=slot.affected | chosen,
-        # A stuck rotor keeps its speed, so its health has no effect.
-        health=_put(slot.health, chosen, 1.0 if kind == "stuck" else number),
-        speed=_put(slot.speed, chosen, number if kind == "stuck" else FREE),
-    )
-
-
-def _radio_fault(
-    slot: RadioFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
-) -> RadioFault:
-    if kind == "ok":
-        return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, RadioFault.empty(len(chosen)))
-    share = number_of("radio", kind, numbers)
-    return replace(
-        slot,
-        start_tick=_put(slot.start_tick, chosen, ticks[0]),
-        end_tick=_put(slot.end_tick, chosen, ticks[1]),
-        affected=slot.affected | chosen,
-        off=_put(slot.off, chosen, kind == "off"),
-        share=_put(slot.share, chosen, share),
-    )
-
-
-def _battery_fault(
-    slot: BatteryFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
-) -> BatteryFault:
-    if kind == "ok":
-        return map_tree(lambda old, new: _put(old, chosen, new[chosen]), slot, BatteryFault.empty(len(chosen)))
-    number = number_of("battery", kind, numbers)
-    return replace(
-        slot,
-        start_tick=_put(slot.start_tick, chosen, ticks[0]),
-        end_tick=_put(slot.end_tick, chosen, ticks[1]),
-        affected=slot.affected | chosen,
-        charge=_put(slot.charge, chosen, number if kind == "drop" else 1.0),
-        health=_put(slot.health, chosen, 1.0 if kind == "drop" else number),
-    )
-
-
-def _put(array: Any, chosen: Any, value: Any) -> Any:
-    """Return an array (n,) with a number in the chosen rows."""
-    changed = np.array(array)
-    changed[chosen] = value
-    return changed

@@ -11,8 +11,9 @@ from qrsim.core.arrays import is_number
 from qrsim.errors import UsageError
 from qrsim.files import Content
 from qrsim.models.sensors.faults import LAST_TICK
+from qrsim.models.vehicles.fault_numbers import push_numbers
 from qrsim.simulation.changing import GUSTS, JAM, WIND, changed
-from qrsim.simulation.injections import OK, WORLD, Injection, injected, named_vehicles
+from qrsim.simulation.injections import BODY, OK, WORLD, Injection, injected, named_vehicles
 from qrsim.world.state import World
 
 # Longer times are none [s].
@@ -31,6 +32,8 @@ _WORDS = {
 def after_request(world: World, request: Injection) -> tuple[World, Injection]:
     """Return a world after a request, and the request with the names of all vehicles that it affects.
 
+    A push has its accelerations as lists of three axes then.
+
     Raises:
         UsageError: it is not possible in this world.
     """
@@ -39,6 +42,8 @@ def after_request(world: World, request: Injection) -> tuple[World, Injection]:
     chosen = named_vehicles(world, request.vehicles or None)
     ticks = (request.start_tick, request.end_tick)
     world, concerned = injected(world, request.target, request.kind, chosen, ticks, request.numbers)
+    if request.target == BODY and request.kind != OK:
+        request = replace(request, numbers=push_numbers(request.kind, request.numbers))
     return world, replace(request, vehicles=concerned)
 
 
@@ -98,7 +103,9 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
             continue
         what, by = f"{request.target} {request.kind}", f"asked by {request.asked_by}"
         part = request.numbers.get("field")
-        values = [value for value in request.numbers.values() if is_number(value)]
+        # The value of a push is its size.
+        values = [math.hypot(*value) if isinstance(value, list) else value for value in request.numbers.values()]
+        values = [value for value in values if is_number(value)]
         kind = CLEARED if request.kind == OK else INJECTED
         words = f"{request.target} cleared at {time:.2f} s, {by}"
         if kind == INJECTED:

@@ -18,7 +18,7 @@ from qrsim.world.state import Fleet, World
 NUMBERS = {
     "wrong": "bias=5", "drift": "rate=0.5", "noisy": "std=2", "garbage": "range=50", "slow": "every=10",
     "delayed": "by=0.2", "intermittent": "share=0.5", "health": "health=0.7", "charge": "charge=0.2",
-    "speed": "speed=0.5", "share": "share=0.5",
+    "speed": "speed=0.5", "share": "share=0.5", "push": "acceleration_ned.x=2",
 }  # fmt: skip
 LONGEST_S = 1e6
 
@@ -28,7 +28,7 @@ class Target:
     """A part that can be made to fail.
 
     Attributes:
-        name: of the sensor, ``rotor N``, ``battery`` or ``radio``.
+        name: of the sensor, ``rotor N``, ``battery``, ``radio`` or ``body``.
         kinds: what can happen to it.
         fields: what a sensor reports.
         is_part: it is no sensor.

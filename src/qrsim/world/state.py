@@ -33,7 +33,7 @@ from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault, FaultMemory, FaultSlot
 from qrsim.models.sensors.fitting import Fitted, Fitting
 from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, VehicleState
-from qrsim.models.vehicles.faults import BatteryFault, RotorFault
+from qrsim.models.vehicles.faults import BatteryFault, Push, RotorFault
 from qrsim.world.changes import Changes
 
 S = TypeVar("S")
@@ -118,6 +118,8 @@ class Fleet:
     battery_slot: BatteryFault | None = quantity(default=None, doc="the same for the battery")
     radio_faults: tuple[RadioFault, ...] = quantity(default=(), doc="faults of radios")
     radio_slot: RadioFault | None = quantity(default=None, doc="slot for a radio fault injected in flight")
+    pushes: tuple[Push, ...] = quantity(default=(), doc="pushes at set times")
+    push_slot: Push | None = quantity(default=None, doc="slot for a push in flight")
     fittings: tuple[Fitting | None, ...] = quantity(
         default=(),
         doc="mounting and latency of each sensor, None at the centre of mass without delay; empty if all are None",
@@ -190,9 +192,7 @@ class Range:
     low: Array = quantity(doc="smallest value")
     high: Array = quantity(doc="largest value")
     name: str = setting(doc="path of the number in the scenario, part of the name of its stream")
-    paths: tuple[tuple[str | int, ...], ...] = setting(
-        doc="places of the number in the World, also where it is inherited"
-    )
+    paths: tuple[tuple[str | int, ...], ...] = setting(doc="places of the number in the World, inherited ones too")
 
 
 @record

@@ -34,6 +34,7 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
+from qrsim.world.pushing import pushed
 from qrsim.world.radio import exchange, split_messages, start_radio
 from qrsim.world.sensing import sense, with_traffic
 from qrsim.world.standing import lying_force, settled
@@ -197,16 +198,11 @@ def _fly(
         around = around_of(world, pose, gust_rates, None if blown is None else blown[1], faults, tick)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
-        vehicle, low, force = move(
-            model,
-            state.vehicle,
-            state.position_low_ned,
-            command,
-            lambda trig: trig.rotation().to_body(air),
-            drawn,
-            dt,
-            around,
-        )
+        def step(vehicle: VehicleState) -> tuple[Any, ...]:
+            to_body = lambda trig: trig.rotation().to_body(air)  # noqa: E731
+            return move(model, vehicle, state.position_low_ned, command, to_body, drawn, dt, around)
+
+        vehicle, low, force = pushed(fleet, state.vehicle, step, tick, dt)
         vehicle = model.with_wrapped_yaw(vehicle)
         parked = state.parked
         if parked is not None:

@@ -136,6 +136,33 @@ def test_engines_and_battery(field: Field) -> None:
 
 
 @pytest.mark.long
+def test_a_shove_lasts_for_its_time_in_body_axes(field: Field) -> None:
+    values: Any = field.world.systems[3].stack.parameters
+    assert put(field, 3, ("SHOVE_X", 1.0), ("SHOVE_Z", -20.0)) == [SET, SET]
+    assert faults(field, 3) == {}
+    assert put(field, 3, ("SHOVE_TIME", 100.0)) == [SET]
+    assert faults(field, 3) == {"body": ("push", {"acceleration_body": [1.0, 0.0, -20.0]})}
+    assert values["SIM_SHOVE_TIME"] == 100.0
+    field.run(0.08)
+    # It stood on the ground, and rises by (20 - 9.81) m/s^2 for 0.1 s.
+    up = [-float(speed) for speed in field.world.simulation.truth.velocity_ned[:, 2]]
+    assert up[3] == pytest.approx(1.02, abs=0.1)
+    assert up[2] == pytest.approx(0.0, abs=0.02)
+    field.run(0.04)
+    assert faults(field, 3) == {}
+    assert values["SIM_SHOVE_TIME"] == 0.0
+    # 0 ends it early, and a restart has none.
+    put(field, 3, ("SHOVE_TIME", 5000.0))
+    put(field, 3, ("SHOVE_TIME", 0.0))
+    assert faults(field, 3) == {}
+    put(field, 3, ("SHOVE_Z", 0.0), ("SHOVE_TIME", 5000.0))
+    field.world.systems[3].reboots = True
+    field.run(0.1)
+    assert values["SIM_SHOVE_TIME"] == 0.0
+    assert faults(field, 3) == {}
+
+
+@pytest.mark.long
 def test_a_reboot_keeps_what_parameters_say(field: Field) -> None:
     put(field, 2, ("BARO_FREEZE", 1.0))
     field.world.systems[2].reboots = True
@@ -205,6 +232,8 @@ def test_what_is_not_injectable_is_refused_and_what_changes_nothing_is_not() -> 
     assert put(field, 0, ("GPS1_ENABLE", 0.0), ("GPS1_ENABLE", 1.0), ("BARO_DISABLE", 1.0)) == [REFUSED, SET, SET]
     assert "SIM_GPS1_ENABLE: not injectable: gps; start qrsim mavlink with --injectable all" in field.said
     assert put(field, 0, ("BARO_DELAY", 100.0), ("SONAR_OFFSET", 1.0), ("NO_SUCH", 1.0)) == [SET, REFUSED, UNKNOWN]
+    assert put(field, 0, ("SHOVE_TIME", 100.0)) == [REFUSED]
+    assert "SIM_SHOVE_TIME: not injectable: body; start qrsim mavlink with --injectable all" in field.said
     # The delay waits behind the switch; that of a barometer without delay_max cannot be.
     assert put(field, 0, ("BARO_DISABLE", 0.0)) == [REFUSED]
     assert "by: 0.1 s; allowed: at most 0 s" in field.said[-1]

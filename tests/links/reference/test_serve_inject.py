@@ -30,7 +30,7 @@ HOLD = [[3.0, 0.0, -10.0, 0.0], [3.0, 9.0, -12.0, 0.0]]
 @contextlib.contextmanager
 def served(**options: Any) -> Iterator[tuple[Running, Client, Client]]:
     with (
-        running(Tasks(pair(wind=WIND), None, ["gnss"]), seed=SEED, **options) as found,
+        running(Tasks(pair(wind=WIND), None, ["gnss", "body"]), seed=SEED, **options) as found,
         Client(port=found.port) as one,
         Client(port=found.port) as other,
     ):
@@ -79,13 +79,21 @@ def test_an_owner_lets_a_receiver_fail_and_the_wind_blow() -> None:
         assert client.clear("gnss") == "Cleared: gnss"
         state = client.step_waypoint(0.1, HOLD)
         assert state.measured[1, 2] - state.state[1, 2] == pytest.approx(0.0, abs=0.05)
+        # Up by 5 m/s^2 for 0.1 s; a vector is sent axis by axis.
+        said = client.inject("body", "push", B, duration=0.1, acceleration_ned=[0.0, 0.0, -5.0])
+        assert said == f"Injected: body push of {B} for 0.1 s"
+        before = state
+        state = client.step_waypoint(0.1, HOLD)
+        # State 9 is the speed down in body axes.
+        assert state.state[1, 8] - before.state[1, 8] == pytest.approx(-0.5, abs=0.15)
         assert client.set_wind(6.0, 270.0) == "Wind: 6 m/s at 20 ft from 270 degrees"
         for wrong, message in (
             (lambda: client.inject("gns", "off"), "target: there is no 'gns'; did you mean 'gnss'"),
             (lambda: client.inject("barometer", "off"), "give the command --injectable"),
             (lambda: client.inject("gnss", "off", "vehicles_7"), "vehicles: no vehicle is called 'vehicles_7'"),
             (lambda: client.inject("gnss", "drift", field="position_ned"), "rate: missing; kind 'drift' needs it"),
-            (lambda: client.inject("gnss", "off", at=0.1), "at: 0.1 s is past; it is 0.9 s now"),
+            (lambda: client.inject("gnss", "off", at=0.1), "at: 0.1 s is past; it is 1 s now"),
+            (lambda: client.inject("body", "push", acceleration_nde=[1, 0, 0]), "did you mean 'acceleration_ned.x'"),
             (lambda: client.inject("gnss", "off", at=float("nan")), "at: nan; allowed: a time"),
             (lambda: client.inject("world", "wind", speed_20ft=6.0), "wind_from_deg: missing"),
         ):
@@ -93,6 +101,8 @@ def test_an_owner_lets_a_receiver_fail_and_the_wind_blow() -> None:
                 wrong()
         with pytest.raises(UsageError, match="rate: 'fast'; expected a number"):
             client.inject("gnss", "drift", rate="fast")
+        with pytest.raises(UsageError, match=r"acceleration_ned: \[1, 2\]; expected a number"):
+            client.inject("body", "push", acceleration_ned=[1, 2])
         with pytest.raises(Refused, match="INIT"):
             other.clear()
 
@@ -127,6 +137,7 @@ def test_what_clients_inject_is_recorded_and_replayed(tmp_path: Path) -> None:
         one.claim()
         one.advance({A: ("waypoint", HOLD[0]), B: ("waypoint", HOLD[1])}, ticks=20)
         one.inject("gnss", "drift", A, field="position_ned", rate=0.5)
+        one.inject("body", "push", B, duration=0.2, acceleration_ned=[3.0, 0.0, 0.0])
         one.set_wind(6.0, 270.0)
         one.advance(ticks=20)
         one.clear()
@@ -135,9 +146,9 @@ def test_what_clients_inject_is_recorded_and_replayed(tmp_path: Path) -> None:
         other.disconnect()
     (episode,) = (tmp_path / "served").glob("*/episode-0001")
     run = open_run(episode)
-    kinds = ("injected", "wind_changed", "wind_changed", "cleared")
+    kinds = ("injected", "injected", "wind_changed", "wind_changed", "cleared")
     found = [(event.tick, event.kind) for event in run.events if event.kind in kinds]
-    assert found == list(zip((20, 20, 20, 40), kinds, strict=True))
+    assert found == list(zip((20, 20, 20, 20, 40), kinds, strict=True))
     assert "asked_by: 'tcp:1'" in (episode / "injections.yaml").read_text("utf-8")
     assert main(["replay", str(episode), "--out", str(tmp_path / "again")]) == 0
     again = open_run(tmp_path / "again")

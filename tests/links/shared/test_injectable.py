@@ -32,6 +32,8 @@ def test_fleets_get_the_parts_that_they_have() -> None:
         "quads": [0, 1, 2, 3],
         "hexas": [0, 1, 2, 3],
     }
+    may = {name: fleet.injectable for name, fleet in with_injectable(mixed, ["body"]).spec.fleets.items()}
+    assert {name for name, spec in may.items() if spec is not None and spec.body} >= {"quads", "hexas"}
     # Tasks of a server: those names that a scenario has.
     assert of_those(load_scenario("outdoor_patrol"), ["all", "gnss", "radio", "rotors", "range"]) == ["all", "gnss"]
     assert of_those(load_scenario("mavlink_field"), ["battery", "rotors", "radio"]) == ["battery", "rotors"]

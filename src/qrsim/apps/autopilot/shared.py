@@ -42,8 +42,8 @@ class Injecting:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, or all; can be given
-    several times."""
+    """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, body, or all; can be
+    given several times."""
     view: bool = False
     """Show the flight in three dimensions on a page for a browser; its address is printed. The page sets the speed, at
     first that of the wall clock. Afterwards it is a replay of the run."""

@@ -73,7 +73,7 @@ class Run:
     injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
         default_factory=list
     )
-    """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, or all; can be
+    """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, body, or all; can be
     given several times."""
     out: Annotated[
         Path | None,

@@ -23,7 +23,7 @@ from qrsim.models.vehicles.lithium_cells import LithiumCells
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios.live_requests import Request, apply, wind
 from qrsim.simulation.changing import wind_limit
-from qrsim.simulation.injections import OK, targets_of
+from qrsim.simulation.injections import BODY, OK, targets_of
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
@@ -47,6 +47,7 @@ class SimWind:
 
     Attributes:
         tables: values of the parameters of all vehicles, which show it.
+        shoves: of vehicles that are pushed, by name: when that ends [s], and the values of their parameters.
         now: present speed [m/s] and bearing [degrees]; None: the wind has no such numbers.
     """
 
@@ -55,6 +56,7 @@ class SimWind:
         self._target: tuple[float, float] | None = None
         self._rate = self._next = 0.0
         self.tables: list[dict[str, float]] = []
+        self.shoves: dict[str, tuple[float, dict[str, float]]] = {}
         self.now = self._of_world()
 
     def _of_world(self) -> tuple[float, float] | None:
@@ -76,15 +78,22 @@ class SimWind:
             table["SIM_WIND_SPD"], table["SIM_WIND_DIR"] = speed, bearing
 
     def again(self) -> None:
-        """Let it be what the parameters say, after a reset."""
+        """Let it be what the parameters say, after a reset, which ends shoves."""
         self.now = self._of_world()
+        for _, values in self.shoves.values():
+            values["SIM_SHOVE_TIME"] = 0.0
+        self.shoves.clear()
         if self._by:
             table = self.tables[0]
             self.ask(table["SIM_WIND_SPD"], table["SIM_WIND_DIR"], table["SIM_WIND_TC"], self._by)
 
     def tick(self) -> None:
-        """Let it follow; to be called before every tick."""
+        """Let it follow, and end shoves; to be called before every tick."""
         time, now = self._simulation.time, self.now
+        for name, (end, values) in [*self.shoves.items()]:
+            if time >= end - 1e-9:
+                values["SIM_SHOVE_TIME"] = 0.0
+                del self.shoves[name]
         if self._target is None or now is None or time < self._next - 1e-9:
             return
         self._next = time + EVERY_S
@@ -127,6 +136,9 @@ class SimParameters:
         try:
             if family == "WIND":
                 self._air.ask(values["SIM_WIND_SPD"], values["SIM_WIND_DIR"], values["SIM_WIND_TC"], self._by)
+            elif family == "SHOVE":
+                if name == "SIM_SHOVE_TIME":
+                    self._shove(1e-3 * values[name])
             elif family == "BATT":
                 self._drop(values[name])
             elif name.startswith("SIM_"):
@@ -139,6 +151,8 @@ class SimParameters:
     def again(self) -> None:
         """Do again what the parameters say, after a reboot or a reset, which end faults."""
         self._faults.clear()
+        self._air.shoves.pop(self._name, None)
+        self._values["SIM_SHOVE_TIME"] = 0.0
         for part in dict.fromkeys(PARTS.values()):
             self._set(*part)
         if self._volts is not None and self._values["SIM_BATT_VOLTAGE"] < self._full:
@@ -158,6 +172,17 @@ class SimParameters:
             self._craft.say(Severity.INFO, line)
             self._faults.pop(target, None)
             self._faults.update({} if fault is None else {target: fault})
+
+    def _shove(self, seconds: float) -> None:
+        """Push the vehicle for a time [s]; 0 ends that."""
+        if BODY not in targets_of(self._fleet):
+            raise UsageError("not injectable: body; start qrsim mavlink with --injectable all")
+        request = Request(BODY, OK, (self._name,))
+        if seconds:
+            numbers = {"acceleration_body": [self._values[f"SIM_SHOVE_{axis}"] for axis in AXES]}
+            request = Request(BODY, "push", (self._name,), duration=seconds, numbers=numbers)
+        self._craft.say(Severity.INFO, apply(self._simulation, request, self._by))
+        self._air.shoves[self._name] = (self._simulation.time + seconds, self._values)
 
     def _drop(self, volts: float) -> None:
         if self._volts is None:

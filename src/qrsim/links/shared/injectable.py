@@ -14,6 +14,7 @@ from qrsim.scenarios.scenario import Scenario, load_scenario
 WITHOUT = {
     "rotors": "only a 'multirotor' has rotors that can fail, and no fleet has this type of vehicle",
     "battery": "no fleet has a battery that drains, such as battery: {type: lithium_polymer}",
+    "body": "no vehicle can be pushed; one of type 'fixed_point' cannot",
     "radio": "no fleet has a radio; the scenario needs world.radio, and a fleet without radio: none",
 }
 PARTS = ("all", *WITHOUT)
@@ -26,7 +27,7 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
 
     Args:
         content: of the scenario.
-        names: sensors, ``rotors``, ``battery``, ``radio``, or ``all``.
+        names: sensors, ``rotors``, ``battery``, ``radio``, ``body``, or ``all``.
 
     Raises:
         UsageError: no fleet has a sensor of that name, or such a part.
@@ -40,7 +41,7 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
             raise UsageError(f"--injectable {name}: {WITHOUT[name]}")
     for fleet in fleets:
         if "all" in names:
-            everything = {"sensors": "all", "rotors": "all", "battery": True, "radio": True}
+            everything = {"sensors": "all", "rotors": "all", "battery": True, "radio": True, "body": True}
             fleet["injectable"] = everything | {"delay_max": DELAY_MAX}
             continue
         spec = fleet["injectable"] or {}
@@ -62,6 +63,8 @@ def _has(content: dict[str, Any], fleet: dict[str, Any], part: str) -> bool:
         return issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor)
     if part == "battery":
         return bool(BATTERIES[fleet["battery"]["type"]].drains)
+    if part == "body":
+        return bool(VEHICLES[fleet["vehicle"]["type"]].pushable)
     return content["world"]["radio"] is not None and (fleet["radio"] or {}).get("works", True)
 
 

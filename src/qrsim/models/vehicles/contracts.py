@@ -20,7 +20,7 @@ from jax import Array
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.host import on_host
 from qrsim.core.noise import Noise
-from qrsim.core.tree import quantity, record
+from qrsim.core.tree import quantity, record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, rotation
 from qrsim.models.atmosphere.standard import SiteAir
 from qrsim.models.vehicles.commands import clipped
@@ -163,6 +163,7 @@ class Vehicle(Protocol):
         adds_position: whether ``step`` does nothing with the position but add to it. Such a vehicle is given the second
             part of its position in place of the first (``moving.py``), so that short steps far from the origin are
             exact. Each class declares it for itself; a subclass does not inherit it.
+        pushable: body axes along which a push changes its velocity (``pushed``); none: it cannot be pushed.
         downwash: whether the wakes of other vehicles are part of its air: ``felt``, ``at_centre`` or ``ignored``.
     """
 
@@ -176,6 +177,7 @@ class Vehicle(Protocol):
     rides: ClassVar[bool] = False
     launches: ClassVar[bool] = False
     adds_position: ClassVar[bool] = False
+    pushable: ClassVar[tuple[str, ...]] = ()
     downwash: Any = "felt"
 
     def prepared(self, duration: float) -> Vehicle:
@@ -324,6 +326,11 @@ class Vehicle(Protocol):
     def launched(self, state: Any, air_ned: Vec3) -> VehicleState:
         """Return the state at a start in a mean wind (n,) [m/s] NED, where it ``launches``."""
         found: VehicleState = state
+        return found
+
+    def pushed(self, state: Any, change_body: Vec3) -> VehicleState:
+        """Return the state after a change of velocity (n,) [m/s] in body axes; it is 0 where not ``pushable``."""
+        found: VehicleState = replace(state, velocity_body=state.velocity_body + change_body)
         return found
 
     def outline(self) -> Outline | None:

@@ -1,4 +1,4 @@
-"""Faults of rotors and batteries at given times."""
+"""Faults of rotors and batteries, and pushes, at given times."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from qrsim.core.tree import parameter, quantity, record, record_of, replace, setting
+from qrsim.core.vectors import Vec3
 
 LAST_TICK = 2**31 - 1
 # Speed of a rotor that is not stuck.
@@ -70,6 +71,29 @@ class BatteryFault:
 
     def _weak(self, tick: Array) -> Array:
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick) & (self.health < 1.0)
+
+
+@record
+class Push:
+    """A force per mass on some vehicles (n,) of a fleet, as from a hand or a rope; it acts at the centre of mass."""
+
+    start_tick: Array = quantity(doc="() or (n,) int32 first tick of the push")
+    end_tick: Array = quantity(doc="() or (n,) int32 first tick after it")
+    affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
+    ned: Vec3 = quantity(unit="m/s^2", doc="() or (n,) acceleration north, east, down")
+    body: Vec3 = quantity(unit="m/s^2", doc="() or (n,) acceleration forward, right, down in body axes, in addition")
+
+    @staticmethod
+    def empty(count: int) -> Push:
+        """Return that of ``count`` vehicles that nothing pushes."""
+        never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
+        return record_of(Push, never, never, nobody, *(Vec3(*np.zeros((3, count))) for _ in range(2)))
+
+    def at(self, tick: Array) -> tuple[Vec3, Vec3]:
+        """Return the accelerations (n,) at a tick in NED and in body axes."""
+        acts = self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
+        ned, body = (part.map(lambda axis: jnp.where(acts, axis, 0.0)) for part in (self.ned, self.body))
+        return ned, body
 
 
 def failed_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[int, Array, Array], ...]:

@@ -108,6 +108,7 @@ class Quadrotor(Vehicle):
     # tilt overshoots it to 4.8 rad/s in steps of 0.02 s, and to 13 rad/s in the longest ones of 0.1 s.
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType({"rate": 20.0})
     default_controller: ClassVar[str] = "cascade"
+    pushable: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     adds_position: ClassVar[bool] = True
 
     def initial_state(

@@ -59,6 +59,8 @@ SIM_TABLE: tuple[Parameter, ...] = (
     *_alike("GYR1_BIAS", FASTEST, "rad/s", "what is added to the gyroscope"),
     _sim("MAG1_FAIL", 0.0, 0.0, 2.0, "", "1: the magnetometer is off; 2: it repeats its last reading"),
     *_alike("MAG1_OFS", FARTHEST, "mgauss", "what is subtracted from the magnetometer"),
+    _sim("SHOVE_TIME", 0.0, 0.0, 1e6, "ms", "starts a shove of this duration; 0 again at its end"),
+    *_alike("SHOVE", FASTEST, "m/s^2", "acceleration of the next shove, in body axes"),
     _sim("SONAR_GLITCH", 0.0, 0.0, 1.0, "1", "part of the ranges that are lost"),
     _sim("SONAR_OFFSET", 0.0, -FARTHEST, FARTHEST, "m", "what is added to the range"),
     _sim(

@@ -39,6 +39,7 @@ class FixedWing(Aeroplane, Vehicle):
     )
     default_controller: ClassVar[str] = "fixed_wing"
     launches: ClassVar[bool] = True
+    pushable: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     adds_position: ClassVar[bool] = True
 
     def in_air(self, air: SiteAir) -> FixedWing:

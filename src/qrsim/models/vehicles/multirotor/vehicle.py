@@ -62,6 +62,7 @@ class Multirotor(Airframe, Vehicle):
         {"pitch": math.pi / 2.0, "velocity": 40.0, "rate": 30.0}
     )
     default_controller: ClassVar[str] = "cascade"
+    pushable: ClassVar[tuple[str, ...]] = ("x", "y", "z")
 
     def in_air(self, air: SiteAir) -> Multirotor:
         """Return the vehicle at a site; its autopilot has learned to hover in the air there."""

@@ -84,6 +84,7 @@ class Rover(Vehicle):
     )
     default_controller: ClassVar[str] = "rover"
     rides: ClassVar[bool] = True
+    pushable: ClassVar[tuple[str, ...]] = ("x", "y")
 
     def drive(self, speed: Array, curvature: Array) -> SteeringCommand:
         """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
@@ -156,6 +157,10 @@ class Rover(Vehicle):
         """Return the state on the ground below."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
+
+    def pushed(self, state: RoverState, change_body: Vec3) -> RoverState:
+        """Return the state after a change of velocity (n,) [m/s]; a push to the side makes the tyres slip."""
+        return replace(state, speed=state.speed + change_body.x, slip_speed=state.slip_speed + change_body.y)
 
     def outline(self) -> Outline:
         """Return a car."""

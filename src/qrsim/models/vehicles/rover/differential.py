@@ -58,6 +58,7 @@ class DifferentialRover(Vehicle):
     )
     default_controller: ClassVar[str] = "rover"
     rides: ClassVar[bool] = True
+    pushable: ClassVar[tuple[str, ...]] = ("x",)
 
     def drive(self, speed: Array, curvature: Array) -> WheelCommand:
         """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
@@ -129,6 +130,10 @@ class DifferentialRover(Vehicle):
         """Return the state on the ground below."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
+
+    def pushed(self, state: DifferentialRoverState, change_body: Vec3) -> DifferentialRoverState:
+        """Return the state after a change of velocity (n,) [m/s] along its wheels, which do not slip to the side."""
+        return replace(state, left=state.left + change_body.x, right=state.right + change_body.x)
 
     def outline(self) -> Outline:
         """Return a car."""
