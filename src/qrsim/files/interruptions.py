@@ -27,10 +27,10 @@ AGAIN_AFTER_S = 0.02
 FRAGILE = ("llvmlite.", "qrsim.engine.llvm.compiler", "ctypes")
 DELICATE = ("jax.", "jaxlib.")
 PATIENCE_S = 3.0
-# A signal so soon after one that was raised waits: it would interrupt the blocks that save the work because of the first.
+# A signal so soon after one that was raised waits: it would interrupt the blocks that save the work of the first.
 APART_S = 0.25
-# The last signal that came, the context that hears it (None: nobody does), when one first waited and when one was raised
-# [s], and whether it is to be sent again.
+# The last signal that came, the context that hears it (None: nobody does), the times [s] when one began to wait and
+# when one was raised, and whether it is to be sent again.
 _state: dict[str, Any] = {"number": None, "listener": None, "since": None, "raised": None, "waiting": False}
 _sending = threading.Lock()
 
