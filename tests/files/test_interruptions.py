@@ -159,6 +159,17 @@ class TestInOrder:
         with heard():
             time.sleep(0.05)
 
+    def test_a_second_one_waits_for_the_work_of_the_first(self) -> None:
+        """A shell, a supervisor and an impatient user send two; the first one's run is saved meanwhile."""
+        done = []
+        with pytest.raises(Interruption) as found, heard():
+            try:
+                press(signal.SIGINT)
+            finally:
+                press(signal.SIGTERM)
+                done.append("saved")
+        assert (found.value.number, done) == (signal.SIGINT, ["saved"])
+
     @pytest.mark.long
     def test_it_does_not_come_again_while_things_are_put_in_order(self) -> None:
         done = []

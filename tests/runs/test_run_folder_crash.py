@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from small_run import COLUMNS, append_chunk, chunk
 
 from qrsim.errors import RunError, UsageError
 from qrsim.files import atomic
+from qrsim.files.interruptions import Interruption, heard
 from qrsim.runs import Run, RunInfo, RunWriter, open_run
 
 Start = Callable[..., RunWriter]
@@ -120,6 +122,24 @@ def test_ctrl_c_keeps_what_was_buffered(start: Start) -> None:
     assert_recorded(run, 4)
     assert (run.info.state, run.info.ticks) == ("interrupted", 3)
     assert run.info.ended is not None
+
+
+def test_a_second_signal_does_not_keep_the_end_from_disk(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = start()
+    plain = writer.close
+
+    def pressed(*how: Any) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000):  # The handler runs between two instructions of Python.
+            pass
+        plain(*how)
+
+    monkeypatch.setattr(writer, "close", pressed)
+    with heard():
+        end_by(writer, Interruption(signal.SIGINT))
+    run = open_run(writer.folder)
+    assert_recorded(run, 4)
+    assert (run.info.state, run.info.message) == ("interrupted", "stopped by the user")
 
 
 @pytest.mark.parametrize("moment", ["fsync", "replace"])

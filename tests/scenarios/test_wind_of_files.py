@@ -110,8 +110,8 @@ def test_what_show_prints(tmp_path: Path, capsys: Any) -> None:
     [
         ("height,speed,direction\n10,3,40\n20,4,400\n", "line 3: direction 400; allowed: 0 to 360"),
         ("height,speed,direction\n10,3,40\n2,60,40\n", "line 3: 60 m/s at 2 m; allowed: 0 to 50; is it km/h?"),
-        ("height,speed,direction\n10,3,40\n10,4,40\n", "line 3: the height 10 m is there a second time"),
-        ("height,sped,direction\n10,3,40\n", "line 1: no column 'speed'; did you mean 'sped'?"),
+        ("height,speed,direction\n10,3,40\n10,4,40\n", "10 m is there a second time; a wind that changes needs a"),
+        ("height,sped,direction\n10,3,40\n", "line 1: no column 'speed'; found height, sped, direction; expected"),
         ("height,speed [km/h],direction\n10,3,40\n", "line 1: column 'speed' is in km/h; expected m/s"),
         ("height,speed,direction\n0.05,3,40\n", "line 2: height 0.05 m; allowed: 0.5 to 30000"),
         ("height,speed,direction\n", "no row under the header"),

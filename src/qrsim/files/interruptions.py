@@ -27,8 +27,11 @@ AGAIN_AFTER_S = 0.02
 FRAGILE = ("llvmlite.", "qrsim.engine.llvm.compiler", "ctypes")
 DELICATE = ("jax.", "jaxlib.")
 PATIENCE_S = 3.0
-# The last signal that came, the context that hears it (None: nobody does), and whether it is to be sent again.
-_state: dict[str, Any] = {"number": None, "listener": None, "since": None, "waiting": False}
+# A signal so soon after one that was raised waits: it would interrupt the blocks that save the work of the first.
+APART_S = 0.25
+# The last signal that came, the context that hears it (None: nobody does), the times [s] when one began to wait and
+# when one was raised, and whether it is to be sent again.
+_state: dict[str, Any] = {"number": None, "listener": None, "since": None, "raised": None, "waiting": False}
 _sending = threading.Lock()
 
 
@@ -80,7 +83,7 @@ def heard() -> Iterator[None]:
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
 
-    _state.update(number=None, listener=object(), since=None, waiting=False)
+    _state.update(number=None, listener=object(), since=None, raised=None, waiting=False)
     sys.unraisablehook = quiet
     try:
         yield
@@ -194,13 +197,14 @@ def _installed(handler: Any) -> dict[int, Any]:
 def _raise(number: int, frame: FrameType | None) -> None:
     if _state["listener"] is None:
         return  # its work is done
+    now = time.monotonic()
     _state["number"] = number
-    _state["since"] = _state["since"] or time.monotonic()
-    names = FRAGILE if time.monotonic() - _state["since"] > PATIENCE_S else (*FRAGILE, *DELICATE)
-    if _is_inside(frame, names):
+    _state["since"] = _state["since"] or now
+    names = FRAGILE if now - _state["since"] > PATIENCE_S else (*FRAGILE, *DELICATE)
+    if _is_inside(frame, names) or now - (_state["raised"] or -APART_S) < APART_S:
         _send_again(number)
         return
-    _state["since"] = None
+    _state.update(since=None, raised=now)
     raise Interruption(number)
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
-from qrsim.files.interruptions import word
+from qrsim.files.interruptions import ending, word
 from qrsim.files.yaml_text import dump_line
 from qrsim.runs.buffers import Buffer, VehicleRows, make_buffers
 from qrsim.runs.layout import (
@@ -277,7 +277,11 @@ class RunWriter:
         if error is None:
             self.close("finished")
         elif isinstance(error, KeyboardInterrupt):
-            self.close("interrupted", "stopped by the user" if word(error) == "interrupted" else "stopped by SIGTERM")
+            # A second signal does not keep the end of the run from disk.
+            with ending():
+                self.close(
+                    "interrupted", "stopped by the user" if word(error) == "interrupted" else "stopped by SIGTERM"
+                )
         else:
             reason = str(error) if isinstance(error, QrsimError) else f"{type(error).__name__}: {error}"
             try:

@@ -32,6 +32,7 @@ _PLAIN = {
     "float_type": "is not a number",
     "int_type": "is not a whole number",
     "int_from_float": "is not a whole number",
+    "int_parsing": "is not a whole number",
     "bool_type": "is neither true nor false",
     "string_type": "is not a text",
     "string_too_short": "is empty",
@@ -161,6 +162,8 @@ class _Fault:
             )
         if kind == "list_type":
             expected = self._length() if self._holds_numbers() else "a list"
+            # "At most 3 numbers, found 2" would be no fault.
+            expected = f"a list of {expected}" if expected.startswith("at most") else expected
             return f"{where}: expected {expected}, found {self._shown(value)}{self._meaning()}"
         if kind in _LENGTHS:
             return f"{where}: expected {self._length()}, found {len(value) or 'none'}{self._meaning()}"

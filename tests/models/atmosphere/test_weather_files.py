@@ -210,6 +210,12 @@ def test_heights_above_the_models_ground() -> None:
             "FILE: covers latitude 51.5 to 52.5 and longitude -1 to 0.75; the site is at latitude 48, longitude "
             "-0.21052",
         ),
+        (
+            lambda path: files.era5(path),
+            REQUEST._replace(latitude_deg=-0.21052, longitude_deg=51.71),
+            "FILE: covers latitude 51.5 to 52.5 and longitude -1 to 0.75; the site is at latitude -0.21052, longitude "
+            "51.71; are its latitude and longitude swapped?",
+        ),
         (lambda path: files.era5(path), REQUEST._replace(member=3), "FILE: has no ensemble, and member is 3"),
     ],
 )

@@ -246,6 +246,10 @@ class TestRefused:
                 "covers north -40 to 160 and east -100 to 100 m; world.area needs "
                 "north -50 to 50 and east -40 to 40 m; give a smaller world.area or a larger file",
             ),
+            (
+                {"north": 10.0 * np.arange(500_000, 500_021)},
+                "world.area needs north -50 to 50 and east -40 to 40 m; give origin_north and origin_east",
+            ),
             ({"height": without(115)}, "has no height at the site's origin"),
             (
                 {"height": without(127)},

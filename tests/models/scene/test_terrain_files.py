@@ -142,6 +142,8 @@ class TestTiles:
         file = geotiff(tmp_path / "fine.tif", "EPSG:32630", 5.0, tiled=True, blockxsize=64, blockysize=64)
         for every in (4, 7):
             np.testing.assert_allclose(down(file, every=every), expected(), atol=0.01 + bilinear(5.0 * every))
+        with pytest.raises(UsageError, match=r"every: 1000 leaves 1 x 1 heights, .* give a smaller number"):
+            down(file, every=1000)
 
     def test_the_horizon_is_that_of_all_files(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         """A wall of 1000 m, 5 km to the south in another file: 11.3 degrees."""

@@ -213,7 +213,19 @@ def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, 
     else:
         covered = _extent(found.rows, found.columns, "latitude", "longitude", "deg", ".8g")
         asked = _extent(rows, columns, "latitude", "longitude", "deg", ".8g")
-    raise UsageError(f"{file}: covers {covered}; world.area needs {asked}; give a smaller world.area or a larger file")
+    raise UsageError(f"{file}: covers {covered}; world.area needs {asked}; {_help_to_cover(file, found, origin, box)}")
+
+
+def _help_to_cover(file: str, found: Elevations, origin: tuple[float, float], box: Bounds) -> str:
+    """Return what to do about a file that does not cover a box: it may be one with the coordinates of a map."""
+    rows, columns = found.rows - origin[0], found.columns - origin[1]
+    overlaps = rows[0] <= box[1] and rows[-1] >= box[0] and columns[0] <= box[3] and columns[-1] >= box[2]
+    if found.frame != "local" or overlaps:
+        return "give a smaller world.area or a larger file"
+    if origin != (0.0, 0.0):
+        return "look at origin_north and origin_east"
+    map_of = "crs (EPSG:n) of its map, or " if file.lower().endswith(".asc") else ""
+    return f"give {map_of}origin_north and origin_east, the coordinates of the site in it"
 
 
 def _extent(rows: Float64, columns: Float64, first: str, second: str, unit: str, form: str) -> str:

@@ -6,7 +6,6 @@ import math
 from datetime import UTC, datetime
 from pathlib import Path
 
-from qrsim.errors import did_you_mean
 from qrsim.files.csv_file import CsvFile, open_csv
 from qrsim.files.csv_rows import name_and_unit
 from qrsim.files.user_files import LARGEST_TEXT
@@ -48,7 +47,8 @@ def read_table(file: str, roughness: float) -> Soundings:
                 opened.fail(f"height {height:g} m; allowed: {least:g} to {HIGHEST:g}, above the ground")
             levels = found.setdefault(time, {})
             if height in levels:
-                opened.fail(f"the height {height:g} m is there a second time")
+                hint = "" if "time" in names else "; a wind that changes needs a column 'time'"
+                opened.fail(f"the height {height:g} m is there a second time{hint}")
             levels[height] = _level(opened, height, row, speed)
         if not found:
             opened.fail("no row under the header")
@@ -70,8 +70,8 @@ def _names(opened: CsvFile) -> list[str]:
         opened.fail(f"has the columns {' and '.join(speeds)}; give one")
     for name in ("height", "direction", *(() if speeds else ("speed",))):
         if name not in names:
-            hint = did_you_mean(name, names) or f"; found {', '.join(names)[:80]}; expected height, speed, direction"
-            opened.fail(f"no column '{name}'{hint}")
+            found = ", ".join(names)[:80]
+            opened.fail(f"no column '{name}'; found {found}; expected height, speed, direction, and perhaps time")
     for name in UNITS:
         if names.count(name) > 1:
             opened.fail(f"the column '{name}' is there {names.count(name)} times")

@@ -155,9 +155,11 @@ def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: f
     inside = low - 1e-9 <= latitude_deg <= high + 1e-9
     if not inside or not (closed or offset <= ways[-1] + 1e-6):
         ends = [(end + 180.0) % 360.0 - 180.0 for end in (longitudes[0], longitudes[-1])][:: 1 if east else -1]
+        swapped = low <= longitude_deg <= high and (latitude_deg - ends[0]) % 360.0 <= ways[-1]
         raise UsageError(
             f"{file}: covers latitude {low:.6g} to {high:.6g} and longitude {ends[0]:.6g} to {ends[1]:.6g}; the site "
             f"is at latitude {latitude_deg:.6g}, longitude {longitude_deg:.6g}"
+            + ("; are its latitude and longitude swapped?" if swapped else "")
         )
     upward = latitudes if steps[0] > 0 else -latitudes
     row, down = _cell(upward, latitude_deg if steps[0] > 0 else -latitude_deg)

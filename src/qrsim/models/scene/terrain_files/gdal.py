@@ -148,6 +148,9 @@ def _refusal(file: str, reasons: list[str]) -> UsageError:
     """Return the error for what GDAL says of a file."""
     if any(reason.startswith("MemoryError") or "out of memory" in reason.lower() for reason in reasons):
         return GdalError(f"{file}: cannot be read: it takes more than {LARGEST_MEMORY / 1e9:g} GB", reasons)
+    if broken := next((each for each in reasons if each.startswith(("ImportError", "ModuleNotFoundError"))), None):
+        # No fault of the file or of a code, so no GdalError.
+        return UsageError(f"{file}: cannot be read: rasterio does not work here: {shortened(broken, 200)}")
     for reason in reasons:
         if block := re.search(r"X offset (\d+), Y offset (\d+)", reason):
             return GdalError(f"{file}: cannot be read: block ({block[2]}, {block[1]}) is damaged", reasons)

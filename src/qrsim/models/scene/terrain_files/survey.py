@@ -24,6 +24,8 @@ FAR_OFF = 100_000.0
 LATTICE, MOST_LATTICE = 100.0, 500
 # Heights that are read for the horizon, most of which are left out again: seconds.
 MOST_READ = 1e8
+# By how much an area may reach beyond the files [cells]: rounding.
+SLACK = 1e-6
 # Points of the ground's grid that are interpolated at once.
 BLOCK = 250_000
 
@@ -222,13 +224,12 @@ def _needed(name: str, files: Mosaic, site: Site, gdal: Gdal, box: Bounds) -> tu
 
 def _check_cover(name: str, files: Mosaic, area: tuple[Float64, Float64], has: Float64) -> None:
     """Refuse files with first and last rows and columns that end inside an area."""
-    slack = 1e-6
     rows, columns = area
     if (
-        rows.min() < has[0] - slack
-        or rows.max() > has[1] + slack
-        or columns.min() < has[2] - slack
-        or columns.max() > has[3] + slack
+        rows.min() < has[0] - SLACK
+        or rows.max() > has[1] + SLACK
+        or columns.min() < has[2] - SLACK
+        or columns.max() > has[3] + SLACK
     ):
         raise UsageError(
             f"{name}: covers {extent(files, has[:2], has[2:])}; world.area needs {extent(files, rows, columns)}; "
@@ -282,8 +283,11 @@ def _read_near(
             f"{name}: {count:.2g} heights in world.area; allowed: {MOST_HEIGHTS:.0e}; set every: {least}, or a smaller "
             "area"
         )
-    has = np.array([rows[0], rows[-1], columns[0], columns[-1]], float)
-    _check_cover(name, files, (np.array(needed[:2]), np.array(needed[2:])), has)
+    if rows[-1] < needed[1] - SLACK or columns[-1] < needed[3] - SLACK or min(len(rows), len(columns)) < 2:
+        raise UsageError(
+            f"{name}: every: {every} leaves {len(rows)} x {len(columns)} heights, which do not reach both ends of "
+            "world.area; give a smaller number or a smaller area"
+        )
     heights, covered = files.heights(rows, columns)
     return Elevations("cells", np.array(rows, float), np.array(columns, float), heights), covered
 
