@@ -73,10 +73,10 @@ class Pursuit(Task):
     def commands(self, memory: PursuitMemory, world: World, action: Any) -> tuple[Action, ...]:
         """Return velocities of numbers (n, 2), at the height of the start and heading north."""
         if not self._both:
-            return only(world, self.fleet, _at_height(action, memory.z))
+            return only(world, self.fleet, _level_setpoint(action, memory.z))
         each = {
-            self.fleet: _at_height(action[self.fleet], memory.z),
-            self.prey: _at_height(action[self.prey], memory.mice_z),
+            self.fleet: _level_setpoint(action[self.fleet], memory.z),
+            self.prey: _level_setpoint(action[self.prey], memory.mice_z),
         }
         return tuple(each.get(fleet.name) for fleet in world.fleets)
 
@@ -151,7 +151,8 @@ def _named(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
     return tuple(Axis(f"{name}_{axis}", unit) for name, unit in names for axis in ("north", "east"))
 
 
-def _at_height(action: Array, z: Array) -> VelocityHeightSetpoint:
+def _level_setpoint(action: Array, z: Array) -> VelocityHeightSetpoint:
+    """Return a set-point with a horizontal velocity [m/s] and a height."""
     return VelocityHeightSetpoint(action[:, 0], action[:, 1], z, jnp.zeros_like(action[:, 0]))
 
 
