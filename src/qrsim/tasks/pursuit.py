@@ -139,13 +139,13 @@ class Pursuit(Task):
         """Describe the numbers of an observation."""
         sizes = {fleet.name: fleet.size for fleet in world.fleets}
         cats, mice = sizes[self.fleet], sizes[self.prey]
-        of_cats = _named(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
+        of_cats = _seen_axes(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
         of_cats = (*of_cats, *sensed_axes(world, self.fleet, self.senses))
-        return {self.fleet: of_cats, self.prey: _named(cats, "cat", mice, "mouse")} if self._both else of_cats
+        return {self.fleet: of_cats, self.prey: _seen_axes(cats, "cat", mice, "mouse")} if self._both else of_cats
 
 
-def _named(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
-    """Describe an observation: itself, so many of the other side, and its mates, ``count`` with itself."""
+def _seen_axes(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
+    """Return the axes of an observation: own position and velocity, then offsets to the other side and to mates."""
     names = [("position", "m"), ("velocity", "m/s"), *((f"{other}_{i}_offset", "m") for i in range(others))]
     names += [(f"{mate}_{i}_offset", "m") for i in range(1, count)]
     return tuple(Axis(f"{name}_{axis}", unit) for name, unit in names for axis in ("north", "east"))
