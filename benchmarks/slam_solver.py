@@ -82,12 +82,12 @@ def linear(seconds: float) -> tuple[dict[str, Any], dict[str, Any]]:
     made, x, guess = problem(seconds, "full")
     reached = solve.solve(made, x, guess, 100).point
     with jax.enable_x64(True):
-        slopes = jax.block_until_ready(graphs._slopes(made, jnp.asarray(x), jnp.asarray(reached.landmarks)))
-        normal = graphs._normal(made, slopes)
+        slopes = jax.block_until_ready(graphs._jacobians(made, jnp.asarray(x), jnp.asarray(reached.landmarks)))
+        normal = graphs._normal_equations(made, slopes)
         none = solve.Damping.of(normal, "metres", 0.0)
 
         def work() -> Any:
-            return solve.step(graphs._normal(made, slopes), none)
+            return solve.step(graphs._normal_equations(made, slopes), none)
 
         (dx, da), seconds = timed(work)
     motion, prior, ranges, fixes = (np.asarray(part) for part in slopes.residuals)

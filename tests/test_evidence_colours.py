@@ -107,4 +107,4 @@ def test_page_figures_and_exports_share_the_colours() -> None:
     import simplekml
 
     # KML has them as opacity, blue, green, red.
-    assert kml._style(simplekml, 11, "true").linestyle.color == "ff018be7"
+    assert kml._track_style(simplekml, 11, "true").linestyle.color == "ff018be7"

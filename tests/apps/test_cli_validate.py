@@ -163,8 +163,8 @@ def test_sampled_allan_variance_is_the_continuous_one_for_many_samples():
 
 def test_windows_are_told_as_spans():
     windows = [0.4, 0.8, 1.2, 1.6, 2.4]
-    assert gnss._spans(windows, [0.4, 0.8, 1.6]) == "0.4-0.8 s, 1.6 s"
-    assert gnss._spans(windows, windows) == "0.4-2.4 s"
+    assert gnss._window_spans(windows, [0.4, 0.8, 1.6]) == "0.4-0.8 s, 1.6 s"
+    assert gnss._window_spans(windows, windows) == "0.4-2.4 s"
 
 
 @pytest.mark.long

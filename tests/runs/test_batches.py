@@ -53,8 +53,8 @@ def test_pieces_of_other_times_are_not_read(start: Callable[..., RunWriter], mon
             writer.flush()
     stream = open_run(writer.folder)["truth"]
     time, opened = stream.time, []
-    plain = StreamParts._read
-    monkeypatch.setattr(StreamParts, "_read", lambda self, *rest: (opened.append(rest[0]), plain(self, *rest))[1])
+    plain = StreamParts._read_part
+    monkeypatch.setattr(StreamParts, "_read_part", lambda self, *rest: (opened.append(rest[0]), plain(self, *rest))[1])
     # Ticks 78 to 82 are in the pieces of 77 to 80 and of 81 to 84.
     pieces = list(stream.batches(["thrust"], start=time[77], end=time[81]))
     assert [piece.tick.tolist() for piece in pieces] == [[77, 78, 79, 80], [81, 82, 83, 84]]

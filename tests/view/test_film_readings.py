@@ -32,8 +32,8 @@ def test_only_the_parts_of_the_time_are_read(folder: Path, monkeypatch: pytest.M
     monkeypatch.setattr(readings, "AHEAD_S", 2.0)
     found = readings.Excerpts(open_run(folder))
     read: list[int] = []
-    plain = StreamParts._read
-    monkeypatch.setattr(StreamParts, "_read", lambda self, *rest: (read.append(rest[0]), plain(self, *rest))[1])
+    plain = StreamParts._read_part
+    monkeypatch.setattr(StreamParts, "_read_part", lambda self, *rest: (read.append(rest[0]), plain(self, *rest))[1])
 
     def check(time: float) -> int:
         """Compare three seconds of the second vehicle with what was written, and return how many parts were read."""

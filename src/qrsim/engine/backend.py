@@ -184,7 +184,7 @@ class Specialised:
             if leaves:
                 last[2].give([*self._constant_leaves, *leaves] if self._constant_leaves else leaves)
             return last[2]
-        program = self._of(jax.tree.unflatten(structure, leaves), state)
+        program = self._program_of(jax.tree.unflatten(structure, leaves), state)
         program.give([*self._constant_leaves, *leaves])
         self._last = state, kind, program
         return program
@@ -206,7 +206,8 @@ class Specialised:
         self.shared, self._last = shared, None
         self._made.clear()
 
-    def _of(self, given: Tree, state: Packer | None) -> Program:
+    def _program_of(self, given: Tree, state: Packer | None) -> Program:
+        """Return the program for constants and a state's layout, compiled at the first call."""
         own = (self._constant, given)
         layout = Packer(own) if self.extent.worlds is None else layout_of_each(own)
         key = state, layout
@@ -249,10 +250,11 @@ class Worlds:
 
     def prepare(self, begins: Tree, given: Tree) -> None:
         """Compile both functions, for examples of what they are given, (1, ...), so that one compiler has both."""
-        self._layout = self._program(self._start, begins).layout
-        self._program(self._tick, given, self._layout)
+        self._layout = self._checked_program(self._start, begins).layout
+        self._checked_program(self._tick, given, self._layout)
 
-    def _program(self, function: Specialised, given: Tree, state: Packer | None = None) -> Program:
+    def _checked_program(self, function: Specialised, given: Tree, state: Packer | None = None) -> Program:
+        """Return a program; if LLVM refuses it, all programs of these worlds become XLA's."""
         program = function.program(given, state)
         if program.refused and not self.refused:
             # From here on all is XLA's: what starts again must start as before, to the last bit.
@@ -267,7 +269,7 @@ class Worlds:
 
     def begin(self, given: Tree) -> None:
         """Start all of them, by what is given, each leaf (B, ...)."""
-        program = self._program(self._start, given)
+        program = self._checked_program(self._start, given)
         self._layout, self._states = program.layout, program.start()
 
     def begin_some(self, rows: IntArray, given: Tree, select: Callable[[Tree], Tree]) -> Tree:
@@ -278,7 +280,7 @@ class Worlds:
             given: to each of them, leaves (b, ...).
             select: of a state, the part.
         """
-        program = self._program(self._start, given)
+        program = self._checked_program(self._start, given)
         self._layout = program.layout
         if program.part is None:
             return self._keep(program, rows, select)
@@ -286,7 +288,7 @@ class Worlds:
         for first in range(0, len(rows), program.part):
             # Parts are of one length, so that they share a program; the last one is filled up with its last world.
             filled = np.minimum(np.arange(first, first + program.part), len(rows) - 1)
-            self._program(self._start, jax.tree.map(lambda leaf, which=filled: leaf[which], given))
+            self._checked_program(self._start, jax.tree.map(lambda leaf, which=filled: leaf[which], given))
             parts.append(self._keep(program, rows[first : first + program.part], select))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
@@ -306,7 +308,7 @@ class Worlds:
 
     def advance(self, tick: int, count: int, given: Tree) -> None:
         """Run ``count`` ticks, given leaves (B, ...)."""
-        program = self._program(self._tick, given, self._layout)
+        program = self._checked_program(self._tick, given, self._layout)
         self._states = program.run(self._states, tick, count)
 
     def get(self, select: Callable[[Tree], Tree]) -> Tree:

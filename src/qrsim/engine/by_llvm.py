@@ -76,7 +76,7 @@ def form_of(function: Function, shared: Packer, own: Packer, state: Packer | Non
     """
     closed, layout = _traced_with_state(function, shared, own, state)
     mode = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype)
-    return printed(closed, _inputs(shared, own, layout), mode, form)
+    return printed(closed, _input_kinds(shared, own, layout), mode, form)
 
 
 def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
@@ -101,12 +101,13 @@ def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | Non
     assert layout is not None
 
     def keep_better(better: Binary) -> None:
+        """Store the better machine code in the cache."""
         if program:
             keep(("code", program, "better"), better, GENERATOR)
 
     with refusing():
         # Code from the cache may not load on this machine after all, and then XLA has it too.
-        return Program(binary, _inputs(shared, own, layout), mode, keep_better)
+        return Program(binary, _input_kinds(shared, own, layout), mode, keep_better)
 
 
 def _made(
@@ -114,7 +115,7 @@ def _made(
 ) -> tuple[Known, Binary]:
     """Trace a function and compile it, unless its code is kept."""
     closed, layout = _traced_with_state(function, shared, own, state)
-    inputs, program = _inputs(shared, own, layout), digest(closed)
+    inputs, program = _input_kinds(shared, own, layout), digest(closed)
     # How the leaves lie in the buffers; of their structure the code knows nothing.
     lying = [(each.layout.shapes, each.layout.dtypes, each.own) for each in inputs]
     key = "" if program is None else hashlib.sha256(repr((program, lying, mode)).encode()).hexdigest()
@@ -129,12 +130,13 @@ def _made(
 def _traced_with_state(function: Function, shared: Packer, own: Packer, state: Packer | None) -> tuple[Any, Packer]:
     """Return a traced function and the layout of the state; errors of the function itself are raised as they are."""
     if state is not None:
-        return trace_tick(function.call, _inputs(shared, own, state)), state
+        return trace_tick(function.call, _input_kinds(shared, own, state)), state
     closed, shape = _traced(function, shared, own)
     return closed, state_of(shape)
 
 
-def _inputs(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...]:
+def _input_kinds(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...]:
+    """Return the inputs of a program: shared, per world, and state."""
     return Input(shared, own=False), Input(own, own=True), Input(state, own=True)
 
 
@@ -150,6 +152,7 @@ def _kept_code(program: str, wanted: str) -> Binary | None:
 
 
 def _traced(function: Function, shared: Packer, own: Packer) -> tuple[Any, Any]:
+    """Return the jaxpr of a function and its result, from ``state_bytes`` if it has traced it."""
     found = _TRACED.pop((function, identity(shared), identity(own)), None)
     return found or trace_of(function.call, (Input(shared, own=False), Input(own, own=True)))
 
@@ -168,6 +171,7 @@ def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
         key = function, identity(shared), identity(own)
 
         def count() -> int:
+            """Return the number of bytes of the function's result."""
             _TRACED.clear()
             with uncollected():
                 traced = _TRACED[key] = _traced(function, shared, own)

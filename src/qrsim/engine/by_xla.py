@@ -34,7 +34,8 @@ def make(
     return XlaWorldsProgram(function, shared, own, extent, refused)
 
 
-def _jit(function: Callable[..., Any], few: bool, **options: Any) -> object:
+def _jit_for(function: Callable[..., Any], few: bool, **options: Any) -> object:
+    """Return a jitted function, with quick compilation for few ticks."""
     return jax.jit(function, compiler_options=quick_to_compile() if few else None, **options)
 
 
@@ -42,37 +43,47 @@ def _jit(function: Callable[..., Any], few: bool, **options: Any) -> object:
 
 
 @lru_cache(maxsize=KEPT)
-def _first(function: Function, few: bool) -> Any:
+def _first_function(function: Function, few: bool) -> Any:
+    """Return the compiled function that computes the first state of one world."""
+
     # The layout is static: JAX compiles anew for another one, and knows it by its equality.
     def first(layout: Packer, shared: Buffers, own: object) -> Any:
+        """Return the first state."""
         return function.call(layout.unpack(shared), own)
 
-    return _jit(first, few, static_argnums=0)
+    return _jit_for(first, few, static_argnums=0)
 
 
 @lru_cache(maxsize=KEPT)
-def _advance(function: Function, few: bool) -> Any:
+def _advance_function(function: Function, few: bool) -> Any:
+    """Return the compiled function that advances one world by some ticks."""
+
     def advance(
         layouts: tuple[Packer, Packer], shared: Buffers, own: Any, state: Buffers, tick: Any, count: object
     ) -> Any:
+        """Advance a packed state by ``count`` ticks."""
         common = layouts[0].unpack(shared)
 
         def body(i: Any, current: Any) -> Any:
+            """Advance by one tick."""
             return function.call(common, own, current, tick + i)
 
         return layouts[1].pack(lax.fori_loop(jnp.int32(0), count, body, layouts[1].unpack(state)))
 
-    return _jit(advance, few, static_argnums=0)
+    return _jit_for(advance, few, static_argnums=0)
 
 
 @lru_cache(maxsize=KEPT)
-def _record(function: Function, few: bool, capacity: int) -> Any:
+def _record_function(function: Function, few: bool, capacity: int) -> Any:
+    """Return the compiled function that records every state of one world."""
+
     def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: object) -> Any:
         """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
         common, layout = layouts[0].unpack(shared), layouts[1]
         rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
 
         def body(i: Any, carry: tuple[Any, Buffers]) -> tuple[Any, Any]:
+            """Advance by one tick, and store the packed state."""
             current = function.call(common, own, carry[0], tick + i)
             packed = layout.pack(current)
             return current, tuple(
@@ -83,7 +94,7 @@ def _record(function: Function, few: bool, capacity: int) -> Any:
         final, kept_rows = lax.fori_loop(jnp.int32(0), count, body, (layout.unpack(state), rows))
         return layout.pack(final), kept_rows
 
-    return _jit(record, few, static_argnums=0)
+    return _jit_for(record, few, static_argnums=0)
 
 
 class XlaProgram:
@@ -114,7 +125,7 @@ class XlaProgram:
         """Return the first state."""
         refuse()
         shared = self._shared
-        found = _first(self._function, self._few)(shared.layout, shared.device_buffers, self._own)
+        found = _first_function(self._function, self._few)(shared.layout, shared.device_buffers, self._own)
         # Packed on the host, because a program for it would cost more to compile than it ever saves.
         state = jax.tree.map(np.asarray, found)
         self._layout = Packer(state)
@@ -122,11 +133,11 @@ class XlaProgram:
 
     def run(self, state: Buffers, tick: int, count: int) -> Buffers:
         """Return a state ``count`` ticks later."""
-        return aligned_copy(self._call(_advance(self._function, self._few), state, tick, count))
+        return aligned_copy(self._call(_advance_function(self._function, self._few), state, tick, count))
 
     def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
         """Return a state ``count`` ticks later, and those of all ticks, each buffer (count, ...)."""
-        after, rows = self._call(_record(self._function, self._few, capacity), state, tick, count)
+        after, rows = self._call(_record_function(self._function, self._few, capacity), state, tick, count)
         floats, integers = (np.asarray(part)[:count] for part in rows)
         return aligned_copy(after), (floats, integers)
 
@@ -135,6 +146,7 @@ class XlaProgram:
         return aligned_copy(self.layout.pack(tree))
 
     def _call(self, program: Any, state: Buffers, tick: int, count: int) -> Any:
+        """Call a compiled program on packed buffers."""
         refuse()
         layouts = self._shared.layout, self.layout
         return program(layouts, self._shared.device_buffers, self._own, state, np.int32(tick), np.int32(count))
@@ -144,15 +156,18 @@ class XlaProgram:
 
 
 @lru_cache(maxsize=KEPT)
-def _first_of_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
+def _first_of_many_function(function: Function, few: bool, mesh: Mesh | None) -> Any:
+    """Return the compiled function that computes the first states of many worlds."""
     return _over_devices(jax.vmap(function.call, (None, 0)), "sr", mesh, few)
 
 
 @lru_cache(maxsize=KEPT)
-def _advance_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
+def _advance_many_function(function: Function, few: bool, mesh: Mesh | None) -> Any:
+    """Return the compiled function that advances many worlds."""
     one = jax.vmap(function.call, in_axes=(None, 0, 0, None))
 
     def advance(shared: object, own: object, states: object, tick: object, count: object) -> Any:
+        """Advance all worlds by ``count`` ticks."""
         # The tick is the same for all, so that slow sensors are really skipped.
         return lax.fori_loop(jnp.int32(0), count, lambda i, now: one(shared, own, now, tick + i), states)
 
@@ -172,12 +187,15 @@ def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | Non
         cut, same = PartitionSpec(WORLDS), PartitionSpec()
         specs = tuple(cut if kind == "r" else same for kind in arguments)
         function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
-    return _jit(function, few, **more)
+    return _jit_for(function, few, **more)
 
 
 @lru_cache(maxsize=1)
-def _replace_rows() -> Any:
+def _replace_rows_function() -> Any:
+    """Return the compiled function that replaces the states of some worlds."""
+
     def put(whole: object, part: object, rows: object) -> Any:
+        """Return the states with the given rows replaced."""
         return jax.tree.map(lambda every, new: every.at[rows].set(new, mode="drop"), whole, part)
 
     return jax.jit(put, donate_argnums=0)
@@ -198,7 +216,7 @@ class Arrays:
         count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
         # What goes beyond the end is dropped, so that parts of one length share a program.
         target = np.concatenate([worlds, np.full(rows - len(worlds), count)])
-        self.tree = _replace_rows()(self.tree, tree, target)
+        self.tree = _replace_rows_function()(self.tree, tree, target)
 
     def take(self, worlds: NumpyArray, other: Any) -> None:
         """Take the first len(worlds) of other states."""
@@ -226,7 +244,7 @@ class XlaWorldsProgram:
     def start(self) -> Arrays:
         """Return the first states of as many worlds as something was given."""
         refuse()
-        program = _first_of_many(self._function, self._extent.few, self._extent.mesh)
+        program = _first_of_many_function(self._function, self._extent.few, self._extent.mesh)
         return Arrays(program(self._shared.device_tree, self._own))
 
     def run(self, state: Any, tick: int, count: int) -> Arrays:
@@ -234,7 +252,7 @@ class XlaWorldsProgram:
         refuse()
         # Where machine code made the start, the states lie in its own order.
         before = state.get(lambda tree: tree)
-        program = _advance_many(self._function, self._extent.few, self._extent.mesh)
+        program = _advance_many_function(self._function, self._extent.few, self._extent.mesh)
         return Arrays(program(self._shared.device_tree, self._own, before, np.int32(tick), np.int32(count)))
 
     def hold(self, tree: object) -> Arrays:

@@ -116,14 +116,14 @@ def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
         rooms: of this package, on which it depends.
     """
     place = _place(what, rooms)
-    return None if place is None else _read(*place)
+    return None if place is None else _read_entry(*place)
 
 
 def keep(what: tuple[object, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
     """Put something into the cache; where it cannot be written, that costs time, nothing else."""
     place = _place(what, rooms)
     if place is not None:
-        _write(*place, value)
+        _write_entry(*place, value)
 
 
 def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
@@ -141,10 +141,12 @@ def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str,
 
 @lru_cache(maxsize=4)
 def _tidied(place: Path, process: int) -> None:
+    """Remove old files of a cache folder, once a process."""
     tidy(place)
 
 
-def _read(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
+def _read_entry(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
+    """Return an entry of the cache, None if it is missing or damaged."""
     try:
         data = file_bytes(path)
         if data is None:
@@ -153,7 +155,7 @@ def _read(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
         with contextlib.suppress(OSError):
             # The time of its last use: what was not used for longest is deleted first.
             os.utime(path)
-        return _parsed(header, code, key, _origin(rooms))
+        return _parsed_entry(header, code, key, _origin(rooms))
     # Whatever is wrong with it, the program is made again.
     except (OSError, ValueError, TypeError, LookupError, RecursionError, AttributeError):
         return None
@@ -189,7 +191,8 @@ def opened(data: bytes) -> tuple[Content, bytes]:
     return header, content[end:]
 
 
-def _parsed(header: Content, code: bytes, key: str, origin: dict[str, str]) -> Kept | None:
+def _parsed_entry(header: Content, code: bytes, key: str, origin: dict[str, str]) -> Kept | None:
+    """Return the value of an entry, None if it belongs to another key or version."""
     expected = {"key": key, "origin": origin, "bytes": len(code)}
     if any(header[name] != value for name, value in expected.items()):
         return None
@@ -198,7 +201,7 @@ def _parsed(header: Content, code: bytes, key: str, origin: dict[str, str]) -> K
     if header["program"] is not None:
         if type(header["program"]) is not str or code:
             return None
-        return Known(header["program"], _state_of(header["state"]))
+        return Known(header["program"], _parsed_state(header["state"]))
     scratch, text = header["scratch_bytes"], header["text_bytes"]
     if type(scratch) is not int or not 0 <= scratch < _LARGEST_SCRATCH:
         return None
@@ -207,7 +210,8 @@ def _parsed(header: Content, code: bytes, key: str, origin: dict[str, str]) -> K
     return Binary(code[: len(code) - text], scratch, code[len(code) - text :])
 
 
-def _state_of(state: Content | None) -> Packer | None:
+def _parsed_state(state: Content | None) -> Packer | None:
+    """Return the layout of a state from its header; raises an error if its identity differs."""
     if state is None:
         return None
     leaves = iter([struct(tuple(shape), np.dtype(dtype)) for shape, dtype in state["leaves"]])
@@ -218,7 +222,8 @@ def _state_of(state: Content | None) -> Packer | None:
     return found
 
 
-def _write(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> None:
+def _write_entry(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> None:
+    """Write a value into the cache; layouts that are no plain data are not stored."""
     # A state with something in it that is no plain data is traced in every process.
     try:
         state = _plain_state(value.state) if isinstance(value, Known) and value.state is not None else None

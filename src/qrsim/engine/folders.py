@@ -88,7 +88,7 @@ def tidy(path: Path, largest: int = LARGEST_BYTES) -> None:
                 found = entry.stat(follow_symlinks=False)
                 if not stat.S_ISREG(found.st_mode):
                     continue
-                if _abandoned(entry.name, found.st_mtime):
+                if _is_abandoned(entry.name, found.st_mtime):
                     os.unlink(entry.path)
                 else:
                     files.append((found.st_mtime, found.st_size, entry.path))
@@ -109,7 +109,8 @@ def temporary(path: Path) -> Path:
     return path.with_name(f"{path.stem}.{os.getpid()}.{time.monotonic_ns()}.tmp")
 
 
-def _abandoned(name: str, modified: float) -> bool:
+def _is_abandoned(name: str, modified: float) -> bool:
+    """Return whether a temporary file is old or its writer has ended."""
     if not (name.endswith(".tmp") or name.startswith("tmp")):
         return False
     if time.time() - modified > STALE_S:

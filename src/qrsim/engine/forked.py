@@ -27,24 +27,27 @@ def refuse() -> None:
         )
 
 
-def _begins(event: str, value: float, **_: object) -> None:
+def _on_event(event: str, value: float, **_: object) -> None:
+    """Refuse a compilation that begins after a fork."""
     # At the start: lowering a function of several parts waits for threads already.
     if event == _LOWERING:
         refuse()
 
 
-def _ended(event: str, duration_secs: float, **_: object) -> None:
+def _on_duration(event: str, duration_secs: float, **_: object) -> None:
+    """Note that this process has compiled."""
     if event == _COMPILED:
         _known["compiled"] = True
 
 
 def _after_fork() -> None:
+    """Note in a child process whether its parent had compiled."""
     _known["forked"] = _known["compiled"]
 
 
 def watch() -> None:
     """From now on, refuse XLA in processes that are forked after XLA has compiled in this one."""
     if sys.platform != "win32":
-        jax.monitoring.register_scalar_listener(_begins)
-        jax.monitoring.register_event_duration_secs_listener(_ended)
+        jax.monitoring.register_scalar_listener(_on_event)
+        jax.monitoring.register_event_duration_secs_listener(_on_duration)
         os.register_at_fork(after_in_child=_after_fork)

@@ -53,6 +53,7 @@ class Packer:
 
     @cached_property
     def _identity(self) -> tuple[object, ...]:
+        """Hashable identity of the layout: structure, record types, shapes and dtypes."""
         # By its text and types, because to JAX two structures are equal whose records differ in nothing but their type,
         # and two types may have one name.
         return (repr(self.structure), tuple(kinds(self.structure)), tuple(self.shapes), tuple(self.dtypes))

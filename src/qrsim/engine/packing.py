@@ -50,7 +50,7 @@ def contents() -> dict[str, Contents]:
     """Return the contents of the cache by kind; an empty dict if QRSIM_COMPILATION_CACHE is off."""
     found = {}
     for kind in KINDS if cache.folder() is not None else ():
-        sizes = [path.stat().st_size for path in _files(kind)]
+        sizes = [path.stat().st_size for path in _cache_files(kind)]
         found[kind] = Contents(cache_folder() / kind, len(sizes), sum(sizes))
     return found
 
@@ -63,13 +63,14 @@ def clear() -> dict[str, Contents]:
     """
     before = contents()
     for kind in before:
-        for path in _files(kind):
+        for path in _cache_files(kind):
             with os_error_as(RunError, f"{path}"):
                 path.unlink(missing_ok=True)
     return before
 
 
-def _files(kind: str) -> list[Path]:
+def _cache_files(kind: str) -> list[Path]:
+    """Return the files of a kind in the cache folder."""
     folder = cache_folder() / kind
     if not folder.is_dir() or folder.is_symlink():
         return []
@@ -88,7 +89,7 @@ def pack(path: Path) -> int:
     """
     _place()
     entries = {}
-    for file in _files("native"):
+    for file in _cache_files("native"):
         data = _whole(file)
         if data is not None and data[0]["origin"]["machine"] == machine_name():
             entries[file.name] = data[1]
@@ -158,7 +159,7 @@ def unpack(path: Path) -> int:
 def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
     """Return the files of an archive by name."""
     first = archive.next()
-    manifest = _manifest(path, archive, first)
+    manifest = _read_manifest(path, archive, first)
     if manifest["machine"] != machine_name():
         raise UsageError(
             f"{path}: packed on another processor or with another compiler.",
@@ -174,7 +175,7 @@ def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
         left -= member.size
         if member.size > cache.LARGEST_FILE or left < 0:
             raise UsageError(f"{path}: is larger than a cache may be ({LARGEST_BYTES // 2**20} MiB)")
-        content = _read(archive, member)
+        content = _read_member(archive, member)
         try:
             machine = _checked(member.name, content)["origin"]["machine"]
         except ValueError:
@@ -187,11 +188,12 @@ def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
     return entries
 
 
-def _manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | None) -> dict[str, object]:
+def _read_manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | None) -> dict[str, object]:
+    """Return the manifest of an archive; raises UsageError if it has none."""
     found = None
     if member is not None and member.isreg() and member.name == MANIFEST and member.size <= _LARGEST_MANIFEST:
         try:
-            found = json.loads(_read(archive, member))
+            found = json.loads(_read_member(archive, member))
         except (ValueError, RecursionError):
             found = None
     if not isinstance(found, dict) or found.get("format") != FORMAT or "machine" not in found:
@@ -199,7 +201,8 @@ def _manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | No
     return found
 
 
-def _read(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
+def _read_member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
+    """Return the bytes of a member of an archive."""
     file = archive.extractfile(member)
     return b"" if file is None else file.read()
 

@@ -59,15 +59,16 @@ def discard_unused(made: dict[K, T]) -> None:
     for key in list(made):
         if is_gone(key):
             made.pop(key, None)
-    left, size = len(made), sum(map(_bytes, list(made.values())))
+    left, size = len(made), sum(map(_code_bytes, list(made.values())))
     for key, program in list(made.items()):
         if left < MOST_MADE and size <= MOST_BYTES:
             break
         made.pop(key, None)
-        left, size = left - 1, size - _bytes(program)
+        left, size = left - 1, size - _code_bytes(program)
 
 
-def _bytes(program: object) -> int:
+def _code_bytes(program: object) -> int:
+    """Return the size of a program's machine code in bytes, 0 if unknown."""
     return getattr(program, "code_bytes", 0)
 
 

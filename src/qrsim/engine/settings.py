@@ -58,6 +58,7 @@ def configure(*, cpu_devices: int | None = None, compiler: str | None = None) ->
 
 
 def _checked_compiler(name: object, where: str) -> str:
+    """Return the name of a compiler; raises UsageError for an unknown one."""
     if name not in COMPILERS:
         raise UsageError(f"{where}: '{name}' is not known; expected one of {', '.join(COMPILERS)}")
     return str(name)
@@ -128,6 +129,7 @@ def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
 
     @wraps(function)
     def call(*arguments: object, **named: object) -> Any:
+        """Call the compiled function, compiling it at the first call."""
         return compiled()(*arguments, **named)
 
     return call

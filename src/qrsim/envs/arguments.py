@@ -19,6 +19,7 @@ def checked_arguments(make: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(make)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        """Call the function; raises UsageError for arguments that it does not take."""
         try:
             signature.bind(*args, **kwargs)
         except TypeError as error:

@@ -98,7 +98,7 @@ class Batch:
         self.axes: tuple[tuple[Axis, ...], ...] = axes_of_agents(self.sides)
         self.width, self.size = self.functional.play.width, int(size)
         self.dtype = np.dtype(precision)
-        with self._precision():
+        with self._precision_context():
             self.episodes = Episodes(self.functional.play, self.size, self.dtype)
         self.seeds = np.zeros(self.size, np.int64)
         self.numbers = np.zeros(self.size, np.int64)
@@ -110,7 +110,8 @@ class Batch:
         self.gone: Floats | None = None
         self.truth: dict[str, Floats] = {}
 
-    def _precision(self) -> AbstractContextManager[object]:
+    def _precision_context(self) -> AbstractContextManager[object]:
+        """Return the JAX context of the batch's precision."""
         return jax.enable_x64(self.dtype == np.float64)
 
     def reset(self, seeds: Iterable[object], rows: Floats | None = None) -> None:
@@ -123,12 +124,12 @@ class Batch:
         given = [checked_seed(seed) for seed in seeds]
         which = np.arange(self.size) if rows is None else np.asarray(rows)
         self.seeds[which], self.numbers[which] = np.array(given, np.int64), 0
-        self._start(which)
+        self._start_episodes(which)
 
     def again(self, rows: Floats) -> None:
         """Start the next episode of each of ``rows``, in its seed's series."""
         self.numbers[rows] += 1
-        self._start(rows)
+        self._start_episodes(rows)
 
     def set_difficulty(self, difficulty: float) -> None:
         """Draw the ranges of the episodes that begin from here on as ``Functional.at_difficulty`` says.
@@ -136,7 +137,7 @@ class Batch:
         Raises:
             UsageError: as of that.
         """
-        with self._precision():
+        with self._precision_context():
             self.functional = self._full.at_difficulty(difficulty)
             self.episodes.draw_from(self.functional.play)
         self._ahead.clear()
@@ -153,18 +154,19 @@ class Batch:
         if options and "difficulty" in options:
             self.set_difficulty(options["difficulty"])
 
-    def _start(self, rows: Floats) -> None:
+    def _start_episodes(self, rows: Floats) -> None:
+        """Start episodes in some rows of the batch."""
         if self._answers is not None:
             self._answers[rows] = 0.0
         self._steps[rows], self._ended[rows] = 0, False
-        with self._precision():
+        with self._precision_context():
             keys = self._ahead.keys(self.functional, rows, self.seeds, self.numbers)
             begun = self.episodes.start(rows, keys)
         refuse_unplaced(self.functional.play.world, begun.placed)
         if self.seen is None:
-            self.seen, self.truth = (_empty(part, self.size) for part in (begun.seen, begun.truth))
+            self.seen, self.truth = (_zeros_like(part, self.size) for part in (begun.seen, begun.truth))
         for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
-            jax.tree.map(lambda old, new: _set(old, rows, new), whole, part)
+            jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
         """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
@@ -184,7 +186,7 @@ class Batch:
         if self.functional.play.message:
             said = np.full((*checked.shape[:2], self.functional.play.message), np.nan) if words is None else words
             checked = np.concatenate([checked, np.asarray(said, self.dtype)], axis=2)
-        with self._precision():
+        with self._precision_context():
             step, self.truth = self.episodes.step(checked)
         before, self.seen, self.gone = self.seen, step.observation, step.gone
         self._keep_last_seen(before)
@@ -202,7 +204,7 @@ class Batch:
         for side in self.sides if stopped.any() else ():
             which = np.nonzero(stopped[:, side.rows])
             last, now = (seen if len(self.sides) == 1 else seen[side.fleet] for seen in (before, self.seen))
-            jax.tree.map(lambda new, old, which=which: _set(new, which, old[which]), now, last)
+            jax.tree.map(lambda new, old, which=which: _set_rows(new, which, old[which]), now, last)
 
     def _place(self, row: int, agent: int) -> str:
         """Describe where a task's number comes from: its class, and which agent of which episode at which step."""
@@ -307,7 +309,7 @@ class Batch:
             RunError: the score is NaN or infinite.
         """
         array = self._answer(answer, (len(self.functional.agents),))
-        with self._precision():
+        with self._precision_context():
             found = score(self.functional.play, self.episodes.episode(row), array)
         if not np.isfinite(found).all():
             agent = int(np.flatnonzero(~np.isfinite(found))[0])
@@ -329,9 +331,11 @@ class Batch:
         return array
 
 
-def _empty(tree: object, size: int) -> Any:
+def _zeros_like(tree: object, size: int) -> Any:
+    """Return a tree of zeros for ``size`` episodes."""
     return jax.tree.map(lambda leaf: np.zeros((size, *leaf.shape[1:]), leaf.dtype), tree)
 
 
-def _set(old: Floats, rows: NumpyArray, new: object) -> None:
+def _set_rows(old: Floats, rows: NumpyArray, new: object) -> None:
+    """Write new values into rows of an array in place."""
     old[rows] = new

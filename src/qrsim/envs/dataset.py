@@ -63,7 +63,7 @@ class Recording:
     def begin(self) -> None:
         """Begin anew, at the start of the batch's episodes."""
         self.seeds = self._batch.seeds.copy()
-        self.episodes = [Recorded([self._seen(row)], [self._truth(row)]) for row in range(self._batch.size)]
+        self.episodes = [Recorded([self._observation(row)], [self._truth_of(row)]) for row in range(self._batch.size)]
 
     def add(self, rows: Iterable[int], actions: Floats, reward: Floats, ended: tuple[Floats, Floats]) -> None:
         """Keep a step.
@@ -76,8 +76,8 @@ class Recording:
         """
         for row in rows:
             episode = self.episodes[row]
-            episode.seen.append(self._seen(row))
-            episode.truth.append(self._truth(row))
+            episode.seen.append(self._observation(row))
+            episode.truth.append(self._truth_of(row))
             episode.actions.append(actions[row, 0].astype(self._batch.dtype))
             episode.rewards.append(float(reward[row, 0]))
             episode.terminated.append(bool(ended[0][row]))
@@ -87,10 +87,12 @@ class Recording:
         """Add what was handed in to the last reward of an episode, as environments do."""
         self.episodes[row].rewards[-1] += number
 
-    def _seen(self, row: int) -> object:
+    def _observation(self, row: int) -> object:
+        """Return a copy of the observation of one episode."""
         return jax.tree.map(lambda leaf: np.array(leaf[row, 0]), self._batch.seen)
 
-    def _truth(self, row: int) -> object:
+    def _truth_of(self, row: int) -> object:
+        """Return a copy of the truth of one episode."""
         return {name: np.array(leaf[row, 0]) for name, leaf in self._batch.truth.items()}
 
 
@@ -180,4 +182,5 @@ def write(dataset: str, recording: Recording, policy: str, scenario: str, overri
 
 
 def _stacked(parts: Sequence[object]) -> object:
+    """Return trees of arrays stacked along a new first axis."""
     return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)

@@ -80,6 +80,7 @@ class Drawing:
         return self._scene.frame(episode, np.stack(self._ways))
 
     def _episode(self) -> Episode:
+        """Return the episode that is drawn."""
         return self._batch.episodes.episode(self._row)
 
     def _places(self, episode: Episode) -> Floats:
@@ -106,11 +107,11 @@ class _Scene:
         for axes in (self._plan, self._heights):
             axes.tick_params(labelsize=8)
         self._heights.grid(alpha=0.3)
-        self._area(start)
+        self._set_area(start)
         self._plume(episode)
         self._goals(episode)
-        self._vehicles()
-        self._people = self._persons(episode)
+        self._add_vehicles()
+        self._people = self._add_persons(episode)
         if len(start) <= len(VEHICLES):
             self._plan.legend(loc="upper left", fontsize=7, framealpha=0.8)
 
@@ -146,7 +147,8 @@ class _Scene:
         low, high = min(self._low, float(-flown[:, 2].max())), max(self._high, float(-flown[:, 2].min()))
         self._heights.set_ylim(low - 0.03 * (high - low), high + 0.03 * (high - low))
 
-    def _area(self, start: Floats) -> None:
+    def _set_area(self, start: Floats) -> None:
+        """Set the shown extent from the area and the starts."""
         area: Any = self._play.world.area
         self._low, self._high = -float(area.z_max), -float(area.z_min)
         self._shown = np.concatenate([start[:, 1::-1] - LEAST_M, start[:, 1::-1] + LEAST_M])
@@ -165,11 +167,12 @@ class _Scene:
         there = np.asarray(sources.strength) > 0
         east, north = (np.asarray(axis)[there] for axis in (sources.position_ned.y, sources.position_ned.x))
         if isinstance(area, BoxArea):
-            self._concentration(episode, area)
+            self._draw_concentration(episode, area)
         look: dict[str, Any] = {"ms": 13, "color": share(PLUME), "mec": "black", "ls": "none", "label": "source"}
         self._plan.plot(east, north, "*", **look)
 
-    def _concentration(self, episode: Episode, area: BoxArea) -> None:
+    def _draw_concentration(self, episode: Episode, area: BoxArea) -> None:
+        """Draw the concentration of the plume as a background."""
         world = self._play.world.with_drawn(episode.state.drawn)
         wind = surroundings(world, episode.state.contents, jnp.int32(0)).carrying_wind(self._dtype)
         edges = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
@@ -194,7 +197,8 @@ class _Scene:
             look = {"ms": 2.5, "mfc": "none", "mec": "dimgray", "mew": 0.7, "ls": "none", "label": "asked for"}
             self._plan.plot(places.locations[:, 1], places.locations[:, 0], "s", **look)
 
-    def _vehicles(self) -> None:
+    def _add_vehicles(self) -> None:
+        """Add the artists of the vehicles."""
         names = [name for fleet in self._play.world.fleets for name in fleet.vehicle_names]
         self._lines, self._now, self._levels = [], [], []
         for i, name in enumerate(names):
@@ -204,7 +208,8 @@ class _Scene:
             self._levels += self._heights.plot([], [], "o", color=colour, ms=7, mec="white")
         self._heights.set_xlim(-0.7, len(names) - 0.3)
 
-    def _persons(self, episode: Episode) -> list[Any]:
+    def _add_persons(self, episode: Episode) -> list[Any]:
+        """Add the artists of the persons, and return them."""
         kinds = (("person not found", MISSING), ("person found", FOUND))
         look: dict[str, Any] = {"ms": 8, "mec": "black", "ls": "none"}
         return [

@@ -102,7 +102,7 @@ class Functional:
         world = self.play.world
         if not world.ranges:
             raise UsageError(f"{self.name}: it has no ranges, and so no difficulty")
-        grown = tuple(_grown(item, _number_at(world, item.paths[0]), part) for item in world.ranges)
+        grown = tuple(_scaled_range(item, _number_at(world, item.paths[0]), part) for item in world.ranges)
         return replace(self, play=replace(self.play, world=replace(world, ranges=grown)))
 
     def reset(self, seed: object) -> tuple[Episode, Any]:
@@ -143,7 +143,7 @@ class Functional:
         """Return actions (n, W), with what is said (n, W + D)."""
         sides = self.play.sides
         if len(sides) > 1:
-            return self._of_fleets(action)
+            return self._action_of_fleets(action)
         n, size = len(self.agents), self.play.message
         said = None
         if isinstance(action, dict):
@@ -157,7 +157,8 @@ class Functional:
                 raise UsageError(f"{what}: expected shape ({n}, {width}), found {jnp.shape(array)}{more}")
         return action if said is None else jnp.concatenate([action, jnp.asarray(said, action.dtype)], axis=1)
 
-    def _of_fleets(self, action: Any) -> Array:
+    def _action_of_fleets(self, action: Any) -> Array:
+        """Return the action array of actions by fleet."""
         sides, size = self.play.sides, self.play.message
         by_fleet(action, [side.fleet for side in sides], "action")
         acts, said, speak = {}, [], False
@@ -213,8 +214,11 @@ def _number_at(world: World, path: tuple[str | int, ...]) -> object:
     return np.ravel(np.asarray(found))[0]
 
 
-def _grown(item: Range, own: Any, part: float) -> Range:
+def _scaled_range(item: Range, own: Any, part: float) -> Range:
+    """Return a range shrunk towards the scenario's value; ``part`` 1 is the whole range."""
+
     def between(end: Array) -> Any:
+        """Return the point between the scenario's value and an end."""
         return np.asarray((1.0 - part) * own + part * np.asarray(end), np.asarray(end).dtype)
 
     return replace(item, low=between(item.low), high=between(item.high))

@@ -95,7 +95,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.agents = list(self.possible_agents)
         if self._drawing is not None:
             self._drawing.begin()
-        return self._seen(), self._truth()
+        return self._observations(), self._truths()
 
     def step(
         self, actions: Mapping[str, object]
@@ -118,7 +118,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         ended, over = bool(terminated[0]), bool(truncated[0])
         rows = [self.possible_agents.index(agent) for agent in self.agents]
         left = [ended or (self.batch.gone is not None and bool(self.batch.gone[0, row])) for row in rows]
-        seen, truth = self._seen(), self._truth()
+        seen, truth = self._observations(), self._truths()
         found = (
             {agent: seen[agent] for agent in self.agents},
             {agent: float(totals[row]) for agent, row in zip(self.agents, rows, strict=True)},
@@ -192,13 +192,15 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> dict[str, object]:
+    def _observations(self) -> dict[str, object]:
+        """Return agent -> observation."""
         return {
             agent: jax.tree.map(lambda leaf: leaf[0], self.batch.of_agent(self.batch.seen, i))
             for i, agent in enumerate(self.possible_agents)
         }
 
-    def _truth(self) -> dict[str, dict[str, object]]:
+    def _truths(self) -> dict[str, dict[str, object]]:
+        """Return agent -> name -> true value."""
         return {
             agent: {name: leaf[0, i].copy() for name, leaf in self.batch.truth.items()}
             for i, agent in enumerate(self.possible_agents)

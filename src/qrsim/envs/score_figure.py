@@ -21,7 +21,7 @@ def draw_scores(task: str, found: Sequence[Scored]) -> Figure:
     drawn = found[0].picture is not None
     figure = new_figure(12.0 if drawn else 7.0, 4.8)
     axes = figure.subplots(1, 2 if drawn else 1, squeeze=False)[0]
-    _returns(axes[0], found)
+    _draw_returns(axes[0], found)
     if drawn:
         axes[1].imshow(found[0].picture)
         axes[1].set_axis_off()
@@ -30,7 +30,8 @@ def draw_scores(task: str, found: Sequence[Scored]) -> Figure:
     return figure
 
 
-def _returns(axes: Axes, found: Sequence[Scored]) -> None:
+def _draw_returns(axes: Axes, found: Sequence[Scored]) -> None:
+    """Draw the returns of all episodes of each policy."""
     every = np.concatenate([each.returns for each in found])
     for row, each in enumerate(found):
         colour = share(VEHICLES[row % len(VEHICLES)])

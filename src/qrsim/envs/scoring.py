@@ -80,6 +80,7 @@ class _Function:
         self._function = function
 
     def act(self, seen: object) -> Any:
+        """Return the action of the user's function for an observation."""
         return self._function(seen)
 
 
@@ -202,7 +203,7 @@ def play_policy(
     batch.reset(seeds)
     with _blamed(name, "making it of (play, seed)", play):
         policies = [make(play, int(seed)) for seed in seeds]
-    drawing = _drawing(batch) if drawn else None
+    drawing = _started_drawing(batch) if drawn else None
     if recording is not None:
         recording.begin()
     nothing = np.zeros((len(play.agents), play.width))
@@ -239,7 +240,7 @@ def play_policy(
     for i in np.flatnonzero(flies) if play.task.hands_in else ():
         policy = policies[i]
         with _blamed(name, "answer", play):
-            answer = policy.answer() if isinstance(policy, Answering) else _nothing(batch)
+            answer = policy.answer() if isinstance(policy, Answering) else _no_answers(batch)
         handed_in = batch.score(int(i), answer)
         total[i] += handed_in
         if recording is not None:
@@ -363,11 +364,13 @@ def score_task(
     return found
 
 
-def _nothing(batch: Batch) -> Floats:
+def _no_answers(batch: Batch) -> Floats:
+    """Return zeros in place of answers."""
     return np.zeros((len(batch.functional.agents), *batch.answer_shape))
 
 
-def _drawing(batch: Batch) -> Any:
+def _started_drawing(batch: Batch) -> Any:
+    """Return a drawing of the batch's first episode."""
     from qrsim.envs.drawing import Drawing
 
     drawing = Drawing(batch)

@@ -71,7 +71,7 @@ class Series:
                 raise UsageError(f"seed: expected one for each of {size} environments, found {len(given)}")
             self.batch.reset([given[row] for row in rows], rows)
         self._over[rows] = False
-        self._begun(rows)
+        self._begin_drawings(rows)
 
     def rows(self, given: object, what: str) -> NumpyArray:
         """Return the numbers of the environments of a mask, of all for None.
@@ -119,9 +119,9 @@ class Series:
         if self.mode is AutoresetMode.SAME_STEP:
             if ended.any():
                 last = jax.tree.map(lambda leaf: _where(ended, leaf), (self.batch.seen, self.batch.truth))
-                self._again(np.flatnonzero(ended))
+                self._restart_rows(np.flatnonzero(ended))
         elif waiting.any():
-            self._again(np.flatnonzero(waiting))
+            self._restart_rows(np.flatnonzero(waiting))
             rewards[waiting], terminated, truncated = 0.0, terminated & ~waiting, truncated & ~waiting
         self._over = ended if self.mode is not AutoresetMode.SAME_STEP else np.zeros_like(ended)
         return Moved(rewards, terminated, truncated, gone, last, ended)
@@ -130,11 +130,13 @@ class Series:
         """Return a picture of each environment; None without a render mode."""
         return tuple(drawing.frame() for drawing in self._drawings) or None
 
-    def _again(self, rows: NumpyArray) -> None:
+    def _restart_rows(self, rows: NumpyArray) -> None:
+        """Start the next episodes in some rows."""
         self.batch.again(rows)
-        self._begun(rows)
+        self._begin_drawings(rows)
 
-    def _begun(self, rows: NumpyArray) -> None:
+    def _begin_drawings(self, rows: NumpyArray) -> None:
+        """Start the drawings of new episodes."""
         for row in rows if self._drawings else ():
             self._drawings[row].begin()
 

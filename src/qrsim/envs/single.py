@@ -110,7 +110,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self._running = self._seeded = True
         if self._drawing is not None:
             self._drawing.begin()
-        return self._seen(), self._truth()
+        return self._observation(), self._truth_values()
 
     def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by a step.
@@ -129,7 +129,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         if self._drawing is not None:
             self._drawing.moved()
         self._running = not (terminated[0] or truncated[0])
-        return self._seen(), total, bool(terminated[0]), bool(truncated[0]), self._truth()
+        return self._observation(), total, bool(terminated[0]), bool(truncated[0]), self._truth_values()
 
     def render(self) -> NumpyArray | None:
         """Return the episode from above, (480, 640, 3) uint8; None without a render mode.
@@ -159,8 +159,10 @@ class SingleTask(gymnasium.Env[Any, Any]):
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> object:
+    def _observation(self) -> object:
+        """Return a copy of the agent's observation."""
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)
 
-    def _truth(self) -> dict[str, object]:
+    def _truth_values(self) -> dict[str, object]:
+        """Return name -> true value."""
         return {name: leaf[0, 0].copy() for name, leaf in self.batch.truth.items()}

@@ -90,7 +90,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             UsageError: a seed or the mask is none, or some are to begin before all have.
         """
         self._series.reset(seed, options)
-        return self._seen(), self._truth(self.batch.truth, np.ones(self.num_envs, bool))
+        return self._observations(), self._truth_info(self.batch.truth, np.ones(self.num_envs, bool))
 
     def step(self, actions: object) -> tuple[Any, NumpyArray, NumpyArray, NumpyArray, dict[str, Any]]:
         """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
@@ -108,12 +108,12 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             seen, truth = moved.last
             infos = {
                 "final_obs": jax.tree.map(lambda leaf: leaf[:, 0], seen),
-                "final_info": self._truth(truth, moved.ended),
+                "final_info": self._truth_info(truth, moved.ended),
                 "_final_obs": moved.ended.copy(),
                 "_final_info": moved.ended.copy(),
             }
-        infos |= self._truth(self.batch.truth, np.ones(self.num_envs, bool))
-        return self._seen(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
+        infos |= self._truth_info(self.batch.truth, np.ones(self.num_envs, bool))
+        return self._observations(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
 
     def hand_in(self, samples: object, mask: object = None) -> None:
         """Hand in the answers of all episodes, or of those of a mask; the last of an episode counts, at its end.
@@ -143,9 +143,11 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         """
         self.batch.set_difficulty(difficulty)
 
-    def _seen(self) -> object:
+    def _observations(self) -> object:
+        """Return a copy of the observations (N, ...)."""
         return jax.tree.map(lambda leaf: leaf[:, 0].copy(), self.batch.seen)
 
-    def _truth(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
+    def _truth_info(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
+        """Return the truth in Gymnasium's form, with a mask of the rows that have it."""
         values = {name: leaf[:, 0].copy() for name, leaf in truth.items()}
         return values | {f"_{name}": there.copy() for name in values}

@@ -142,7 +142,7 @@ class VectorParallelTask:
         """
         rows = self._series.rows(mask, "mask")
         for agent, answers in samples.items():
-            self._known(agent, "samples")
+            self._check_agent(agent, "samples")
             array = np.asarray(answers)
             if array.shape[:1] != (self.num_envs,):
                 raise UsageError(
@@ -175,7 +175,8 @@ class VectorParallelTask:
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
 
-    def _known(self, agent: object, what: str) -> None:
+    def _check_agent(self, agent: object, what: str) -> None:
+        """Raise a UsageError for an unknown agent."""
         if agent not in self.possible_agents:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
@@ -184,7 +185,7 @@ class VectorParallelTask:
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
-            self._known(agent, "actions")
+            self._check_agent(agent, "actions")
         missing = [agent for agent in self.possible_agents if agent not in actions]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")

@@ -174,6 +174,7 @@ def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> 
 
 
 def _heard_by(vehicle: int, heard: Heard, names: Sequence[str], dt: float) -> list[Message]:
+    """Return the messages that a vehicle has received, with times in seconds."""
     senders, sent, arrives, rssi = (
         cast(list[float], column[:, vehicle].tolist())
         for column in (heard.sender, heard.sent, heard.arrives, heard.rssi)

@@ -48,11 +48,12 @@ def names(values: Sequence[str | None]) -> Any:
 def to_numpy(values: Any) -> NumpyArray:
     """Return a column of a table, or one chunk of it, as a NumPy array; missing numbers are NaN."""
     chunks = values.chunks if isinstance(values, pa.ChunkedArray) else [values]
-    arrays = [_plain(chunk) for chunk in chunks]
+    arrays = [_as_numpy(chunk) for chunk in chunks]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0, numpy_dtype(values.type))])
 
 
-def _plain(chunk: Any) -> NumpyArray:
+def _as_numpy(chunk: Any) -> NumpyArray:
+    """Return the values of an Arrow chunk as a numpy array, without a copy where possible."""
     dtype = numpy_dtype(chunk.type)
     if not len(chunk):
         return np.zeros(0, dtype)

@@ -71,10 +71,10 @@ class VehicleRows(Buffer):
         """Copy what is kept of (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
         if values.keys() != self.dtypes.keys():
             raise UsageError(self._wrong_names(values))
-        own_ticks = self._copy("tick", ticks, np.dtype(np.int64), None)
+        own_ticks = self._checked_copy("tick", ticks, np.dtype(np.int64), None)
         shape = (len(own_ticks), len(self.vehicles))
-        own_times = self._copy("time", times, np.dtype(np.float64), shape[:1])
-        columns = [self._copy(name, values[name], dtype, shape) for name, dtype in self.dtypes.items()]
+        own_times = self._checked_copy("time", times, np.dtype(np.float64), shape[:1])
+        columns = [self._checked_copy(name, values[name], dtype, shape) for name, dtype in self.dtypes.items()]
         if not shape[0]:
             return 0, 0
         self.last_time = float(own_times[-1])
@@ -102,9 +102,10 @@ class VehicleRows(Buffer):
             arrays.append(column(np.concatenate(chunks).reshape(-1) if chunks else np.zeros(0, dtype)))
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
-    def _copy(
+    def _checked_copy(
         self, name: str, values: npt.ArrayLike, dtype: np.dtype[Any], shape: tuple[int, ...] | None
     ) -> npt.NDArray[Any]:
+        """Return a copy of a column's values; raises UsageError for another shape or type."""
         array = np.asarray(values)
         expected = f"shape {shape}" if shape is not None else "shape (T,)"
         if array.shape != shape if shape is not None else array.ndim != 1:
@@ -117,6 +118,7 @@ class VehicleRows(Buffer):
             ) from None
 
     def _wrong_names(self, values: Mapping[str, object]) -> str:
+        """Return the message about undeclared or missing columns."""
         for name in values:
             if name not in self.dtypes:
                 return f"stream '{self.stream}': no column '{name}' was declared{did_you_mean(name, self.dtypes)}"

@@ -131,7 +131,7 @@ class Comparison:
     @property
     def differences(self) -> list[Difference]:
         """All quantities that differ: by time of first difference, then by size."""
-        return _sorted([item for stream in self.streams for item in stream.differences])
+        return _by_time([item for stream in self.streams for item in stream.differences])
 
     @property
     def same(self) -> bool:
@@ -181,11 +181,13 @@ def _only(first: Sequence[str], second: Sequence[str]) -> tuple[Names, Names]:
     return tuple(name for name in first if name not in second), tuple(name for name in second if name not in first)
 
 
-def _sorted(found: list[Difference]) -> list[Difference]:
+def _by_time(found: list[Difference]) -> list[Difference]:
+    """Return differences sorted by the time of the first one, then by size."""
     return sorted(found, key=lambda item: (item.first.time, -item.share))
 
 
 def _compare_stream(first: Run, second: Run, name: str, vehicles: Names, tolerance: float) -> StreamComparison:
+    """Compare all shared columns of a stream of two runs."""
     own, other = first.describe(name)[len(INDEX) :], second.describe(name)[len(INDEX) :]
     units = {column.name: column.unit for column in other}
     other_units = tuple(c.name for c in own if c.name in units and units[c.name] != c.unit)
@@ -205,7 +207,7 @@ def _compare_stream(first: Run, second: Run, name: str, vehicles: Names, toleran
         columns_only=_only([c.name for c in own], [c.name for c in other]),
         other_units=other_units,
         equal=len(tallies) - len(differences),
-        differences=tuple(_sorted(differences)),
+        differences=tuple(_by_time(differences)),
         bit_identical=all(tally.bit_identical for tally in tallies.values()),
     )
 
@@ -330,6 +332,7 @@ class _Tally:
         )
 
     def _moment(self, times: NumpyArray, x: NumpyArray, y: NumpyArray, place: int) -> Moment:
+        """Return time, vehicle and both values of an entry of the flattened arrays."""
         row, column = divmod(place, x.shape[1])
         return Moment(float(times[row]), self.vehicles[column], (float(x[row, column]), float(y[row, column])))
 
@@ -346,9 +349,10 @@ def _same_bits(first: NumpyArray, second: NumpyArray) -> bool:
 
 
 def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> InjectionComparison:
-    left = Counter(map(_asked, second))
+    """Return the number of equal injections, and those that only one of the runs has."""
+    left = Counter(map(_injection_key, second))
     only = [entry for entry in first if not _taken(left, entry)]
-    rest = Counter(map(_asked, first))
+    rest = Counter(map(_injection_key, first))
     return InjectionComparison(
         len(first) - len(only), (tuple(only), tuple(entry for entry in second if not _taken(rest, entry)))
     )
@@ -356,12 +360,13 @@ def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> 
 
 def _taken(left: Counter[str], entry: Content) -> bool:
     """Take an entry from those that are left; return False where it is not among them."""
-    asked = _asked(entry)
+    asked = _injection_key(entry)
     left[asked] -= 1
     return left[asked] >= 0
 
 
-def _asked(entry: Content) -> str:
+def _injection_key(entry: Content) -> str:
+    """Return an injection as text, without the name of its sender."""
     return json.dumps({name: value for name, value in entry.items() if name != "asked_by"}, sort_keys=True)
 
 
@@ -377,7 +382,7 @@ def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: 
     for key in sorted(groups):
         mine, others = groups[key]
         for a, b in zip(mine, others, strict=False):
-            if _near(a.value, b.value, tolerance):
+            if _is_close(a.value, b.value, tolerance):
                 equal += 1
             else:
                 only[0].append(a)
@@ -387,7 +392,8 @@ def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: 
     return EventComparison(equal, (tuple(only[0]), tuple(only[1])))
 
 
-def _near(first: float | None, second: float | None, tolerance: float) -> bool:
+def _is_close(first: float | None, second: float | None, tolerance: float) -> bool:
+    """Return whether two numbers are equal within a tolerance; NaN equals NaN, None equals None."""
     if first is None or second is None:
         return first is second
     return first == second or abs(first - second) <= tolerance or (math.isnan(first) and math.isnan(second))

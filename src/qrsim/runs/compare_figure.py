@@ -41,13 +41,13 @@ def draw_comparison(first: Run, second: Run) -> Figure:
     Raises:
         RunError: they have no vehicle or no tick of the truth in common, or a log is damaged.
     """
-    data = _read(first, second)
+    data = _read_paths(first, second)
     few = len(data.names) <= MOST_NAMED
     figure = new_figure(13, 6.5)
     plan, distance = figure.subplots(1, 2, width_ratios=(1, 1.1))
     colours = colours_of(len(data.names))
-    _plan(plan, data, colours, 1.6 if few else 0.9)
-    _distance(distance, data, colours)
+    _draw_plan(plan, data, colours, 1.6 if few else 0.9)
+    _draw_distance(distance, data, colours)
     names = [f"A: {first.info.scenario}, seed {first.info.seed}", f"B: {second.info.scenario}, seed {second.info.seed}"]
     folders = [f" ({run.folder})" for run in (first, second)]
     figure.suptitle("\n".join(name + folder for name, folder in zip(names, folders, strict=True)), fontsize=11)
@@ -56,7 +56,8 @@ def draw_comparison(first: Run, second: Run) -> Figure:
     return figure
 
 
-def _read(first: Run, second: Run) -> _Data:
+def _read_paths(first: Run, second: Run) -> _Data:
+    """Return the true positions of the vehicles and ticks that two runs share; raises RunError."""
     for run in (first, second):
         if "truth" not in run or f"{POSITION}.x" not in run["truth"]:
             raise RunError(f"{run.folder} has no truth.{POSITION} to draw")
@@ -73,7 +74,8 @@ def _read(first: Run, second: Run) -> _Data:
     return _Data(names, times[0][rows[0]], (paths[0], paths[1]), apart)
 
 
-def _plan(axes: Axes, data: _Data, colours: Floats, width: float) -> None:
+def _draw_plan(axes: Axes, data: _Data, colours: Floats, width: float) -> None:
+    """Draw the paths of both runs in plan view."""
     for i, colour in enumerate(colours):
         for path, style in zip(data.paths, ("-", "--"), strict=True):
             axes.plot(path[:, i, 1], path[:, i, 0], style, color=colour, lw=width)
@@ -83,7 +85,8 @@ def _plan(axes: Axes, data: _Data, colours: Floats, width: float) -> None:
     axes.grid(alpha=0.3)
 
 
-def _distance(axes: Axes, data: _Data, colours: Floats) -> None:
+def _draw_distance(axes: Axes, data: _Data, colours: Floats) -> None:
+    """Draw the distance between the true positions of both runs over time."""
     title = f"distance between the true positions in A and B, at most {np.nanmax(data.apart):.3g} m"
     if len(data.names) <= MOST_NAMED:
         for i, colour in enumerate(colours):

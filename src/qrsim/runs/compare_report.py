@@ -43,12 +43,13 @@ def print_report(first: Run, second: Run, found: Comparison) -> None:
 
 
 def _print_settings(found: Comparison) -> None:
+    """Print a table of the settings that differ."""
     if not found.settings:
         print("\nSettings and scenario are the same.")
         return
     table = _table(("setting", "A", "B"), numbers=0)
     for setting in found.settings[:MOST_SETTINGS]:
-        table.add_row(Text(setting.path), *(Text(_short(value)) for value in setting.values))
+        table.add_row(Text(setting.path), *(Text(_shortened_text(value)) for value in setting.values))
     _print_table(table)
     if len(found.settings) > MOST_SETTINGS:
         print(f"... and {len(found.settings) - MOST_SETTINGS} more settings, see --json")
@@ -61,27 +62,30 @@ def _print_headlines(first: Run, second: Run) -> None:
         values = (one.value, other.value)
         known = [value for value in values if isinstance(value, str) or math.isfinite(value)]
         if known:
-            words = [value if isinstance(value, str) else _number(value, 4) for value in values]
+            words = [value if isinstance(value, str) else _format_number(value, 4) for value in values]
             a, b = values
             change = math.nan if isinstance(a, str) or isinstance(b, str) else b - a
-            table.add_row(*map(Text, (one.name, one.unit, *words, _number(change, 4))))
+            table.add_row(*map(Text, (one.name, one.unit, *words, _format_number(change, 4))))
     if table.row_count:
         print()
         _print_table(table)
 
 
-def _short(value: object) -> str:
+def _shortened_text(value: object) -> str:
+    """Return a value as text of at most LONGEST_VALUE characters."""
     text = str(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
 def _print_missing(what: str, only: tuple[Sequence[str], Sequence[str]]) -> None:
+    """Print the names that only one of the runs has."""
     for letter, names in zip(RUNS, only, strict=True):
         if names:
             print(f"{what} only in {letter}: {', '.join(names)}")
 
 
 def _print_stream(stream: StreamComparison) -> None:
+    """Print how many ticks and quantities of a stream are equal."""
     total = stream.equal + len(stream.differences)
     ticks = [f"{count} only in {letter}" for letter, count in zip(RUNS, stream.ticks_only, strict=True) if count]
     parts = [", ".join([f"{stream.ticks} common ticks", *ticks]), f"{stream.equal} of {total} quantities equal"]
@@ -92,14 +96,16 @@ def _print_stream(stream: StreamComparison) -> None:
 
 
 def _print_events(events: EventComparison) -> None:
+    """Print the number of equal events, and the first that only one run has."""
     only = [f"{len(own)} only in {letter}" for letter, own in zip(RUNS, events.only, strict=True) if own]
     print(f"events: {', '.join([f'{events.equal} equal', *only])}")
     for letter, own in zip(RUNS, events.only, strict=True):
         if own:
-            print(f"  first only in {letter}: {_event(own[0])}")
+            print(f"  first only in {letter}: {_event_text(own[0])}")
 
 
 def _print_injections(found: InjectionComparison) -> None:
+    """Print the number of equal injections, and those that only one run has."""
     if found.equal or any(found.only):
         only = [f"{len(own)} only in {letter}" for letter, own in zip(RUNS, found.only, strict=True) if own]
         print(f"injections: {', '.join([f'{found.equal} equal', *only])}")
@@ -108,15 +114,17 @@ def _print_injections(found: InjectionComparison) -> None:
             print(f"  only in {letter}: {visible(dump_line(entry))}")
 
 
-def _event(event: Event) -> str:
+def _event_text(event: Event) -> str:
+    """Return the message of an event, or kind, vehicle and time."""
     return event.message or f"{event.kind} of {event.vehicle or 'the world'} at {event.time:.2f} s"
 
 
 def _print_differences(found: Sequence[Difference]) -> None:
+    """Print a table of the quantities that differ."""
     table = _table(("quantity", "unit", "vehicle", "first at [s]", "in A", "in B", "largest", "RMS"), numbers=5)
     for item in found:
         where = (item.quantity, item.unit, item.first.vehicle, f"{item.first.time:.10g}")
-        numbers = (*_values(*item.first.values), _number(item.largest_difference), _number(item.rms))
+        numbers = (*_values(*item.first.values), _format_number(item.largest_difference), _format_number(item.rms))
         table.add_row(*map(Text, (*where, *numbers)))
     print()
     _print_table(table)
@@ -127,11 +135,12 @@ def _print_differences(found: Sequence[Difference]) -> None:
 
 def _values(a: float, b: float) -> tuple[str, str]:
     """Return two different values with as many digits as it takes to see that: 6, or those of float32 or float64."""
-    digits = next((digits for digits in (6, 9) if _number(a, digits) != _number(b, digits)), 17)
-    return _number(a, digits), _number(b, digits)
+    digits = next((digits for digits in (6, 9) if _format_number(a, digits) != _format_number(b, digits)), 17)
+    return _format_number(a, digits), _format_number(b, digits)
 
 
-def _number(value: float, digits: int = 6) -> str:
+def _format_number(value: float, digits: int = 6) -> str:
+    """Return a number as text, "-" for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}g}"
 
 
@@ -155,6 +164,7 @@ def _print_table(table: Table) -> None:
 
 
 def _verdict(found: Comparison) -> str:
+    """Return the sentence that sums up a comparison."""
     if found.bit_identical:
         return "The logs are bit-identical."
     if found.same:
@@ -190,6 +200,7 @@ def to_json(first: Run, second: Run, found: Comparison) -> Content:
 
 
 def _stream_json(stream: StreamComparison) -> Content:
+    """Return the comparison of a stream as plain values."""
     return {
         "stream": stream.stream,
         "ticks": stream.ticks,
@@ -202,7 +213,10 @@ def _stream_json(stream: StreamComparison) -> Content:
 
 
 def _difference_json(item: Difference) -> Content:
+    """Return a difference as plain values."""
+
     def moment(at: Moment | None) -> Content | None:
+        """Return time, vehicle and values of a moment as plain values, None without one."""
         return None if at is None else {"time_s": at.time, "vehicle": at.vehicle, "values": _plain(list(at.values))}
 
     return {

@@ -64,7 +64,7 @@ def draw_estimate(
             f"{run.folder}: no estimate was recorded; a fleet has one with an estimator, as in "
             "--set fleets.NAME.estimator=ekf, or with a cascade fed with its filter"
         )
-    used = [wanted[name] for name in _names() if name in wanted]
+    used = [wanted[name] for name in _column_names() if name in wanted]
     data = read_data(run, used, vehicles, start, end)
     series = {item.name: found for item, found in data.series.items()}
     time = series["truth.position_ned.x"][0]
@@ -81,7 +81,7 @@ def draw_estimate(
             if what in BIASES:
                 _draw_value(panel, time, values[f"commands.estimate.{name}"], values[f"commands.estimate_std.{name}"])
             else:
-                _draw(panel, time, errors[name], stds.get(name))
+                _draw_errors(panel, time, errors[name], stds.get(name))
             text = what.removesuffix("_ned").replace("_", " ")
             panel.set_title(f"{text}, {title} [{unit}]", loc="left", fontsize=10)
     for panel in every[-1]:
@@ -98,7 +98,8 @@ def draw_estimate(
     return figure
 
 
-def _names() -> list[str]:
+def _column_names() -> list[str]:
+    """Return the columns that the figure needs."""
     parts = [f"{what}.{axis}" for what, (axes, _, _) in ROWS.items() for axis in axes]
     truth = [f"truth.{what}.{axis}" for what in ("position_ned", "velocity_body") for axis in "xyz"]
     truth += [f"truth.attitude.{axis}" for axis in ("roll", "pitch", "yaw")]
@@ -161,7 +162,8 @@ def _draw_value(axes: Axes, time: Floats, values: Floats, stds: Floats) -> None:
     axes.grid(alpha=0.3)
 
 
-def _draw(axes: Axes, time: Floats, errors: Floats, stds: Floats | None) -> None:
+def _draw_errors(axes: Axes, time: Floats, errors: Floats, stds: Floats | None) -> None:
+    """Draw estimation errors (T, n) and their bounds over time."""
     count = errors.shape[1]
     if count > MOST_NAMED:
         spread(axes, time, errors, colours_of(1)[0])

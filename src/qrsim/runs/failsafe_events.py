@@ -39,11 +39,14 @@ class FailsafeWatch:
             now, before = self._rows(state, slice(None)), self._before[number]
             if now is not None and before is not None:
                 self._before[number] = self._rows(state, -1)
-                yield from self._of_fleet(fleet, state, now, before, first)
+                yield from self._fleet_events(fleet, state, now, before, first)
             first += fleet.size
 
     @staticmethod
-    def _of_fleet(fleet: Any, state: Any, now: dict[str, Any], before: dict[str, Any], first: int) -> Iterator[Found]:
+    def _fleet_events(
+        fleet: Any, state: Any, now: dict[str, Any], before: dict[str, Any], first: int
+    ) -> Iterator[Found]:
+        """Yield (row, vehicle, kind, value) of a fleet's failsafe changes."""
         old = {name: np.concatenate([before[name][None], values[:-1]]) for name, values in now.items()}
         flies = state.violation.code == 0
         acts = fleet.failsafes.COM_GNSSLOSS_ACT != "warn"

@@ -113,15 +113,15 @@ def draw_run(run: Run) -> Figure:
     Raises:
         RunError: nothing was recorded yet, or a part of the log is damaged.
     """
-    data = _read(run)
+    data = _read_data(run)
     figure = new_figure(13, 9)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1))
     windy, received = bool(np.any(data.mean) or np.any(data.gust)), data.reported is not None
     plan = figure.add_subplot(grid[0, 0] if received else grid[:, 0])
-    draw_plan(plan, _paths(data), data.around, data.terrain)
-    _height(figure.add_subplot(grid[0, 1] if windy else grid[:, 1]), data)
+    draw_plan(plan, _plan_paths(data), data.around, data.terrain)
+    _draw_height(figure.add_subplot(grid[0, 1] if windy else grid[:, 1]), data)
     if windy:
-        _wind(figure.add_subplot(grid[1, 1]), data)
+        _draw_wind(figure.add_subplot(grid[1, 1]), data)
     if received:
         errors: Any = grid[1, 0].subgridspec(len(ERRORS), 1, hspace=0.05).subplots(sharex=True, sharey=True)
         _gnss(errors, data)
@@ -149,7 +149,8 @@ def save_figure(run: Run, path: Path) -> None:
     save_picture(lambda: draw_run(run), path)
 
 
-def _read(run: Run) -> _Data:
+def _read_data(run: Run) -> _Data:
+    """Return everything that the figure draws; raises RunError for a run without ticks."""
     rows = {stream: common_rows(run, stream)[0] for stream in STREAMS}
     if not all(map(len, rows.values())):
         raise RunError(f"{run.folder}: nothing to draw, because no tick was recorded (state: {run.info.state})")
@@ -200,7 +201,8 @@ def _legs_of(vehicle: Any) -> Floats:
     return np.asarray(places, float).reshape(-1, 2)
 
 
-def _paths(data: _Data) -> Paths:
+def _plan_paths(data: _Data) -> Paths:
+    """Return the paths of the plan view."""
     wind = np.nanmean(data.mean * data.flying("wind")[..., None], axis=(0, 1))
     return Paths(
         data.names, data.position, data.setpoint, data.places, data.reported, tuple(data.stops), wind, data.colours
@@ -231,7 +233,8 @@ def _nearest_prey(run: Run, data: _Data) -> list[float]:
     return [float(np.linalg.norm(prey - place, axis=-1).min()) for place in hunters] if len(prey) else []
 
 
-def _height(axes: Axes, data: _Data) -> None:
+def _draw_height(axes: Axes, data: _Data) -> None:
+    """Draw true heights and those of the set-points over time."""
     ground = [data.terrain.down(each[..., 0], each[..., 1]) for each in (data.position, data.setpoint)]
     if data.terrain.level:
         ground = [np.zeros_like(each) for each in ground]
@@ -241,7 +244,7 @@ def _height(axes: Axes, data: _Data) -> None:
     if len(data.names) > MOST_LINES:
         spread(axes, data.time["commands"], wanted, SECOND, "--")
         spread(axes, data.time["truth"], height, FIRST)
-        _over_time(axes, data, label, "height: true (blue), set-point (orange); quartiles, range")
+        _label_time_axis(axes, data, label, "height: true (blue), set-point (orange); quartiles, range")
         return
     # A barometer knows of no ground.
     barometer = data.barometer if data.few and data.terrain.level else None
@@ -261,7 +264,7 @@ def _height(axes: Axes, data: _Data) -> None:
                 zorder=5,
             )
     lines = "true (solid)" if barometer is None else "true (thick), barometer (thin)"
-    _over_time(axes, data, label, f"height: {lines}, set-point (dashed)")
+    _label_time_axis(axes, data, label, f"height: {lines}, set-point (dashed)")
     seen = [height, wanted, *([] if barometer is None else [barometer])]
     axes.set_ylim(span(np.concatenate(seen), 1.0))
 
@@ -294,7 +297,8 @@ def _gnss(panels: Any, data: _Data) -> None:
     panels[-1].set_xlabel("time [s]")
 
 
-def _wind(axes: Axes, data: _Data) -> None:
+def _draw_wind(axes: Axes, data: _Data) -> None:
+    """Draw the wind speed with gusts, and its mean, over time."""
     flying = data.flying("wind")
     mean = np.linalg.norm(data.mean, axis=-1) * flying
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
@@ -303,7 +307,7 @@ def _wind(axes: Axes, data: _Data) -> None:
     key = "with gusts (solid), mean (dotted)"
     if not data.few:
         key = "with gusts (blue), mean (orange); quartiles, range"
-    _over_time(axes, data, "wind speed [m/s]", f"wind: {key}")
+    _label_time_axis(axes, data, "wind speed [m/s]", f"wind: {key}")
     from_zero(axes)
 
 
@@ -316,7 +320,8 @@ def _lines(axes: Axes, data: _Data, time: Floats, values: Floats, style: str = "
         trace(axes, time, values[:, i], ls=style, color=own, lw=1.1)
 
 
-def _over_time(axes: Axes, data: _Data, label: str, title: str) -> None:
+def _label_time_axis(axes: Axes, data: _Data, label: str, title: str) -> None:
+    """Label axes over time, with grid and limits."""
     axes.set(xlabel="time [s]", ylabel=label, title=title)
     time_limits(axes, *data.span)
     axes.grid(alpha=0.3)

@@ -40,6 +40,7 @@ def headlines(run: Run) -> list[Headline]:
     rows, nearest, score = summarise(run), smallest_separation(run), run.info.score
 
     def each(name: str) -> Floats:
+        """Return a quantity of all vehicles (n,)."""
         return np.array([getattr(row, name) for row in rows], np.float64)
 
     return [
@@ -49,11 +50,11 @@ def headlines(run: Run) -> list[Headline]:
         Headline("vehicles stopped", "", float(len(stops_of(run)))),
         Headline("waypoints reached", "", float(each("waypoints").sum())),
         Headline("distance flown", "m", float(each("distance_m").sum())),
-        Headline("tracking error, RMS", "m", _rms(each("tracking_error_rms_m"))),
-        Headline("height error, RMS", "m", _rms(each("height_error_rms_m"))),
-        Headline("estimate error, RMS", "m", _rms(_estimate_errors(run))),
-        Headline("GNSS error horizontal, RMS", "m", _rms(each("gnss_horizontal_rms_m"))),
-        Headline("GNSS error vertical, RMS", "m", _rms(each("gnss_vertical_rms_m"))),
+        Headline("tracking error, RMS", "m", _root_mean_square(each("tracking_error_rms_m"))),
+        Headline("height error, RMS", "m", _root_mean_square(each("height_error_rms_m"))),
+        Headline("estimate error, RMS", "m", _root_mean_square(_estimate_errors(run))),
+        Headline("GNSS error horizontal, RMS", "m", _root_mean_square(each("gnss_horizontal_rms_m"))),
+        Headline("GNSS error vertical, RMS", "m", _root_mean_square(each("gnss_vertical_rms_m"))),
         Headline("wind, largest", "m/s", float(np.fmax.reduce(each("worst_wind_m_s"), initial=math.nan))),
         Headline("separation, smallest", "m", math.nan if nearest is None else nearest.distance_m),
         Headline("energy", "Wh", _energy(run)),
@@ -62,7 +63,8 @@ def headlines(run: Run) -> list[Headline]:
     ]
 
 
-def _rms(values: Floats) -> float:
+def _root_mean_square(values: Floats) -> float:
+    """Return the root mean square of the finite values, NaN without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(np.square(known)))) if known.size else math.nan
 

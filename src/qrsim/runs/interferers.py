@@ -58,7 +58,7 @@ class Interferer(NamedTuple):
 
 def of_scenario(entries: Any) -> tuple[Interferer, ...]:
     """Return what ``world.interference`` of a recorded scenario lists."""
-    return tuple(_interferer(str(entry["kind"]), entry) for entry in entries or ())
+    return tuple(_parsed_interferer(str(entry["kind"]), entry) for entry in entries or ())
 
 
 def of_world(world: World) -> tuple[Interferer, ...]:
@@ -73,11 +73,14 @@ def of_world(world: World) -> tuple[Interferer, ...]:
         "outage": present.outages,
         "iono_storm": present.storms,
     }
-    return tuple(_interferer(kind, vars(item)) for kind, items in parts.items() for item in items)
+    return tuple(_parsed_interferer(kind, vars(item)) for kind, items in parts.items() for item in items)
 
 
-def _interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
+def _parsed_interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
+    """Return an interferer from its recorded values."""
+
     def number(name: str, instead: float) -> float:
+        """Return a value as a number, or a default for a missing or unlimited one."""
         value = values.get(name)
         return instead if value is None or abs(float(value)) >= _EVERYWHERE else float(value)
 
@@ -86,7 +89,7 @@ def _interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
     radius, text = math.inf, kind.replace("_", " ")
     if kind == "jammer":
         power = number("power_w", 0.0)
-        radius, text = lost_within(power, str(values.get("band", "wide"))), f"jammer {_watts(power)}"
+        radius, text = lost_within(power, str(values.get("band", "wide"))), f"jammer {_format_power(power)}"
     elif kind in ("disc", "spoofer"):
         radius = number("radius", math.inf)
         # The place of a spoofer is the middle of where it is heard.
@@ -108,5 +111,6 @@ def lost_within(power_w: float, band: str) -> float:
     return math.sqrt(float(strength(power_w, band)) * _FROM_BELOW / (LOST - 1.0))
 
 
-def _watts(power: float) -> str:
+def _format_power(power: float) -> str:
+    """Return a power [W] as text with a suitable prefix."""
     return f"{power:g} W" if power >= 1.0 else f"{1e3 * power:g} mW" if power >= 1e-3 else f"{1e6 * power:g} uW"

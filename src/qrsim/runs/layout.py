@@ -234,6 +234,7 @@ def stream_schema(stream: str, columns: Sequence[Column], info: RunInfo) -> pa.S
 
 
 def _arrow_field(stream: str, column: Column) -> pa.Field:
+    """Return the Arrow field of a column with unit and description; raises UsageError."""
     if column.dtype == "str":
         kind = NAME if column.name in ("vehicle", "kind", "field") else TEXT
         if stream != EVENTS and column not in INDEX:

@@ -34,7 +34,7 @@ class MissionWatch:
                 # The guidance of a vehicle that has stopped goes on, and tells nothing.
                 flies = state.violation.code == 0
                 for row, vehicle in np.argwhere((now > np.concatenate([old[None], now[:-1]])) & flies):
-                    yield i, _told(fleet, state, int(row), int(vehicle), kind)
+                    yield i, _mission_event(fleet, state, int(row), int(vehicle), kind)
 
     def ending(self, history: History) -> Iterator[tuple[int, Found]]:
         """Yield the missions that a run ends before, at the last row of a history."""
@@ -49,7 +49,7 @@ class MissionWatch:
                 flies = flies & (state.failsafe.action[-1] == 0)
             ends = np.asarray(route.following) == np.asarray(route.count) - 1
             for vehicle in np.flatnonzero(flies & ends & ~(last & now.arrived[-1])):
-                yield i, _told(fleet, state, len(now.ticks) - 1, int(vehicle), UNFINISHED)
+                yield i, _mission_event(fleet, state, len(now.ticks) - 1, int(vehicle), UNFINISHED)
 
 
 def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Any, Any] | None:
@@ -58,7 +58,8 @@ def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Any, A
     return (now.late[row], now.finished[row]) if isinstance(now, MissionState) else None
 
 
-def _told(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind: str) -> Found:
+def _mission_event(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind: str) -> Found:
+    """Return (row, vehicle, kind, value, message) of a change in a mission."""
     now, route = state.guidance, fleet.route
     assert isinstance(now, MissionState)
     assert isinstance(route, Mission)
@@ -68,9 +69,9 @@ def _told(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind: str) ->
     index = int(now.index[row, vehicle])
     number = int(route.number[index, vehicle])
     legs = int(np.max(np.asarray(route.number)[:, vehicle]))
-    said = f"leg {number} of {legs}, {_leg(route, index, vehicle)}: {_why(fleet, state, row, vehicle)}"
+    detail = f"leg {number} of {legs}, {_leg(route, index, vehicle)}: {_why(fleet, state, row, vehicle)}"
     words = "has not reached" if kind == LATE else "has not finished its mission, it is at"
-    return row, vehicle, kind, float(number), f"{name} {words} {said}"
+    return row, vehicle, kind, float(number), f"{name} {words} {detail}"
 
 
 def _leg(route: Mission, index: int, vehicle: int) -> str:

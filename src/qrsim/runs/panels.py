@@ -135,7 +135,7 @@ def draw_panels(
     figure = new_figure(12, max(4.0, 1.2 + 2.4 * len(parsed)))
     every = figure.subplots(len(parsed), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(every, parsed, strict=True):
-        _draw(axes, panel, data)
+        _draw_panel(axes, panel, data)
     every[-1].set_xlabel("time [s]")
     time_limits(every[-1], *data.span)
     few = len(data.names) <= MOST_NAMED
@@ -192,7 +192,8 @@ def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> Num
     return rows
 
 
-def _draw(axes: Axes, panel: Panel, data: Data) -> None:
+def _draw_panel(axes: Axes, panel: Panel, data: Data) -> None:
+    """Draw the quantities of a panel with legend and labels."""
     handles = [line for i, item in enumerate(panel.quantities) for line in _lines(axes, i, item, data)]
     if len(panel.quantities) > 1:
         names = [item.name for item in panel.quantities]

@@ -22,6 +22,7 @@ DAMAGES = (OSError, pa.ArrowException, ValueError, KeyError, TypeError, Overflow
 
 
 def _first_line(error: BaseException) -> str:
+    """Return the first line of an error's message, shortened."""
     words = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return shortened(str(words).partition("\n")[0], 300)
 
@@ -47,7 +48,7 @@ class StreamParts:
     @cached_property
     def columns(self) -> tuple[Column, ...]:
         """All columns, time, tick and vehicle first."""
-        return tuple(column_of(item) for item in self._schema)
+        return tuple(column_of(item) for item in self._arrow_schema)
 
     def column(self, name: str) -> Column:
         """Return one column's description. Raises UsageError for an unknown name."""
@@ -75,7 +76,7 @@ class StreamParts:
     def tables(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """Yield the parts one by one, each read on demand; raises as ``table``."""
         chosen = [column.name for column in self.columns] if names is None else [self.column(n).name for n in names]
-        return (self._read(number, self._schema, chosen) for number in self._usable)
+        return (self._read_part(number, self._arrow_schema, chosen) for number in self._usable)
 
     def tables_between(self, names: Sequence[str], start: float, end: float) -> Iterator[pa.Table]:
         """Yield the parts that have rows of times from ``start`` to ``end`` [s], whole; raises as ``table``."""
@@ -85,22 +86,24 @@ class StreamParts:
         for number in self._usable[first:]:
             if self._span(number)[0] > end:
                 return
-            yield self._read(number, self._schema, chosen)
+            yield self._read_part(number, self._arrow_schema, chosen)
 
     def _span(self, number: int) -> tuple[float, float]:
         """Return the first and the last time of a part [s]."""
         if number not in self._spans:
-            times = self._read(number, self._schema, ["time"])["time"]
+            times = self._read_part(number, self._arrow_schema, ["time"])["time"]
             self._spans[number] = (times[0].as_py(), times[-1].as_py()) if len(times) else (-math.inf, -math.inf)
         return self._spans[number]
 
     @cached_property
     def _spans(self) -> dict[int, tuple[float, float]]:
+        """Cache of part number -> begin and end [s]."""
         return {}
 
     @cached_property
-    def _schema(self) -> pa.Schema:
-        return self._open(self._usable[0]).schema_arrow
+    def _arrow_schema(self) -> pa.Schema:
+        """Arrow schema of the first readable part."""
+        return self._open_part(self._usable[0]).schema_arrow
 
     @cached_property
     def _usable(self) -> list[int]:
@@ -110,11 +113,11 @@ class StreamParts:
         for number in expected:
             try:
                 if number not in self._found_set:
-                    raise self._damage(number, "it is missing")
+                    raise self._damage_error(number, "it is missing")
                 # Where parts may be left out, all columns must leave out the same ones: so each is read whole, once.
                 if self.skip_damaged:
-                    schema = schema or self._open(number).schema_arrow
-                    self._read(number, schema, schema.names)
+                    schema = schema or self._open_part(number).schema_arrow
+                    self._read_part(number, schema, schema.names)
             except RunError as error:
                 if not self.skip_damaged:
                     raise
@@ -127,9 +130,11 @@ class StreamParts:
 
     @cached_property
     def _found_set(self) -> set[int]:
+        """Numbers of the parts that exist, as a set."""
         return set(self.found)
 
-    def _open(self, number: int) -> pq.ParquetFile:
+    def _open_part(self, number: int) -> pq.ParquetFile:
+        """Open a part of the stream with checksums; raises RunError if it is damaged."""
         try:
             file = check_file(self.folder / part_name(number))
             found = pq.ParquetFile(file, page_checksum_verification=True)
@@ -137,18 +142,20 @@ class StreamParts:
             _ = found.schema_arrow
             return found
         except DAMAGES as error:
-            raise self._damage(number, _first_line(error)) from error
+            raise self._damage_error(number, _first_line(error)) from error
 
-    def _read(self, number: int, schema: pa.Schema, names: Sequence[str]) -> pa.Table:
-        with self._open(number) as file:
+    def _read_part(self, number: int, schema: pa.Schema, names: Sequence[str]) -> pa.Table:
+        """Return some columns of a part; raises RunError if it is damaged."""
+        with self._open_part(number) as file:
             if not file.schema_arrow.equals(schema):
-                raise self._damage(number, "its columns are not those of the parts before it")
+                raise self._damage_error(number, "its columns are not those of the parts before it")
             try:
                 return file.read(columns=list(names)).select(list(names))
             except DAMAGES as error:
-                raise self._damage(number, _first_line(error)) from error
+                raise self._damage_error(number, _first_line(error)) from error
 
-    def _damage(self, number: int, reason: str) -> RunError:
+    def _damage_error(self, number: int, reason: str) -> RunError:
+        """Return the error for a damaged part, or warn once if damage is skipped."""
         total = max(self.count, len(self.found))
         error = RunError(
             f"{self.folder / part_name(number)} (part {number + 1} of {total} of '{self.stream}') "

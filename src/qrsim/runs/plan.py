@@ -98,17 +98,18 @@ def draw_plan(axes: Axes, paths: Paths, around: Surroundings, terrain: Terrain) 
     if paths.many:
         _swarm(axes, paths, most)
     else:
-        _vehicles(axes, paths, most)
+        _draw_vehicles(axes, paths, most)
     name_marks(axes, around)
     _wind_arrow(axes, paths.wind)
     axes.update_datalim([low[::-1], high[::-1]])
     axes.margins(0.0)
     axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", adjustable="datalim")
-    axes.set_title(_title(paths, around, whole))
+    axes.set_title(_plan_title(paths, around, whole))
     axes.grid(alpha=0.3)
 
 
-def _title(paths: Paths, around: Surroundings, whole: bool) -> str:
+def _plan_title(paths: Paths, around: Surroundings, whole: bool) -> str:
+    """Return the title of the plan view, which explains its lines."""
     path = "true path (thick), GNSS (thin)" if paths.few and paths.reported is not None else "true path"
     numbers = ", numbers: order" if not paths.few and not paths.many else ""
     size = np.ptp(around.outline, axis=0) if len(around.outline) else None
@@ -250,7 +251,8 @@ def _footprint(obstacle: Any) -> object:
     return Rectangle(corner, obstacle["y_max"] - corner[0], obstacle["x_max"] - corner[1], **look)
 
 
-def _vehicles(axes: Any, paths: Paths, most: int) -> None:
+def _draw_vehicles(axes: Any, paths: Paths, most: int) -> None:
+    """Draw paths, set-points and stops of the vehicles."""
     few = paths.few
     # Many laps over each other are told apart by thin lines only.
     width = 0.5 if len(paths.position) > 10 * MOST_TICKS else 1.8 if few else 1.0

@@ -41,7 +41,7 @@ def find_quantities(run: Run, name: str) -> list[Quantity]:
     groups = _groups(every)
     if name in groups:
         return groups[name]
-    raise UsageError(_unknown(run, name, [*groups, *(item.name for item in every)]))
+    raise UsageError(_unknown_quantity(run, name, [*groups, *(item.name for item in every)]))
 
 
 def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
@@ -56,7 +56,8 @@ def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
     }
 
 
-def _unknown(run: Run, name: str, known: list[str]) -> str:
+def _unknown_quantity(run: Run, name: str, known: list[str]) -> str:
+    """Return the message for a quantity that a run lacks."""
     if not name:
         return "a panel needs the name of a quantity before, between and after its commas; --list shows all quantities"
     stream, _, column = name.partition(".")

@@ -47,8 +47,8 @@ def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = Non
     graph, delivery, parts = (figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
     _graph(figure, graph, run, packets)
     found = connectivity(packets, BINS, _radios(run))
-    _delivery(delivery, found)
-    _connected(parts, found)
+    _draw_delivery(delivery, found)
+    _draw_groups(parts, found)
     for axes in (delivery, parts):
         time_limits(axes, float(packets.time[0]), float(packets.time[-1]))
     span = f"{packets.time[0]:g} to {packets.time[-1]:g} s"
@@ -110,7 +110,8 @@ def _width(strength: Floats) -> Floats:
     return np.where(there, 1.2 + 3.0 * (np.nan_to_num(strength) - low) / max(high - low, 1e-6), 0.8)
 
 
-def _delivery(axes: Axes, found: Connectivity) -> None:
+def _draw_delivery(axes: Axes, found: Connectivity) -> None:
+    """Draw the fractions of packets that were received and lost over time."""
     axes.plot(found.time, found.delivery, color=colours_of(2)[0], lw=1.8, label="heard")
     for name, part in found.lost.items():
         axes.plot(found.time, part, color="0.35", ls=STYLES[name], lw=1.1, label=f"lost: {name}")
@@ -119,7 +120,8 @@ def _delivery(axes: Axes, found: Connectivity) -> None:
     axes.grid(alpha=0.3)
 
 
-def _connected(axes: Axes, found: Connectivity) -> None:
+def _draw_groups(axes: Axes, found: Connectivity) -> None:
+    """Draw the largest connected group and the number of groups over time."""
     first, second = colours_of(2)
     [part] = axes.plot(found.time, found.largest, color=first, lw=1.8)
     axes.set(xlabel="time [s]", ylabel="part in the largest group", ylim=(-0.03, 1.03))

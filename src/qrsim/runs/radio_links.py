@@ -56,6 +56,7 @@ class Packets:
         pair = np.where(self.sender >= 0, self.sender, 0) * n + np.arange(n)
 
         def total(which: NumpyArray, weights: NumpyArray | None = None) -> NumpyArray:
+            """Return the sums of weights over the pairs of vehicles (n, n) of selected packets."""
             chosen = None if weights is None else weights[which].astype(np.float64)
             return np.bincount(pair[which], weights=chosen, minlength=n * n).reshape(n, n)
 

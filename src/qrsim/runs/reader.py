@@ -70,7 +70,7 @@ def open_run(path: Path | str, *, skip_damaged: bool = False, code: bool = False
             return open_run(found[0], skip_damaged=skip_damaged, code=code)
         return _Episodes(folder, found, skip_damaged, code)
     if not (folder / RUN_FILE).is_file():
-        raise UsageError(_not_a_run(folder))
+        raise UsageError(_not_a_run_message(folder))
     # Before the parts are listed: these are then at least as many as the counts in it.
     info = _read_info(folder / RUN_FILE)
     with os_error_as(RunError, f"cannot read {folder / SCENARIO_FILE}"):
@@ -97,6 +97,7 @@ class Run(Tabled):
         self._streams: dict[str, Stream] = {}
 
     def _table(self) -> Table:
+        """Return the table of streams that is shown for a run."""
         rows = []
         for stream, parts in self._parts.items():
             columns = [column.name for column in parts.columns]
@@ -106,6 +107,7 @@ class Run(Tabled):
         return Table(title, ("stream", "columns", "names"), rows)
 
     def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of streams for completion in notebooks."""
         return list(self.streams)
 
     @cached_property
@@ -226,6 +228,7 @@ class Run(Tabled):
         return [Event(**row) for row in table.to_pylist()]
 
     def _stream_parts(self, stream: str) -> StreamParts:
+        """Return the parts of a stream; raises UsageError for an unknown one."""
         if stream not in self._parts:
             raise UsageError(f"{self.folder} has no stream '{stream}'{did_you_mean(str(stream), self._parts)}")
         return self._parts[stream]
@@ -238,6 +241,7 @@ class _Episodes(Run):
         self.folder, self._found, self._skip_damaged, self._code = folder, found, skip_damaged, code
 
     def _table(self) -> Table:
+        """Return the table of episodes that is shown for a folder."""
         names = [(folder.name,) for folder in self._found]
         return Table(f"{self.folder}: {len(names)} episodes", ("episode",), names)
 
@@ -261,7 +265,8 @@ def _part_numbers(folder: Path) -> list[int]:
     return sorted(number for match in matches if match and (number := int(match[1])) < MOST_PARTS)
 
 
-def _not_a_run(folder: Path) -> str:
+def _not_a_run_message(folder: Path) -> str:
+    """Return the message for a folder that holds no run."""
     if not folder.exists():
         return f"no run at {folder}: there is no such folder"
     hint = ""
@@ -299,6 +304,7 @@ def _problem(info: RunInfo) -> str:
 
 
 def _read_info(path: Path) -> RunInfo:
+    """Return the parsed run.json; raises RunError."""
     try:
         data = json.loads(read_text(path))
         version = data["format"]

@@ -153,7 +153,7 @@ def fly(
     if flown_by is not None:
         pilot = flown_by(simulation)
     elif not (policy is None and estimator is None):
-        pilot = _pilot(simulation, policy, estimator, policy_ticks)
+        pilot = _new_pilot(simulation, policy, estimator, policy_ticks)
     schedule = Schedule(simulation, injections)
     schedule.make()
     # The first tick alone, so that compiling does not count as flying.
@@ -173,6 +173,7 @@ def fly(
         requests = RequestLog(simulation, writer.note_injection, writer.append_event)
 
         def keep(history: History) -> None:
+            """Write the ticks of a history and the requests before them, and update the view."""
             arrays = values(simulation.world, history, wanted)
             with writer.together():
                 # What was asked for before these ticks.
@@ -245,7 +246,8 @@ def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Itera
         writer.note_score(referee.finish(answer).to_json())
 
 
-def _pilot(simulation: Simulation, policy: object, estimator: object, policy_ticks: int) -> Pilot:
+def _new_pilot(simulation: Simulation, policy: object, estimator: object, policy_ticks: int) -> Pilot:
+    """Return the pilot that calls a user's policy and estimator."""
     # Imported here, because most runs have none.
     from qrsim.simulation.pilot import Pilot
 

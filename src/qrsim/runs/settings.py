@@ -33,6 +33,7 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
 
 
 def _scenario(run: Run) -> object:
+    """Return the scenario of a run."""
     return run.scenario
 
 
@@ -47,6 +48,7 @@ def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
 
 
 def _children(tree: object) -> Mapping[Any, Any] | None:
+    """Return the children of a mapping, or of a list of nested values; None for leaves."""
     if isinstance(tree, Mapping):
         return tree
     if isinstance(tree, list) and any(isinstance(item, dict | list) for item in tree):

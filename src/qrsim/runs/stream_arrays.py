@@ -41,12 +41,14 @@ class Stream(Tabled):
         self.vehicles = tuple(vehicles)
 
     def _table(self) -> Table:
+        """Return the table of columns that is shown for a stream."""
         count = len(self.vehicles)
         title = f"stream '{self._parts.stream}' of {count} vehicle{'s' * (count != 1)}, at {len(self.time)} times"
         rows = [(column.name, column.unit, column.dtype, column.doc) for column in self._parts.columns[len(INDEX) :]]
         return Table(title, ("column", "unit", "type", "meaning"), rows)
 
     def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of columns for completion in notebooks."""
         return list(self.columns())
 
     @cached_property
@@ -101,7 +103,7 @@ class Stream(Tabled):
             UsageError: unknown column.
             RunError: a part is damaged or missing; the message names it.
         """
-        names = self._known(names)
+        names = self._checked_names(names)
         shape = (len(self.time), len(self.vehicles))
         table = self._parts.table(names)
         return {name: to_numpy(table[name]).reshape(shape) for name in names}
@@ -115,7 +117,7 @@ class Stream(Tabled):
             names: of columns; None: all.
             start, end: times [s]; batches without any between them are left out, and not read.
         """
-        names = self._known(names)
+        names = self._checked_names(names)
         columns = [*(column.name for column in INDEX), *names]
         whole = start == -math.inf and end == math.inf
         for table in self._parts.tables(columns) if whole else self._parts.tables_between(columns, start, end):
@@ -125,7 +127,8 @@ class Stream(Tabled):
             shape = (len(time), len(self.vehicles))
             yield Batch(time, tick, {name: to_numpy(table[name]).reshape(shape) for name in names})
 
-    def _known(self, names: Sequence[str] | None) -> Sequence[str]:
+    def _checked_names(self, names: Sequence[str] | None) -> Sequence[str]:
+        """Return some column names, by default all; raises UsageError for an unknown one."""
         if names is None:
             return self.columns()
         for name in names:

@@ -38,14 +38,15 @@ def scheduled(world: World) -> Iterator[Injection]:
     ]
     parts += [(JAM, "power_w", course, {"jammer": number}) for number, course in enumerate(changes.powers)]
     for kind, name, course, more in parts:
-        for start, ticks, after in () if course is None else _legs(course):
+        for start, ticks, after in () if course is None else _course_legs(course):
             value = math.degrees(after) % 360.0 if name == "wind_from_deg" else after
             # As they were written, not as they are rounded to single precision.
             numbers = {**more, name: float(f"{value:.6g}"), "over": ticks * world.time_step}
             yield Injection(0, WORLD, kind, (), start, LAST_TICK, numbers, "scenario", start)
 
 
-def _legs(course: Course) -> Iterator[tuple[int, int, float]]:
+def _course_legs(course: Course) -> Iterator[tuple[int, int, float]]:
+    """Yield start tick, number of ticks and final value of each change of a course."""
     columns = (np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.after))
     for start, ticks, after in zip(*columns, strict=True):
         if 0 <= start < LAST_TICK:

@@ -36,10 +36,11 @@ def save_wind_picture(scenario: Scenario, path: Path) -> None:
         UsageError: the name has another ending than .png, .pdf or .svg.
         RunError: the file cannot be written.
     """
-    save_picture(lambda: _drawn(scenario.spec), path)
+    save_picture(lambda: _draw_profile(scenario.spec), path)
 
 
-def _drawn(scenario: ScenarioSpec) -> Figure:
+def _draw_profile(scenario: ScenarioSpec) -> Figure:
+    """Return the figure of the wind over height."""
     top = top_of(scenario.world.area)
     heights = np.linspace(0.0, USUAL_TOP if top is None or top <= 0.0 else top, HEIGHTS)
     winds = _winds(scenario, heights)

@@ -162,7 +162,7 @@ class RunWriter:
             known = [name for name in self._buffers if name != EVENTS]
             raise UsageError(f"no stream '{stream}' was declared for this run{did_you_mean(stream, known)}")
         rows, last_tick = buffer.add(ticks, times, values)
-        self._added(rows, last_tick)
+        self._count_rows(rows, last_tick)
 
     def append_event(
         self,
@@ -182,7 +182,7 @@ class RunWriter:
         events = self._buffers[EVENTS]
         events.pending.append((float(time), int(tick), vehicle, kind, field, number, message))
         events.last_time = float(time)
-        self._added(1, int(tick))
+        self._count_rows(1, int(tick))
 
     def note_score(self, score: Mapping[str, object]) -> None:
         """Note what the flight scored in its task; written with the next flush, or at the end."""
@@ -206,7 +206,7 @@ class RunWriter:
         finally:
             self._held = False
         if not self._closed:
-            self._added(0, self._last_tick)
+            self._count_rows(0, self._last_tick)
 
     def flush(self) -> None:
         """Write what is buffered as one part per stream, then ``run.json``, and return when that is on disk.
@@ -289,7 +289,8 @@ class RunWriter:
             except QrsimError as second:
                 error.add_note(f"While ending the run: {second}")
 
-    def _added(self, rows: int, last_tick: int) -> None:
+    def _count_rows(self, rows: int, last_tick: int) -> None:
+        """Count appended rows, and write them once enough are held."""
         self._rows += rows
         self._last_tick = max(self._last_tick, last_tick)
         if self._held:
@@ -298,14 +299,17 @@ class RunWriter:
             self._begin_writing()
 
     def _check_open(self) -> None:
+        """Raise a RunError if the log is closed."""
         if self._closed:
             raise RunError(f"the log in {self.folder} is closed (state: {self._info.state}); nothing more can be added")
 
     def _write_info(self, **changes: Any) -> None:
+        """Write run.json with some changed fields."""
         self._info = replace(self._info, parts=self._parts(), **changes)
         self._write_json(self._info)
 
     def _write_json(self, info: RunInfo) -> None:
+        """Write run.json atomically."""
         text = json.dumps(info.to_json(), indent=2, ensure_ascii=False)
         write_atomically(self.folder / RUN_FILE, f"{text}\n".encode())
 

@@ -96,7 +96,7 @@ def put_on_ground(
 
 
 def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
-    """Yield the starts and waypoints that are below the ground."""
+    """Yield an error text for each start and waypoint that lies below the ground."""
     points: dict[str, list[float]] = {}
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):

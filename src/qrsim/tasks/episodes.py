@@ -26,8 +26,11 @@ class Begun(NamedTuple):
 
 
 @lru_cache
-def _scored() -> Callable[..., jax.Array]:
+def _score_function() -> Callable[..., jax.Array]:
+    """Return the compiled function that scores the agents' answers."""
+
     def score(play: Play, episode: Episode, answer: jax.Array) -> jax.Array:
+        """Return the score of an answer, 0 for vehicles that have stopped."""
         found = play.task.score(episode.memory, play.world, episode.state, answer)
         return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 
@@ -36,18 +39,21 @@ def _scored() -> Callable[..., jax.Array]:
 
 def score(play: Play, episode: Episode, answer: NumpyArray) -> NumpyArray:
     """Score the answers (n, ...) of the agents of an episode; (n,), 0 for who has left."""
-    return np.asarray(_scored()(play, episode, answer))
+    return np.asarray(_score_function()(play, episode, answer))
 
 
-def _start(play: Play, own: tuple[Any, Any]) -> Progress:
+def _start_progress(play: Play, own: tuple[Any, Any]) -> Progress:
+    """Return the progress at the start of an episode."""
     return play.progress(own[1])
 
 
-def _tick(play: Play, own: tuple[Any, Any], progress: Progress, number: Any) -> Progress:
+def _tick_progress(play: Play, own: tuple[Any, Any], progress: Progress, number: Any) -> Progress:
+    """Return the progress after a tick."""
     return play.tick(own[1], progress, number)
 
 
-def _begun(progress: Progress) -> Begun:
+def _begun_of(progress: Progress) -> Begun:
+    """Return whether vehicles were placed, the observation and the truth at the start."""
     return Begun(progress.episode.state.placed, progress.last.observation, progress.truth)
 
 
@@ -69,8 +75,8 @@ class Episodes:
         task = type(play.task)
         # Of a user's task another process could not tell whether it is still the same.
         text = () if task.__module__.startswith("qrsim.") else None
-        start = Function("start of an episode", _start, (task,), text)
-        step = Function("step of an episode", _tick, (task,), text)
+        start = Function("start of an episode", _start_progress, (task,), text)
+        step = Function("step of an episode", _tick_progress, (task,), text)
         self._worlds = Worlds(start, step, self._play, extent)
         keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
         self._worlds.prepare(keys, np.zeros((1, len(play.agents), play.width + play.message), dtype))
@@ -109,7 +115,7 @@ class Episodes:
 
     def start(self, rows: NumpyArray, keys: object) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
-        found: Begun = self._worlds.begin_some(rows, keys, _begun)
+        found: Begun = self._worlds.begin_some(rows, keys, _begun_of)
         return found
 
     def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:

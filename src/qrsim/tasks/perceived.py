@@ -38,7 +38,7 @@ def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis,
     agents, axes = world.fleets[number_of(world, fleet)], []
     for name in names:
         sensor = agents.sensors[agents.sensor_names.index(name)]
-        reach = float(np.max(np.asarray(_reach(sensor))))
+        reach = float(np.max(np.asarray(_sensor_reach(sensor))))
         if isinstance(sensor, Looking):
             for slot in range(sensor.slots):
                 axes += [Axis(f"{name}_{slot}_{axis}", "m", -reach, reach) for axis in "xyz"]
@@ -65,17 +65,20 @@ def sensed(world: World, state: State, fleet: str, names: tuple[str, ...]) -> Ar
     for name in names:
         number = agents.sensor_names.index(name)
         sensor, reading = agents.sensors[number], now.readings[number]
-        reach = jnp.asarray(_reach(sensor))
+        reach = jnp.asarray(_sensor_reach(sensor))
         if isinstance(sensor, Looking):
-            columns += _neighbours(sensor, cast(NeighboursReading, reading), reach, world.rows_of(fleet))
+            columns += _neighbour_columns(sensor, cast(NeighboursReading, reading), reach, world.rows_of(fleet))
         elif isinstance(sensor, Scan | IdealScan):
-            columns += [_range(ray, reach) for ray in cast(ScanReading, reading).range]
+            columns += [_clipped_range(ray, reach) for ray in cast(ScanReading, reading).range]
         else:
-            columns.append(_range(cast(RangefinderReading, reading).range, reach))
+            columns.append(_clipped_range(cast(RangefinderReading, reading).range, reach))
     return jnp.stack(columns, axis=-1)
 
 
-def _neighbours(sensor: Looking, reading: NeighboursReading, reach: Array, mates: slice[int, int, None]) -> list[Array]:
+def _neighbour_columns(
+    sensor: Looking, reading: NeighboursReading, reach: Array, mates: slice[int, int, None]
+) -> list[Array]:
+    """Return the observed columns of a neighbour list, a few for each slot."""
     columns = []
     for slot in range(sensor.slots):
         seen = jnp.isfinite(reading.distance[slot])
@@ -90,11 +93,13 @@ def _neighbours(sensor: Looking, reading: NeighboursReading, reach: Array, mates
     return columns
 
 
-def _range(measured: Array, reach: Array) -> Array:
+def _clipped_range(measured: Array, reach: Array) -> Array:
+    """Return ranges limited to a reach [m]; the reach where there is no echo."""
     return jnp.where(jnp.isfinite(measured), jnp.clip(measured, 0.0, reach), reach)
 
 
-def _reach(sensor: Any) -> object:
+def _sensor_reach(sensor: Any) -> object:
+    """Return the largest range of a sensor [m]."""
     if isinstance(sensor, IdealScan):
         return scan.FARTHEST
     return rangefinder.FARTHEST if isinstance(sensor, IdealRangefinder) else sensor.range_max

@@ -15,7 +15,8 @@ from qrsim.tasks.simple import KeepSpot
 from qrsim.world.state import World
 
 
-def _none() -> Floats:
+def _no_positions() -> Floats:
+    """Return an empty array (0, 3)."""
     return np.zeros((0, 3))
 
 
@@ -29,9 +30,9 @@ class Places:
         locations: at which a task asks for the concentration.
     """
 
-    goals: Floats = field(default_factory=_none)
-    sources: Floats = field(default_factory=_none)
-    locations: Floats = field(default_factory=_none)
+    goals: Floats = field(default_factory=_no_positions)
+    sources: Floats = field(default_factory=_no_positions)
+    locations: Floats = field(default_factory=_no_positions)
 
     def __bool__(self) -> bool:
         return bool(len(self.goals) or len(self.sources) or len(self.locations))
@@ -45,23 +46,24 @@ def places_of(task: Any, world: World, memory: Any, contents: Any) -> Places:
         memory: of the task; None: it is unknown, and with it are the locations and goals.
         contents: of the world's state, at its start.
     """
-    goals, sources, locations = _none(), _none(), _none()
+    goals, sources, locations = _no_positions(), _no_positions(), _no_positions()
     if isinstance(task, KeepSpot) and memory is not None:
         goals = goals_of(task, world, memory.start_ned)
     if isinstance(memory, PlumeMemory):
-        locations = _rows(memory.locations_ned)
+        locations = _position_rows(memory.locations_ned)
     plume = contents.plume
     if plume is not None:
         # A plume that moves keeps its sources beside what they have let out.
         found = plume if isinstance(plume, Sources) else plume.sources
-        sources = _rows(found.position_ned)[np.asarray(found.strength) > 0]
+        sources = _position_rows(found.position_ned)[np.asarray(found.strength) > 0]
     return Places(goals, sources, locations)
 
 
 def goals_of(task: KeepSpot, world: World, start_ned: Vec3) -> Floats:
     """Return where the vehicles (n,) of a task that started at places are to be, (n, 3) [m]."""
-    return _rows(task.goal(start_ned, world))
+    return _position_rows(task.goal(start_ned, world))
 
 
-def _rows(places: Vec3) -> Floats:
+def _position_rows(places: Vec3) -> Floats:
+    """Return positions as an array (N, 3) [m]."""
     return np.stack([np.atleast_1d(np.asarray(axis, float)) for axis in places.axes], axis=-1)

@@ -149,9 +149,10 @@ class Play:
                 last numbers are said to all; NaN: nothing is.
         """
         begun = episode.step * self.ticks
-        commands = self._commands(episode, action)
+        commands = self._commands_of(episode, action)
 
         def tick(number: object, now: tuple[State, object]) -> tuple[State, object]:
+            """Advance by one tick under the commands of the step."""
             return self._tick(*now, commands, begun, number)
 
         carry = (episode.state, episode.memory)
@@ -167,16 +168,18 @@ class Play:
             number: () int32 of the tick in its step, the same in all worlds.
         """
         episode = progress.episode
-        commands = lax.cond(number == 0, lambda: self._commands(episode, action), lambda: progress.commands)
+        commands = lax.cond(number == 0, lambda: self._commands_of(episode, action), lambda: progress.commands)
         begun = episode.step * self.ticks
         state, memory = self._tick(episode.state, episode.memory, commands, begun, number)
         after = Episode(state, memory, episode.step, episode.gone)
 
         def judged() -> Progress:
+            """Return the progress at the end of a step, with reward and observation."""
             ended, step = self._judged(after)
             return Progress(ended, commands, step, self.truth(ended))
 
         def going() -> Progress:
+            """Return the progress within a step."""
             return Progress(after, commands, progress.last, progress.truth)
 
         return lax.cond(number == self.ticks - 1, judged, going)
@@ -186,12 +189,13 @@ class Play:
         episode, seen = self.reset(keys)
         dtype = self.world.fleets[0].start.position_ned.x.dtype
         action = jnp.zeros((len(self.agents), self.width + self.message), dtype)
-        commands = jax.eval_shape(self._commands, episode, action)
+        commands = jax.eval_shape(self._commands_of, episode, action)
         _, step = jax.eval_shape(self._judged, episode)
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
 
-    def _commands(self, episode: Episode, action: Array) -> tuple[Action, ...]:
+    def _commands_of(self, episode: Episode, action: Array) -> tuple[Action, ...]:
+        """Return the command of each fleet for an action (n, A)."""
         acts, sides = self.width, self.sides
         says = self.message > 0 and action.shape[1] > acts
         flown = action[:, :acts] if says else action
@@ -212,6 +216,7 @@ class Play:
     def _tick(
         self, state: State, memory: object, commands: tuple[Action, ...], begun: Array, number: Any
     ) -> tuple[State, object]:
+        """Advance the state by one tick; return it and the task's memory."""
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         tick, before = (number, begun) if self.in_step else (begun + number, None)
         commands = at_first_period(self.world, commands, tick, number)
@@ -258,10 +263,11 @@ class Play:
 
     def truth(self, episode: Episode) -> dict[str, Array]:
         """Return the ground truth of the agents (n,), which they do not observe."""
-        each = [self._truth_of(episode, fleet) for fleet in self.task.fleets]
+        each = [self._fleet_truth(episode, fleet) for fleet in self.task.fleets]
         return each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
 
-    def _truth_of(self, episode: Episode, name: str) -> dict[str, Array]:
+    def _fleet_truth(self, episode: Episode, name: str) -> dict[str, Array]:
+        """Return name -> true value of a fleet's vehicles."""
         model, fleet = fleet_of(self.world, episode.state, name)
         vehicle = model.vehicle.pose(fleet.vehicle)
         return {

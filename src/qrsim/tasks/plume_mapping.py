@@ -85,10 +85,12 @@ class PlumeMapping(Task):
         free = jnp.arange(self.locations) < self.anywhere
 
         def place(look: Array) -> Vec3:
+            """Return a random point in the area."""
             bounds = [(getattr(world.area, f"{axis}_min"), getattr(world.area, f"{axis}_max")) for axis in "xyz"]
             return Vec3(*(uniform(draw, 3 * look + i, low, high) for i, (low, high) in enumerate(bounds)))
 
         def again(now: tuple[Array, Vec3, Array]) -> tuple[Array, Vec3, Array]:
+            """Draw another point unless the last one was good enough."""
             look, kept, done = now
             tried = place(look)
             taken = Vec3(*(jnp.where(done, getattr(kept, axis), getattr(tried, axis)) for axis in "xyz"))
@@ -168,6 +170,7 @@ class PlumeMapping(Task):
         draw = replace(memory.draw, stream=replace(memory.draw.stream, ids=jnp.arange(plume.most, dtype=jnp.uint32)))
 
         def advance(now: tuple[Array, PuffState]) -> tuple[Array, PuffState]:
+            """Advance the plume by one step."""
             tick, puffs = now
             return tick + 1, plume.step(puffs, replace(draw, tick=draw.tick + tick))
 
@@ -176,6 +179,7 @@ class PlumeMapping(Task):
         steps = jnp.round(jnp.asarray(self.sample_gap) / plume.period).astype(jnp.int32)
 
         def sample(now: tuple[Array, PuffState], _: None) -> tuple[tuple[Array, PuffState], Array]:
+            """Return the concentration at the locations after some steps."""
             now = lax.fori_loop(0, steps, lambda _, before: advance(before), now)
             since = jnp.zeros((), now[1].age.dtype)
             return now, plume.concentration(now[1], memory.locations_ned, wind, area, since)
@@ -193,6 +197,7 @@ def divergence(one: Array, other: Array) -> Array:
     count, dimensions = one.shape
 
     def nearest(number: Array) -> tuple[Array, Array]:
+        """Return the distances from a sample to its nearest own and other neighbours."""
         own = jnp.sum((one - one[number][None]) ** 2, axis=1).at[number].set(jnp.inf)
         return jnp.sqrt(jnp.min(own)), jnp.sqrt(jnp.min(jnp.sum((other - one[number][None]) ** 2, axis=1)))
 

@@ -73,10 +73,10 @@ class Pursuit(Task):
     def commands(self, memory: PursuitMemory, world: World, action: Any) -> tuple[Action, ...]:
         """Return velocities of numbers (n, 2), at the height of the start and heading north."""
         if not self._both:
-            return only(world, self.fleet, _at_height(action, memory.z))
+            return only(world, self.fleet, _level_setpoint(action, memory.z))
         each = {
-            self.fleet: _at_height(action[self.fleet], memory.z),
-            self.prey: _at_height(action[self.prey], memory.mice_z),
+            self.fleet: _level_setpoint(action[self.fleet], memory.z),
+            self.prey: _level_setpoint(action[self.prey], memory.mice_z),
         }
         return tuple(each.get(fleet.name) for fleet in world.fleets)
 
@@ -139,19 +139,20 @@ class Pursuit(Task):
         """Describe the numbers of an observation."""
         sizes = {fleet.name: fleet.size for fleet in world.fleets}
         cats, mice = sizes[self.fleet], sizes[self.prey]
-        of_cats = _named(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
+        of_cats = _seen_axes(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
         of_cats = (*of_cats, *sensed_axes(world, self.fleet, self.senses))
-        return {self.fleet: of_cats, self.prey: _named(cats, "cat", mice, "mouse")} if self._both else of_cats
+        return {self.fleet: of_cats, self.prey: _seen_axes(cats, "cat", mice, "mouse")} if self._both else of_cats
 
 
-def _named(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
-    """Describe an observation: itself, so many of the other side, and its mates, ``count`` with itself."""
+def _seen_axes(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
+    """Return the axes of an observation: own position and velocity, then offsets to the other side and to mates."""
     names = [("position", "m"), ("velocity", "m/s"), *((f"{other}_{i}_offset", "m") for i in range(others))]
     names += [(f"{mate}_{i}_offset", "m") for i in range(1, count)]
     return tuple(Axis(f"{name}_{axis}", unit) for name, unit in names for axis in ("north", "east"))
 
 
-def _at_height(action: Array, z: Array) -> VelocityHeightSetpoint:
+def _level_setpoint(action: Array, z: Array) -> VelocityHeightSetpoint:
+    """Return a set-point with a horizontal velocity [m/s] and a height."""
     return VelocityHeightSetpoint(action[:, 0], action[:, 1], z, jnp.zeros_like(action[:, 0]))
 
 

@@ -62,16 +62,19 @@ class TaskScore:
     @property
     def mean(self) -> float | None:
         """Mean return of an agent, of several fleets of one of the first; None where one is not finite."""
-        return self._mean(next(iter(self.fleets.values()), tuple(self.returns)))
+        return self._mean_return(next(iter(self.fleets.values()), tuple(self.returns)))
 
-    def _mean(self, agents: tuple[str, ...]) -> float | None:
+    def _mean_return(self, agents: tuple[str, ...]) -> float | None:
+        """Return the mean return of agents, None if one of them has none."""
         known = [self.returns[agent] for agent in agents]
         finite = [value for value in known if value is not None]
         return float(np.mean(finite)) if finite and len(finite) == len(known) else None
 
     def to_json(self) -> dict[str, object]:
         """Return the fields by name, for JSON; of several fleets the mean return of each too."""
-        several = {"fleets": {name: self._mean(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
+        several = (
+            {"fleets": {name: self._mean_return(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
+        )
         return {
             "return": self.mean,
             **several,
@@ -102,15 +105,16 @@ class Referee:
         self._waiting: list[tuple[Floats, State]] = []
         self._over = ""
         self._last = jax.tree.map(lambda leaf: np.array(leaf[0]), beginning.state)
-        with self._precision():
+        with self._precision_context():
             # The task's memory, and who has left.
-            self._carried = _begin()(self._play, Key.root(seed, number), self._last)
+            self._carried = _begin_function()(self._play, Key.root(seed, number), self._last)
             self._places = places_of(self._play.task, self._play.world, self._carried[0], self._last.contents)
             # Compiled now, so that it does not count as flying.
             still = jax.tree.map(lambda leaf: np.repeat(leaf[None], CHUNK, axis=0), self._last)
-            _watched()(self._play, self._carried, still, np.int32(1), np.int32(0))
+            _watch_function()(self._play, self._carried, still, np.int32(1), np.int32(0))
 
-    def _precision(self) -> AbstractContextManager[object]:
+    def _precision_context(self) -> AbstractContextManager[object]:
+        """Return the JAX context of the world's precision."""
         return jax.enable_x64(self._dtype == np.float64)
 
     @property
@@ -152,17 +156,18 @@ class Referee:
 
     def _judge(self, ticks: Floats, states: object, count: int) -> None:
         """Judge the first ``count`` of ``CHUNK`` ticks and their states."""
-        with self._precision():
+        with self._precision_context():
             self._carried, rewards, flies = jax.tree.map(
-                np.asarray, _watched()(self._play, self._carried, states, np.int32(ticks[0]), np.int32(count))
+                np.asarray, _watch_function()(self._play, self._carried, states, np.int32(ticks[0]), np.int32(count))
             )
         for place in np.flatnonzero(ticks[:count] % self._play.ticks == 0):
-            self._step(rewards[place], bool(flies[place]))
+            self._add_reward(rewards[place], bool(flies[place]))
             if self._over:
                 self._last = jax.tree.map(lambda leaf, place=place: np.array(leaf[place]), states)
                 return
 
-    def _step(self, reward: Floats, flies: bool) -> None:
+    def _add_reward(self, reward: Floats, flies: bool) -> None:
+        """Add the reward of a step, and note whether the episode is over."""
         self._rewards.append(reward.astype(np.float64))
         if not np.isfinite(reward).all():
             self._over = SPOILT
@@ -188,7 +193,7 @@ class Referee:
             given = np.zeros(shape, self._dtype) if answer is None else np.asarray(answer, self._dtype)
             if given.shape != shape:
                 raise UsageError(f"answer: expected shape {shape} (agents, ...), found {given.shape}")
-            with self._precision():
+            with self._precision_context():
                 step: Any = np.int32(self._steps)
                 episode = Episode(self._last, self._carried[0], step, self._carried[1])
                 total = total + score(self._play, episode, given)
@@ -203,15 +208,19 @@ class Referee:
 
 
 @lru_cache
-def _begin() -> Callable[..., tuple[object, Array | None]]:
+def _begin_function() -> Callable[..., tuple[object, Array | None]]:
+    """Return the compiled function that starts the judging of an episode."""
+
     def begin(play: Play, key: Key, state: State) -> tuple[object, Array | None]:
+        """Return the task's memory and the vehicles that have stopped."""
         return play.begun(play.keys(key), state), play.nobody_gone()
 
     return quick_jit(begin)
 
 
 @lru_cache
-def _watched() -> Callable[..., tuple[tuple[object, Array | None], Array, Array]]:
+def _watch_function() -> Callable[..., tuple[tuple[object, Array | None], Array, Array]]:
+    """Return the compiled function that judges a stretch of ticks."""
     return quick_jit(_watch)
 
 
@@ -222,15 +231,18 @@ def _watch(play: Play, carried: object, states: object, first: Array, count: Arr
     """
 
     def tick(before: Any, item: tuple[Any, Array]) -> tuple[Any, tuple[Array, Array]]:
+        """Judge one tick; return reward and whether the episode goes on."""
         state, place = item
         number = first + place
         memory = play.task.each_tick(before[0], play.world, state)
         episode = Episode(state, memory, number // play.ticks - 1, before[1])
 
         def judged() -> Judged:
+            """Return the judgement at the end of a step."""
             return play.rewarded(episode)
 
         def going() -> Judged:
+            """Return no reward within a step."""
             empty = jax.eval_shape(judged).reward
             return Judged(memory, jnp.zeros(empty.shape, empty.dtype), jnp.ones((), bool), before[1])
 

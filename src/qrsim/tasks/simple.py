@@ -277,20 +277,21 @@ class KeepVelocity(Commanded):
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return the effort, and the squared error of the velocity (n,)."""
-        error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._wanted()
+        error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._target_velocity()
         return self.effort.rate(fleet.command) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return the highest effort, and the largest error (n,) of a velocity within the limits of the state."""
         fleet = world.fleets[number_of(world, self.fleet)]
-        error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._wanted()))
+        error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._target_velocity()))
         return Commanded.highest_cost(self, memory, world, duration) + error * error * duration
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return each vehicle's own estimate, and its velocity error."""
         _, fleet = fleet_of(world, state, self.fleet)
-        lacking = self._wanted() - estimate_of(fleet).velocity_ned
+        lacking = self._target_velocity() - estimate_of(fleet).velocity_ned
         return self.with_sensed(world, state, believed(fleet), lacking.stack())
 
-    def _wanted(self) -> Vec3:
+    def _target_velocity(self) -> Vec3:
+        """Return the velocity to keep, NED [m/s]."""
         return Vec3(self.velocity_north, self.velocity_east, self.velocity_down)

@@ -57,6 +57,7 @@ def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, numb
     first = (tick % ticks == 0) & (number < ticks)
 
     def of(action: Action) -> Action:
+        """Return an action that sends its messages in the first period alone."""
         if not isinstance(action, Saying):
             return action
         return replace(action, outbox=replace(action.outbox, send=action.outbox.send & first))

@@ -136,7 +136,7 @@ class Recording:
         return Links(sender.astype(int), error, outcome.astype(int))
 
     def why(self, event: Event) -> str:
-        """Say why a vehicle has stopped, by the event that says so."""
+        """Return in words why a vehicle has stopped, from the event of the stop."""
         return in_words(event.kind, event.field, event.value, None if self.world is None else self.world.area)
 
     def positions(self, times: Floats) -> Floats:

@@ -50,12 +50,12 @@ def test_a_part_that_was_skipped_says_why() -> None:
     """In front, and on its own page."""
     skipped = Result(result().part, None, "no recordings")
     assert pages_of(pdf.write_pdf([skipped], ABOUT)) == 2
-    assert pdf.Line("Skipped: no recordings.") in list(pdf._front([skipped], ABOUT))
+    assert pdf.Line("Skipped: no recordings.") in list(pdf._front_page([skipped], ABOUT))
 
 
 def test_a_check_that_fails_stands_out() -> None:
     """In front, and with its numbers."""
-    front, tables = list(pdf._front([result(2.0)], ABOUT)), list(pdf._tables(result(2.0)))
+    front, tables = list(pdf._front_page([result(2.0)], ABOUT)), list(pdf._part_tables(result(2.0)))
     assert pdf.Line("1 of 1 checks failed.", bold=True) in front
     assert pdf.Line("FAIL: check 0", bold=True) in tables
     assert any("2 m; expected 1 ± 0.1: because" in line.text for line in tables)

@@ -70,7 +70,7 @@ def test_a_drift_of_another_size_or_speed_fails(sensor: str, change: dict[str, f
     stated = {"barometer": published.BAROMETER, "attitude": published.ATTITUDE}[sensor]
     # As many as the quick form has would not tell; these take a second.
     found = drifts.read(sensor, replace(models[sensor], **change), "x", *stated, "u", 1024)
-    passed = [check.passed for check in drifts._checks(sensor, found)]
+    passed = [check.passed for check in drifts._drift_checks(sensor, found)]
     assert all(passed) == (not change)
 
 
@@ -86,7 +86,7 @@ def test_range_errors_of_another_size_or_speed_fail(
     monkeypatch.setattr(gnss, "MODELS", {gnss.PAPER: (errors, "")})
     record = gnss.recorded_receiver(recordings / gnss.RECORDING)
     run, _ = gnss.simulate(gnss.PAPER, recordings / gnss.ORBITS, record, 200)
-    assert all(check.passed for check in gnss._checks({gnss.PAPER: run}, 200)) == (not change)
+    assert all(check.passed for check in gnss._allan_checks({gnss.PAPER: run}, 200)) == (not change)
 
 
 @pytest.mark.long
@@ -102,12 +102,12 @@ def test_gusts_of_another_size_or_length_fail(monkeypatch: pytest.MonkeyPatch, c
         return (lengths * MORE if changed == "length" else lengths, sigmas * MORE if changed == "sigma" else sigmas)
 
     monkeypatch.setattr(dryden, "dryden_scales", other)
-    spectra._simulate.clear_cache()
+    spectra._simulate_series.clear_cache()
     case = spectra.CASES["low"]
     results, _ = spectra.compare(
         spectra.our_series(case, 131_072, 3), lambda omega: spectra.sampled_closed_form(case, omega), case
     )
-    spectra._simulate.clear_cache()
+    spectra._simulate_series.clear_cache()
     z = widest_z(len(spectra.COMPONENTS))
     fine = all(abs(of["variance"]["z"]) <= z and of["rms_db_from_own_theory"] <= 0.8 for of in results.values())
     assert fine == (not changed)

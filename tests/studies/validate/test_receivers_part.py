@@ -32,7 +32,7 @@ def test_a_receiver_that_is_wrong_about_itself_fails() -> None:
 def test_the_circle_of_half_of_the_fixes_is_held_against_the_data_sheet() -> None:
     """CEP of normal errors is 1.1774 times those of an axis; u-blox promises 2.5 m of the M8N."""
     assert part.cep(of(1.0, 1.0)) == pytest.approx(1.1774, rel=0.03)
-    verdicts = [part._finding("m8n", found).verdict for found in (0.9, 1.3, 2.4, 2.6)]
+    verdicts = [part._cep_finding("m8n", found).verdict for found in (0.9, 1.3, 2.4, 2.6)]
     assert verdicts == ["fits in part", "fits", "fits", "does not fit"]
 
 

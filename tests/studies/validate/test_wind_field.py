@@ -18,7 +18,7 @@ def points() -> dict[str, dict[str, tuple[float, float]]]:
 
 def failed(points: Any, frozen: Any, carried: Any) -> list[str]:
     """Return the checks that fail."""
-    return [check.name for check in part._checks(points, frozen, carried, part.FEW_WORLDS) if not check.passed]
+    return [check.name for check in part._field_checks(points, frozen, carried, part.FEW_WORLDS) if not check.passed]
 
 
 def test_closed_forms_are_those_of_the_standard_s_lengths() -> None:

@@ -34,7 +34,7 @@ def compile_later(text: bytes, done: Callable[[bytes], None]) -> None:
     """
     with _STARTING:
         if _running["thread"] is None:
-            thread = threading.Thread(target=_work, name="qrsim-compiler", daemon=True)
+            thread = threading.Thread(target=_compile_requests, name="qrsim-compiler", daemon=True)
             thread.start()
             _running["thread"] = thread
     _REQUESTS.put((text, done))
@@ -50,15 +50,17 @@ def unpacked(text: bytes) -> str:
     return zlib.decompress(text).decode()
 
 
-def _work() -> None:
+def _compile_requests() -> None:
+    """Compile requested texts one after the other; runs in a thread."""
     while True:
         text, done = _REQUESTS.get()
-        code = _compiled(text)
+        code = _compile_in_process(text)
         if code:
             done(code)
 
 
-def _compiled(text: bytes) -> bytes | None:
+def _compile_in_process(text: bytes) -> bytes | None:
+    """Return the machine code of LLVM text, compiled in another process; None if that fails."""
     # Without the folder of the script on the path, where modules have names as short as those of others.
     command = [sys.executable, "-P", str(compiler.__file__)]
     pipe = subprocess.PIPE

@@ -44,9 +44,10 @@ class Program:
         # in the code that is replaced.
         self._loaded: list[Loaded] = []
         self._size = 0
-        self._use(binary.code)
+        self._load_code(binary.code)
 
-    def _use(self, code: bytes) -> None:
+    def _load_code(self, code: bytes) -> None:
+        """Load machine code, and call it from now on."""
         loaded = Loaded(code)
         self._loaded.append(loaded)
         self._size += len(code)
@@ -64,7 +65,7 @@ class Program:
         """Use better code from the next call on, and have it kept."""
         # Code that cannot be loaded is not needed: the quick code goes on.
         with contextlib.suppress(UnsupportedError), refusing():
-            self._use(code)
+            self._load_code(code)
             self._quick = False
             if self._keep is not None:
                 self._keep(Binary(code, self.scratch_bytes))

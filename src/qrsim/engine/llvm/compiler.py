@@ -17,20 +17,25 @@ _LOCK = threading.Lock()
 
 
 @lru_cache(maxsize=1)
-def _target() -> llvm.Target:
+def _native_target() -> llvm.Target:
+    """Return LLVM's target for this machine."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple()
 
 
-def _machine(tier: str = "better") -> llvm.TargetMachine:
-    name, features = llvm.get_host_cpu_name(), _features().flatten()
-    return _target().create_target_machine(cpu=name, features=features, opt=0 if tier == "quick" else 2, jit=True)
+def _target_machine(tier: str = "better") -> llvm.TargetMachine:
+    """Return LLVM's target machine for a tier, with the features of this CPU."""
+    name, features = llvm.get_host_cpu_name(), _cpu_features().flatten()
+    return _native_target().create_target_machine(
+        cpu=name, features=features, opt=0 if tier == "quick" else 2, jit=True
+    )
 
 
 @lru_cache(maxsize=1)
-def _features() -> llvm.FeatureMap:
-    _target()
+def _cpu_features() -> llvm.FeatureMap:
+    """Return the features of this CPU."""
+    _native_target()
     return llvm.get_host_cpu_features()
 
 
@@ -38,12 +43,12 @@ def _features() -> llvm.FeatureMap:
 def machine_name() -> str:
     """Name the processor, its features and the compiler, on which machine code depends beside its text."""
     version = ".".join(map(str, llvm.llvm_version_info))
-    return f"{llvm.get_host_cpu_name()} {_features().flatten()} llvm {version}"
+    return f"{llvm.get_host_cpu_name()} {_cpu_features().flatten()} llvm {version}"
 
 
 def machine_triple() -> str:
     """Return LLVM's name of the kind of machine: processor, vendor, system."""
-    found: str = _target().triple
+    found: str = _native_target().triple
     return found
 
 
@@ -55,7 +60,7 @@ def machine_code(text: str, tier: str = "better") -> bytes:
         tier: "quick" or "better".
     """
     with _LOCK:
-        machine = _machine(tier)
+        machine = _target_machine(tier)
         module = llvm.parse_assembly(text)
         # A text that LLVM would misread ends here, as an error that XLA takes over, and not as a wrong program.
         module.verify()
@@ -79,7 +84,7 @@ class Loaded:
 
     def __init__(self, code: bytes):
         with _LOCK:
-            self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+            self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
             self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
             self._engine.finalize_object()
 

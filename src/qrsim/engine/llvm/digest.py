@@ -42,17 +42,20 @@ class _Walk:
         known = self._found.get(id(closed))
         if known is None:
             whole = isinstance(closed, jex.ClosedJaxpr)
-            known = closed, self._jaxpr(closed.jaxpr, closed.consts) if whole else self._jaxpr(closed, ())
+            known = closed, self._jaxpr_digest(closed.jaxpr, closed.consts) if whole else self._jaxpr_digest(closed, ())
             self._found[id(closed)] = known
         return known[1]
 
-    def _jaxpr(self, jaxpr: Any, constants: Any) -> str:
+    def _jaxpr_digest(self, jaxpr: Any, constants: Any) -> str:
+        """Return the digest of a jaxpr and its constants."""
         result, numbers = hashlib.sha256(), dict[object, int]()
 
         def add(*parts: object) -> None:
+            """Add values to the digest."""
             result.update(repr(parts).encode())
 
         def define(variables: Any) -> list[Any]:
+            """Number new variables, and return their shapes and dtypes."""
             found = []
             for variable in variables:
                 numbers[variable] = len(numbers)
@@ -60,8 +63,9 @@ class _Walk:
             return found
 
         def read(atom: object) -> object:
+            """Return the number of a variable, or the digest of a literal."""
             if isinstance(atom, jex.Literal):
-                return _array(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
+                return _array_digest(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
             return numbers[atom]
 
         add(define(jaxpr.constvars), [self._value(constant) for constant in constants], define(jaxpr.invars))
@@ -91,6 +95,7 @@ class _Walk:
         raise UnknownError
 
     def _several(self, values: Sequence[object]) -> object:
+        """Return a type's name and the digests of its elements."""
         return type(values).__name__, [self._value(value) for value in values]
 
     _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (
@@ -98,15 +103,20 @@ class _Walk:
         (float, lambda walk, value: ("float", value.hex())),
         (enum.Enum, lambda walk, value: (type(value).__name__, value.name)),
         (np.dtype, lambda walk, value: ("dtype", value.name)),
-        ((np.ndarray, np.generic, jax.Array), lambda walk, value: _array(np.asarray(value))),
+        ((np.ndarray, np.generic, jax.Array), lambda walk, value: _array_digest(np.asarray(value))),
         ((tuple, list), _several),
-        (type, lambda walk, value: ("dtype", np.dtype(value).name) if issubclass(value, np.generic) else _unknown()),
+        (
+            type,
+            lambda walk, value: ("dtype", np.dtype(value).name) if issubclass(value, np.generic) else _raise_unknown(),
+        ),
     )
 
 
-def _array(array: NumpyArray) -> object:
+def _array_digest(array: NumpyArray) -> object:
+    """Return shape, dtype and hash of an array."""
     return array.shape, array.dtype.name, hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-def _unknown() -> NoReturn:
+def _raise_unknown() -> NoReturn:
+    """Raise an UnknownError."""
     raise UnknownError

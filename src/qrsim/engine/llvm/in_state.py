@@ -46,7 +46,7 @@ class InState:
         for leaf, access in zip(leaves, results, strict=True):
             node, place = access.node, self.places[leaf.number]
             if self._free(node) and access.identical(leaf.shape) and self._over(leaf, node):
-                self._put(node, place)
+                self._assign(node, place)
             elif not (node is leaf and access.identical(leaf.shape)):
                 moves.append((access, leaf.shape, place))
         own = {leaf.number: leaf for leaf in leaves}
@@ -63,15 +63,17 @@ class InState:
                 self._within(step)
         return moves
 
-    def _put(self, node: Node, place: Place) -> None:
+    def _assign(self, node: Node, place: Place) -> None:
+        """Assign a place to a node."""
         self.places[node.number] = place
         self.lying[place].append(node)
 
     def _free(self, node: Node) -> bool:
         """Return whether a node is computed in the body, and could lie anywhere."""
-        return node.number in self.made and self._movable(node)
+        return node.number in self.made and self._is_movable(node)
 
-    def _movable(self, node: Node) -> bool:
+    def _is_movable(self, node: Node) -> bool:
+        """Return whether a node is stored and has no place yet."""
         stored = node.number in self.stored and node.number not in self.short
         return stored and node.number not in self.places and node.op not in ("reduce", *ALONE)
 
@@ -81,14 +83,16 @@ class InState:
         return not self.side_by_side or step.nodes[0].args[0].node.uniform
 
     def _fits(self, node: Node, place: Place) -> bool:
+        """Return whether a place has room for a node: per world or shared, as the node is."""
         return place.own == (self.side_by_side and not node.uniform)
 
     def _over(self, old: Node, writer: Node) -> bool:
         """Return whether nobody reads a node any more when another one, of the body too, is written."""
         step = self.made[writer.number]
-        return all(self._before(self.body, reading, step, writer) for reading in self.read[old.number])
+        return all(self._reads_first(self.body, reading, step, writer) for reading in self.read[old.number])
 
-    def _before(self, steps: list[Step], reading: Reading, step: int, writer: Node) -> bool:
+    def _reads_first(self, steps: list[Step], reading: Reading, step: int, writer: Node) -> bool:
+        """Return whether a reading comes before a writer's store."""
         at, reader, access = reading
         if at != step:
             return at < step
@@ -107,7 +111,7 @@ class InState:
             if all(reading[0] <= at for reading in self.read[leaf.number]) and all(
                 self.made[node.number] > at and self._over(output, node) for node in later
             ):
-                self._put(output, place)
+                self._assign(output, place)
 
     def _within(self, step: Step) -> None:
         """Let branches compute in the state what they hand out into it."""
@@ -120,7 +124,7 @@ class InState:
             for output, handed in _outputs(step):
                 access, place = handed[number], self.places.get(output.number)
                 node = access.node
-                if place not in self.lying or node.number not in made or not self._movable(node):
+                if place not in self.lying or node.number not in made or not self._is_movable(node):
                     continue
                 assert place is not None
                 if not self._fits(node, place) or not access.identical(output.shape):
@@ -128,11 +132,11 @@ class InState:
                 at = made[node.number]
                 # What lies there at other times is read before this node is written.
                 if all(
-                    self._before(steps, reading, at, node)
+                    self._reads_first(steps, reading, at, node)
                     for other in self.lying[place]
                     for reading in read.get(other.number, ())
                 ):
-                    self._put(node, place)
+                    self._assign(node, place)
             for inner in steps:
                 if inner.kind == "cond" and self._agreed(inner):
                     self._within(inner)

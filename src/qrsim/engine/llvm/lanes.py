@@ -32,7 +32,7 @@ class Lanes:
     """
 
     def __init__(self, layout: Packer, count: int, mode: Mode):
-        self._describe(layout, count, mode.worlds)
+        self._set_layout(layout, count, mode.worlds)
         self._buffers: list[Array] = []
         for size, dtype in zip(layout.sizes, (layout.dtype, np.dtype(np.int32)), strict=True):
             # Each tile begins at a line of the cache, so that two threads never write to the same one.
@@ -44,11 +44,12 @@ class Lanes:
     def of_one(cls, layout: Packer, buffers: Buffers) -> Lanes:
         """Return one world on its own, where two flat buffers lie that ``aligned`` made."""
         found = cls.__new__(cls)
-        found._describe(layout, 1, 1)
+        found._set_layout(layout, 1, 1)
         found._buffers = [part.reshape(1, -1) for part in buffers]
         return found
 
-    def _describe(self, layout: Packer, count: int, lanes: int) -> None:
+    def _set_layout(self, layout: Packer, count: int, lanes: int) -> None:
+        """Set the layout, the number of worlds and of lanes."""
         self.layout, self.count, self._lanes = layout, count, lanes
         self.tiles = -(-count // self._lanes)
 
@@ -106,6 +107,7 @@ class Lanes:
 
     @staticmethod
     def _stored(leaf: object) -> Array:
+        """Return a leaf as rows (worlds, size) of the stored type."""
         array = np.asarray(leaf)
         rows = array.reshape(len(array), -1)
         if rows.dtype.kind == "f":
@@ -114,6 +116,7 @@ class Lanes:
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
     def _leaf(self, number: int) -> Array:
+        """Return a leaf of all worlds in its shape and dtype."""
         part, dtype = self._part(number), self.layout.dtypes[number]
         shape = (self.tiles * self._lanes, *self.layout.shapes[number])
         rows = np.ascontiguousarray(part.swapaxes(1, 2)).reshape(shape)[: self.count]
@@ -148,29 +151,30 @@ class LaneProgram:
     def advance(self, state: Lanes, tick: int, count: int) -> None:
         """Run ``count`` ticks of all worlds; their state is overwritten."""
         if self._state is not state:
-            self._aim_at(state)
+            self._set_addresses(state)
         tiles = len(self._addresses)
         if tiles == 1:
             self._program(self._addresses[0], self._scratch, tick, count)
             return
         if len(self._tables) == 1 or count * tiles < FEW_TICKS:
             for worker in range(len(self._tables)):
-                self._run(worker, tick, count)
+                self._run_worker(worker, tick, count)
             return
         # All others are begun before the first, which is this thread's.
-        pool = _pool(self._workers)
-        others = [pool.submit(self._run, worker, tick, count) for worker in range(1, len(self._tables))]
-        self._run(0, tick, count)
+        pool = _worker_pool(self._workers)
+        others = [pool.submit(self._run_worker, worker, tick, count) for worker in range(1, len(self._tables))]
+        self._run_worker(0, tick, count)
         for done in others:
             done.result()
 
     def keep(self, state: Lanes, tick: int, rows: Buffers) -> None:
         """Run one world for as many ticks as there are rows, and write its state after each to the next row."""
         if self._state is not state:
-            self._aim_at(state)
+            self._set_addresses(state)
         self._program.keeping(self._addresses[0], self._scratch, tick, rows)
 
-    def _aim_at(self, state: Lanes) -> None:
+    def _set_addresses(self, state: Lanes) -> None:
+        """Set the addresses of the buffers that the next call uses."""
         # To look an address up takes longer than to run a tick of a small world.
         first = [part.ctypes.data for part in self._shared]
         own = self.own.addresses
@@ -182,7 +186,8 @@ class LaneProgram:
         self._tables = [np.ascontiguousarray(table[worker::workers]) for worker in range(workers)]
         self._state = state
 
-    def _run(self, worker: int, tick: int, count: int) -> None:
+    def _run_worker(self, worker: int, tick: int, count: int) -> None:
+        """Advance the worlds of a worker by ``count`` ticks."""
         table, scratch = self._tables[worker], self._scratches[worker].ctypes.data
         rows = max(1, AT_ONCE // count)
         for first in range(0, len(table), rows):
@@ -195,7 +200,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_POOLS.clear)
 
 
-def _pool(workers: int) -> ThreadPoolExecutor:
+def _worker_pool(workers: int) -> ThreadPoolExecutor:
+    """Return the thread pool for a number of workers, created once."""
     if workers not in _POOLS:
         _POOLS[workers] = ThreadPoolExecutor(workers, thread_name_prefix="qrsim-worlds")
     return _POOLS[workers]

@@ -30,16 +30,17 @@ def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str)
         draft = Draft(closed, inputs, mode)
         if form == "llvm":
             return draft.text(kernels_inside=True)
-        lines = _region(draft.graph.region, "") if form == "graph" else _steps(draft)
+        lines = _region_lines(draft.graph.region, "") if form == "graph" else _schedule_lines(draft)
         return "\n".join(lines)
 
 
-def _region(region: Region, indent: str) -> Iterator[str]:
+def _region_lines(region: Region, indent: str) -> Iterator[str]:
+    """Yield the lines of a region and of the regions in it."""
     for node in region.nodes:
         yield f"{indent}{_node(node)}"
         for i, inner in enumerate(node.regions):
             yield f"{indent}  region {i}:"
-            yield from _region(inner, f"{indent}    ")
+            yield from _region_lines(inner, f"{indent}    ")
             yield f"{indent}    -> {', '.join(map(_access, inner.results))}"
 
 
@@ -61,22 +62,24 @@ def _access(access: Access) -> str:
     return f"%{access.node.number}" + (f"[{','.join(place or '0' for place in places)}]" if places else "")
 
 
-def _steps(draft: Draft) -> Iterator[str]:
+def _schedule_lines(draft: Draft) -> Iterator[str]:
+    """Yield the lines of a program's schedule."""
     for name, steps in (("before the first tick", draft.prologue), ("every tick", draft.body)):
         yield f"{name}:"
         for i, step in enumerate(steps):
-            yield from _step(step, f"  {i}. ", "  ")
+            yield from _step_lines(step, f"  {i}. ", "  ")
     yield f"working memory: {draft.arena.size} B"
 
 
-def _step(step: Step, label: str, indent: str) -> Iterator[str]:
+def _step_lines(step: Step, label: str, indent: str) -> Iterator[str]:
+    """Yield the lines of a step and its parts."""
     operations = ", ".join(f"{count} {op}" for op, count in Counter(node.op for node in step.nodes).most_common())
     shape = " x ".join(map(str, step.domain)) or "scalars"
     reduced = f", reduced along {step.reduced}" if step.reduced else ""
     yield f"{label}{step.kind} over {shape}{reduced}: {operations}"
     for i, part in enumerate(step.parts):
-        yield from _step(part, f"{indent}    part {i}: ", f"{indent}    ")
+        yield from _step_lines(part, f"{indent}    part {i}: ", f"{indent}    ")
     for i, branch in enumerate(step.branches):
         yield f"{indent}    branch {i}:"
         for j, inner in enumerate(branch):
-            yield from _step(inner, f"{indent}      {j}. ", f"{indent}      ")
+            yield from _step_lines(inner, f"{indent}      {j}. ", f"{indent}      ")

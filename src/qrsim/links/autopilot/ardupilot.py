@@ -35,7 +35,7 @@ class Servos:
 
 
 def servos(packet: bytes) -> Servos | None:
-    """Return what a packet says; None for one that is no packet of ArduPilot's."""
+    """Decode a servo packet of ArduPilot; None for other packets."""
     if len(packet) < 2:
         return None
     layout = LAYOUTS.get(int.from_bytes(packet[:2], "little"))
@@ -46,13 +46,13 @@ def servos(packet: bytes) -> Servos | None:
 
 
 def speeds(pulses: Sequence[int], count: int) -> list[float]:
-    """Return the speeds of motors 1 to ``count`` as parts of the largest; 0 for a channel that is not driven."""
+    """Return the speeds of motors 1 to ``count`` as fractions of the maximum; 0 for channels that are not driven."""
     span = MOST_US - LEAST_US
     return [min(max((pulse - LEAST_US) / span, 0.0), 1.0) for pulse in pulses[:count]]
 
 
 def answer(time: float, sensed: Sensed, position_ned: Sequence[float]) -> bytes:
-    """Return the line that answers a packet.
+    """Return the JSON line that answers a servo packet with the present state.
 
     Args:
         time: since the start of the flight [s].

@@ -55,7 +55,7 @@ CONFIGURATION = (
 
 
 def binary(path: str | None = None) -> Path:
-    """Return the firmware: a file of the user's, or that of the package.
+    """Return the path of the firmware: the user's file, or the one in the package.
 
     Raises:
         UsageError: there is none, or it is no program.
@@ -121,26 +121,27 @@ class Process:
             raise
 
     def send(self, message: bytes) -> None:
-        """Send a message; raises RunError where it has ended."""
+        """Send a message to the firmware; raises RunError if the process has ended."""
         try:
             self.socket.sendall(message)
         except OSError:
-            raise RunError(self._silent()) from None
+            raise RunError(self._silence_reason()) from None
 
     def received(self, size: int) -> bytes:
-        """Return so many bytes from it; raises RunError where it has ended or is silent."""
+        """Return ``size`` bytes from the firmware; raises RunError if it has ended or is silent."""
         found = b""
         try:
             while len(found) < size:
                 more = self.socket.recv(size - len(found))
                 if not more:
-                    raise RunError(self._silent())
+                    raise RunError(self._silence_reason())
                 found += more
         except OSError:
-            raise RunError(self._silent()) from None
+            raise RunError(self._silence_reason()) from None
         return found
 
-    def _silent(self) -> str:
+    def _silence_reason(self) -> str:
+        """Return a text that says why the firmware is silent: no answer, killed, or ended with its last words."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.2)
         code = self._process.poll()
@@ -154,7 +155,7 @@ class Process:
         return f"{self._who} has ended with code {code}" + (f"; its last words: {lines[-1]}" if lines else "")
 
     def wait(self, seconds: float) -> bool:
-        """Return whether it ends by itself within a time [s]."""
+        """Return whether the process ends by itself within a time [s]."""
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -162,14 +163,14 @@ class Process:
         return True
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self.socket.close()
         self._process.kill()
         self._process.wait()
 
 
 def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
-    """Return the file of a configuration: what a flight in angle mode needs, and a user's own lines after it.
+    """Return the configuration file of the firmware: settings for angle mode, then the user's lines.
 
     Raises:
         UsageError: it does not take a line.
@@ -177,7 +178,7 @@ def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
     """
     for left in reversed(range(3)):
         try:
-            return _configured(program, lines)
+            return _saved_configuration(program, lines)
         except ConnectionRefusedError:
             # Seldom it loses the socket of its command line while it starts.
             if not left:
@@ -185,12 +186,13 @@ def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
     raise AssertionError
 
 
-def _configured(program: Path, lines: Sequence[str]) -> bytes:
+def _saved_configuration(program: Path, lines: Sequence[str]) -> bytes:
+    """Run the firmware to apply lines of configuration, and return the file that it saves."""
     with tempfile.TemporaryDirectory(prefix="qrsim-betaflight-") as name:
         folder = Path(name)
         process = Process(program, folder, free=True)
         try:
-            _type(process.port, [*CONFIGURATION, *lines])
+            _enter_lines(process.port, [*CONFIGURATION, *lines])
             if not process.wait(ANSWER_S):
                 raise RunError(f"the firmware has not saved its configuration within {ANSWER_S:g} s")
         finally:
@@ -201,17 +203,18 @@ def _configured(program: Path, lines: Sequence[str]) -> bytes:
             raise RunError("the firmware has not saved its configuration") from None
 
 
-def _type(port: int, lines: Sequence[str]) -> None:
+def _enter_lines(port: int, lines: Sequence[str]) -> None:
+    """Enter lines at the firmware's command line and save; raises UsageError for a line that it refuses."""
     try:
         with _connected(port) as terminal:
             # Alone: what comes together with it is not read.
             terminal.sendall(b"#")
-            _prompted(terminal)
+            _read_to_prompt(terminal)
             for line in lines:
                 terminal.sendall(line.encode("utf-8", "replace") + b"\n")
-                said = _prompted(terminal)
-                if "###ERROR" in said:
-                    reason = said.split("###ERROR", 1)[1].strip(" :#\r\n").splitlines()[0]
+                reply = _read_to_prompt(terminal)
+                if "###ERROR" in reply:
+                    reason = reply.split("###ERROR", 1)[1].strip(" :#\r\n").splitlines()[0]
                     raise UsageError(f"the firmware does not take the line '{line}': {reason.strip(' #')}")
             terminal.sendall(b"save\n")
             with suppress(OSError):
@@ -224,7 +227,7 @@ def _type(port: int, lines: Sequence[str]) -> None:
 
 
 def _connected(port: int) -> socket.socket:
-    """Return a connection to a port that is bound, and listened at soon."""
+    """Return a connection to a port that is bound, waiting until the firmware listens."""
     until = time.monotonic() + min(ANSWER_S, 3.0)
     while True:
         try:
@@ -235,8 +238,8 @@ def _connected(port: int) -> socket.socket:
             time.sleep(0.01)
 
 
-def _prompted(terminal: socket.socket) -> str:
-    """Return what it says up to its next prompt."""
+def _read_to_prompt(terminal: socket.socket) -> str:
+    """Return the output of the firmware up to its next prompt."""
     said = b""
     while not said.endswith(b"\n# "):
         more = terminal.recv(4096)
@@ -270,15 +273,15 @@ class Firmware:
             raise
 
     def tell(self, time_s: float, sensed: Sensed, channels: Sequence[int]) -> None:
-        """Let it go on to a time [s], which never goes back, with what is sensed then."""
+        """Let the firmware run to a time [s], which never goes back, with the sensor values of that time."""
         self.process.send(state_packet(time_s, sensed) + sticks_packet(time_s, channels))
 
     def motors(self) -> tuple[float, ...]:
-        """Return its motors' speeds, 0 to 1, in its order: front right, rear left, front left, rear right."""
+        """Return the motor speeds, 0 to 1, in the firmware's order: front right, rear left, front left, rear right."""
         return MOTORS.unpack(self.process.received(MOTORS.size))
 
     def arm(self, dt: float, sensed: Sensed) -> float:
-        """Start it at rest and arm it in angle mode; return the time [s] that it has then reached.
+        """Start the firmware at rest and arm it in angle mode; return the time [s] that it has then reached.
 
         Args:
             dt: between packets [s].
@@ -294,12 +297,12 @@ class Firmware:
             self.tell(tick * dt, sensed, (1500, 1500, THROTTLE_LOW, 1500, switch, 2000))
             motors = self.motors()
         if min(motors) <= 0.0:
-            reasons = self._reasons(count, dt, sensed)
+            reasons = self._arming_reasons(count, dt, sensed)
             raise RunError(f"{self.name}: the firmware refuses to arm: {', '.join(reasons) or 'it gives no reason'}")
         return (count - 1) * dt
 
-    def _reasons(self, tick: int, dt: float, sensed: Sensed) -> list[str]:
-        """Ask why it does not arm, while it goes on."""
+    def _arming_reasons(self, tick: int, dt: float, sensed: Sensed) -> list[str]:
+        """Return why the firmware does not arm, as it reports while running."""
         received, until = b"", time.monotonic() + ANSWER_S
         try:
             with _connected(self.process.port) as asked:
@@ -319,7 +322,7 @@ class Firmware:
         return []
 
     def close(self) -> None:
-        """End it, and forget its configuration."""
+        """End the firmware, and delete its configuration."""
         self.process.close()
         self._folder.cleanup()
 

@@ -30,7 +30,7 @@ def prepared(
     on_ground: bool = False,
     inertial_rate: float | None = None,
 ) -> tuple[Scenario, tuple[str, ...]]:
-    """Return a scenario whose fleets an autopilot can fly, and the names of these.
+    """Return a scenario whose fleets an autopilot can fly, and the names of these fleets.
 
     Identified quadrotors, which have an autopilot in them, become multirotors of a model with a ``cascade``. Sensors of
     rates and forces read at every tick; periods of others become multiples of a tick.
@@ -60,7 +60,7 @@ def prepared(
         raise UsageError(f"no fleet of the scenario has rotors, and {who} flies these only here")
     content["time_step"] = 1.0 / rate
     for name in flown:
-        _fit(found[name], model, rate, inertial_rate or rate)
+        _adapt_fleet(found[name], model, rate, inertial_rate or rate)
     where = ""
     try:
         if on_ground:
@@ -74,11 +74,13 @@ def prepared(
 
 
 def _has_rotors(fleet: dict[str, Any]) -> bool:
+    """Return whether a fleet's vehicle is a multirotor."""
     kind = fleet["vehicle"]["type"]
     return kind in IDENTIFIED or VEHICLES.get(kind) is Multirotor
 
 
-def _fit(fleet: dict[str, Any], model: str, rate: float, inertial_rate: float) -> None:
+def _adapt_fleet(fleet: dict[str, Any], model: str, rate: float, inertial_rate: float) -> None:
+    """Adapt a fleet's content in place: a multirotor model, a cascade, and sensor periods in whole ticks."""
     if fleet["vehicle"]["type"] in IDENTIFIED:
         fleet["vehicle"] = {"type": "multirotor", "model": model}
         # Those of the identified vehicle are where it was identified.
@@ -97,7 +99,7 @@ def _fit(fleet: dict[str, Any], model: str, rate: float, inertial_rate: float) -
 
 
 def motor_order(fleet: Fleet, away_deg: float = NEAR_DEG) -> tuple[int, ...] | None:
-    """Return for each rotor of the vehicles the number of its motor in frame X, from 0; None: it is no such frame.
+    """Return for each rotor its motor's number in an X frame, from 0; None for other frames.
 
     Args:
         fleet: of multirotors.
@@ -132,7 +134,7 @@ def rotor_order(fleet: Fleet) -> tuple[int, ...]:
 
 
 def checked_fleet(world: World, name: str) -> Fleet:
-    """Return a fleet that is to be flown; raises UsageError where it has no rotors in an X, handling or sensors."""
+    """Return a fleet for an autopilot to fly; raises UsageError unless it has X rotors, handling and sensors."""
     fleet = next(each for each in world.fleets if each.name == name)
     rotor_order(fleet)
     if "AttitudeSetpoint" not in {kind.__name__ for kind in fleet.controller.setpoints}:

@@ -43,7 +43,7 @@ class BetaflightFleet(FlownFleet):
         self._armed = 0.0
 
     def arm(self) -> None:
-        """Arm all at rest."""
+        """Arm all vehicles at rest."""
         _, sensed = self.sight.look()
         for firmware, first in zip(self._firmware, sensed, strict=True):
             rates = first.rates_body if math.hypot(*first.rates_body) < STILL_RAD_S else (0.0, 0.0, 0.0)
@@ -52,7 +52,7 @@ class BetaflightFleet(FlownFleet):
             self._armed = firmware.arm(self.simulation.world.time_step, rest)
 
     def tell(self) -> None:
-        """Let all go on by a tick."""
+        """Let all firmware processes run by a tick."""
         asked, sensed = self.sight.look()
         wanted = asked if self._override is None else self._override(self.simulation.time, asked)
         time = self._armed + (self.simulation.tick + 1) * self.simulation.world.time_step
@@ -94,6 +94,7 @@ class Flight(LockstepFlight):
         flown = [checked_fleet(simulation.world, name) for name in fleets]
 
         def build() -> None:
+            """Start the firmware of every vehicle, and arm all fleets."""
             for fleet in flown:
                 firmware = [self.closing.enter_context(Firmware(program, eeprom, name)) for name in fleet.vehicle_names]
                 self.fleets.append(BetaflightFleet(simulation, fleet, firmware, override, Losses(lost)))

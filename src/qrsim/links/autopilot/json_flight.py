@@ -95,6 +95,7 @@ class JsonFlight(LockstepFlight):
         self.links: list[ServoLink] = []
 
         def build() -> None:
+            """Open the port of every vehicle, and build the fleets."""
             for each in flown:
                 motor_order(each)
                 own = []

@@ -21,7 +21,7 @@ from qrsim.world.state import Fleet, Piloted
 
 
 def chosen(simulation: Simulation, names: Sequence[str]) -> list[Fleet]:
-    """Return the fleets of some names."""
+    """Return the fleets with some names."""
     return [next(fleet for fleet in simulation.world.fleets if fleet.name == name) for name in names]
 
 
@@ -51,7 +51,9 @@ class FlownFleet:
         """Send readings to the autopilots before a tick."""
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Return the speeds of a vehicle's motors in a tick, 0 to 1 of the largest; raises RunError: it is gone."""
+        """Return the motor speeds of a vehicle in a tick as fractions of the maximum; raises RunError if its autopilot
+        is gone.
+        """
         raise NotImplementedError
 
     def answer(self) -> None:

@@ -21,7 +21,7 @@ class Losses:
 
     @contextmanager
     def watched(self, number: int) -> Iterator[None]:
-        """Note a RunError of a vehicle's autopilot as its end; raises it if all flights are to end."""
+        """Record a RunError of a vehicle's autopilot as its end; raises it if all flights are to end."""
         try:
             yield
         except RunError as error:

@@ -59,7 +59,7 @@ def state_packet(time: float, sensed: Sensed) -> bytes:
     north, east, down = sensed.velocity_ned
     latitude, longitude, height = sensed.place
     roll, pitch, yaw = (0.5 * angle for angle in sensed.attitude)
-    cr, sr, cp, sp, cy, sy = *_turn(roll), *_turn(pitch), *_turn(yaw)
+    cr, sr, cp, sp, cy, sy = *_cos_sin(roll), *_cos_sin(pitch), *_cos_sin(yaw)
     quaternion = (
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
@@ -71,7 +71,8 @@ def state_packet(time: float, sensed: Sensed) -> bytes:
     )
 
 
-def _turn(angle: float) -> tuple[float, float]:
+def _cos_sin(angle: float) -> tuple[float, float]:
+    """Return cosine and sine of an angle [rad]."""
     return math.cos(angle), math.sin(angle)
 
 
@@ -86,7 +87,7 @@ def msp_request(command: int) -> bytes:
 
 
 def msp_content(received: bytes) -> bytes | None:
-    """Return the content of the first whole reply in what was received; None: there is none yet."""
+    """Return the content of the first whole MSP reply in received bytes; None before it is complete."""
     begin = received.find(b"$M>")
     if begin < 0 or len(received) < begin + 6 or len(received) < begin + 6 + received[begin + 3]:
         return None
@@ -94,7 +95,7 @@ def msp_content(received: bytes) -> bytes | None:
 
 
 def arming_reasons(content: bytes) -> list[str]:
-    """Return why it does not arm, from the content of MSP_STATUS_EX.
+    """Return why the firmware does not arm, from the content of MSP_STATUS_EX.
 
     After 15 bytes there is a count of bytes of modes, these, a count of flags and 32 bits of them.
     """

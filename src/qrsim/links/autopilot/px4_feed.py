@@ -60,7 +60,9 @@ class Px4Feed:
                 f"fleet '{fleet.name}' has no magnetometer, and PX4 knows no heading before it moves; "
                 f"--set 'fleets.{fleet.name}.sensors.magnetometer={{type: magnetometer}}' adds one"
             )
-        ideal = [kind.removeprefix("Ideal").lower() for kind in map(_kind, fleet.sensors) if kind.startswith("Ideal")]
+        ideal = [
+            kind.removeprefix("Ideal").lower() for kind in map(_type_name, fleet.sensors) if kind.startswith("Ideal")
+        ]
         if ideal:
             warn_user(
                 f"fleet '{fleet.name}': ideal sensors ({', '.join(ideal)}) repeat themselves at rest, which "
@@ -76,8 +78,8 @@ class Px4Feed:
         """Return for each vehicle the bytes of frame ``number``, HIL_SENSOR last, and whether it has rates."""
         usec = time_usec(number)
         rows = self._sight.read()
-        news = {column: self._news(column) for column in _COLUMNS if column in self._sight.sensors}
-        fixes = self._fixes(news.get(s.FIX_POSITION), rows)
+        news = {column: self._new_readings(column) for column in _COLUMNS if column in self._sight.sensors}
+        fixes = self._fix_payloads(news.get(s.FIX_POSITION), rows)
         truth = None if self._truth is None else self._truth.payloads(usec)
         found, turning = [], []
         for i, row in enumerate(rows):
@@ -85,21 +87,22 @@ class Px4Feed:
             fix = None if fixes is None else fixes[i]
             if fix is not None:
                 parts.append((messages.GPS, fix))
-            parts += self._ranging(usec, i, row, news)
+            parts += self._ranging_payloads(usec, i, row, news)
             if truth is not None:
                 parts.append((messages.TRUTH, truth[i]))
             rates = self._vector(i, row, s.RATES, news)
-            parts.append((messages.SENSOR, self._inertial(usec, i, row, rates, news)))
-            found.append(b"".join(self._frame(i, *part) for part in parts))
+            parts.append((messages.SENSOR, self._hil_sensor(usec, i, row, rates, news)))
+            found.append(b"".join(self._mavlink_frame(i, *part) for part in parts))
             turning.append(rates is not None)
         return found, turning
 
-    def _frame(self, i: int, number: int, payload: bytes) -> bytes:
+    def _mavlink_frame(self, i: int, number: int, payload: bytes) -> bytes:
+        """Return a MAVLink frame of a vehicle with its next sequence number."""
         self._sequence[i] = (self._sequence[i] + 1) & 0xFF
         return frame(number, payload, self._sequence[i], SYSTEM, COMPONENT)
 
-    def _news(self, column: int) -> list[bool]:
-        """Return which vehicles have a reading that was not sent yet."""
+    def _new_readings(self, column: int) -> list[bool]:
+        """Return column -> which vehicles (n,) have a reading that was not sent yet."""
         sensor = self._sight.sensors[column]
         if sensor is None:
             return [True] * self._fleet.size
@@ -115,9 +118,10 @@ class Px4Feed:
         axes = row[column : column + 3]
         return axes if axes == axes and all(axis == axis for axis in axes) else None
 
-    def _inertial(
+    def _hil_sensor(
         self, usec: int, i: int, row: list[float], rates: list[float] | None, news: dict[int, list[bool]]
     ) -> bytes:
+        """Return the HIL_SENSOR payload of a vehicle, with the groups that have new readings."""
         air = differential = None
         column = s.PRESSURE if s.PRESSURE in news else s.HEIGHT
         if column in news and news[column][i] and row[column] == row[column]:
@@ -130,8 +134,8 @@ class Px4Feed:
         force, field = (self._vector(i, row, column, news) for column in (s.FORCE, s.FIELD))
         return messages.hil_sensor(usec, rates, force, field, air, differential)
 
-    def _fixes(self, new: list[bool] | None, rows: list[list[float]]) -> list[bytes | None] | None:
-        """Return for each vehicle the payload of its new fix; None without any."""
+    def _fix_payloads(self, new: list[bool] | None, rows: list[list[float]]) -> list[bytes | None] | None:
+        """Return for each vehicle the payload of its new fix; None without one."""
         if new is None or not any(new):
             return None
         places = np.array([row[s.FIX_POSITION : s.FIX_POSITION + 3] for row in rows])
@@ -150,23 +154,27 @@ class Px4Feed:
             found.append(messages.hil_gps(unix, fix))
         return found
 
-    def _ranging(self, usec: int, i: int, row: list[float], news: dict[int, list[bool]]) -> list[tuple[int, bytes]]:
-        found = []
+    def _ranging_payloads(
+        self, usec: int, i: int, row: list[float], news: dict[int, list[bool]]
+    ) -> list[tuple[int, bytes]]:
+        """Return (message number, payload) of a vehicle's new distance and optical-flow readings."""
+        payloads = []
         if s.RANGE in news and news[s.RANGE][i]:
-            sensor = self._sensor(s.RANGE)
+            sensor = self._sensor_of(s.RANGE)
             low, high = IDEAL_RANGES
             if isinstance(sensor, Rangefinder):
                 low, high = (_number(limit, i) for limit in (sensor.range_min, sensor.range_max))
-            found.append((messages.DISTANCE, messages.distance_sensor(usec, row[s.RANGE], low, high, sensor.axis)))
+            payloads.append((messages.DISTANCE, messages.distance_sensor(usec, row[s.RANGE], low, high, sensor.axis)))
         if s.FLOW in news and news[s.FLOW][i]:
-            period = round(1e6 * self._sensor(s.FLOW).period)
+            period = round(1e6 * self._sensor_of(s.FLOW).period)
             flow, turned = row[s.FLOW : s.FLOW + 2], row[s.FLOW_TURN : s.FLOW_TURN + 3]
-            down = row[s.RANGE] if s.RANGE in news and self._sensor(s.RANGE).axis == "down" else float("nan")
+            down = row[s.RANGE] if s.RANGE in news and self._sensor_of(s.RANGE).axis == "down" else float("nan")
             flown = messages.optical_flow(usec, period, flow, turned, row[s.FLOW_QUALITY], down)
-            found.append((messages.FLOW, flown))
-        return found
+            payloads.append((messages.FLOW, flown))
+        return payloads
 
-    def _sensor(self, column: int) -> Any:
+    def _sensor_of(self, column: int) -> Any:
+        """Return the sensor of the fleet that fills a column."""
         number = self._sight.sensors[column]
         assert number is not None
         return self._fleet.sensors[number]
@@ -178,7 +186,8 @@ IDEAL_RANGES = (0.0, 600.0)
 _COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.DIFFERENTIAL, s.RANGE, s.FLOW)
 
 
-def _kind(sensor: object) -> str:
+def _type_name(sensor: object) -> str:
+    """Return the name of a sensor's class."""
     return type(sensor).__name__
 
 

@@ -69,7 +69,7 @@ class Px4Fleet(FlownFleet):
 
     @property
     def is_iris(self) -> bool:
-        """Whether rotors are where, and turn as, those of the airframe none_iris."""
+        """Whether the rotors have the positions and directions of the airframe none_iris."""
         return len(self.order) == 4 and fleet.motor_order(self.fleet, fleet.CORNER_DEG) is not None
 
     def parameters(self) -> list[dict[str, Number]]:
@@ -87,7 +87,7 @@ class Px4Fleet(FlownFleet):
                 self.links[i].connect(self.links[i].reconnects_until if until is None else until)
 
     def tell(self) -> None:
-        """Send a frame to all, where one is due."""
+        """Send a frame of sensor readings to all PX4s, at ticks when one is due."""
         if self.simulation.tick % self._stride:
             return
         self._held = None
@@ -183,6 +183,7 @@ class Px4Flight(LockstepFlight):
         lost = say if count > 1 else None
 
         def build() -> None:
+            """Open the port of every vehicle, and build the fleets."""
             for each in flown:
                 own = []
                 for name in each.vehicle_names:
@@ -200,7 +201,7 @@ class Px4Flight(LockstepFlight):
         return [found for fleet in self.fleets for found in fleet.parameters()]
 
     def _begin(self) -> None:
-        """Wait for all PX4s to connect; a single line if none does."""
+        """Wait for all PX4s to connect; print a single line if none does."""
         self._begun, until = True, time.perf_counter() + self._wait
         while not any(link.comes() for link in self.links):
             if time.perf_counter() > until:

@@ -79,9 +79,9 @@ class Px4Link:
         self.unanswered = self.foreign = self.harmed = self.odd = self.restarts = 0
         # For tests and --px4: returns why a process that was started here has ended; "" while it runs.
         self.ended: Callable[[], str] = lambda: ""
-        self._forget()
+        self._reset_connection()
 
-    def _forget(self) -> None:
+    def _reset_connection(self) -> None:
         """Reset the state of the previous connection."""
         self.wanted = Controls()
         self.booted = self.free = self._greeted = False
@@ -94,7 +94,7 @@ class Px4Link:
 
     def comes(self) -> bool:
         """Accept a waiting PX4; return whether one is connected, or whether a process started here has ended."""
-        return self.connected or self._accept() or bool(self.ended())
+        return self.connected or self._accept_peer() or bool(self.ended())
 
     def connect(self, until: float) -> None:
         """Wait for a PX4 where none is connected.
@@ -108,7 +108,7 @@ class Px4Link:
         while self._peer is None:
             left = until - time.perf_counter()
             ready = select.select([self._listener], [], [], min(max(left, 0.0), 0.2))[0]
-            if ready and self._accept():
+            if ready and self._accept_peer():
                 return
             why = self.ended()
             if why:
@@ -116,19 +116,22 @@ class Px4Link:
             if left <= 0.0:
                 raise RunError(f"{self.name}: {self.nobody()}")
 
-    def _accept(self) -> bool:
+    def _accept_peer(self) -> bool:
+        """Accept a waiting connection, close it if another PX4 is connected, and return whether it was kept."""
         try:
             peer, address = self._listener.accept()
         except OSError:
             return False
         if self._peer is not None:
             peer.close()
-            self._once("second", f"a second connection, of {address[0]}:{address[1]}, is closed; the first flies on")
+            self._print_once(
+                "second", f"a second connection, of {address[0]}:{address[1]}, is closed; the first flies on"
+            )
             return False
         peer.setblocking(False)
         with suppress(OSError):
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._forget()
+        self._reset_connection()
         self._peer = peer
         if self._ever:
             self.restarts += 1
@@ -137,6 +140,7 @@ class Px4Link:
         return True
 
     def _hang_up(self, why: str) -> None:
+        """Close the connection, stop the motors, and print the reason."""
         if self._peer is not None:
             self._peer.close()
             self._peer = None
@@ -167,7 +171,7 @@ class Px4Link:
         return time.perf_counter() + RECONNECT_S
 
     def nobody(self) -> str:
-        """Return the message that no PX4 has connected, with a command that starts one."""
+        """Return the message for a port that no PX4 has connected to, with a command that starts one."""
         if self._ever:
             return f"no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
         return (
@@ -208,7 +212,7 @@ class Px4Link:
         now = time.perf_counter()
         if now - self._looked > _LOOK_S:
             self._looked = now
-            self._accept()
+            self._accept_peer()
         if self._peer is None:
             return
         if self.free or not self.booted:
@@ -220,22 +224,24 @@ class Px4Link:
             in_time = True
             while self._peer is not None and self._answered < self._sent:
                 if not in_time:
-                    self._miss()
+                    self._count_unanswered()
                     return
                 in_time = self._receive(begin + patience)
             self._gaps = GAP_DECAY * self._gaps + self._missed
             self._missed = False
 
-    def _miss(self) -> None:
+    def _count_unanswered(self) -> None:
+        """Count an unanswered frame; raises RunError after a silence of SILENCE_S."""
         self.unanswered += 1
         self._missed = True
         if self._gaps >= MANY_GAPS:
-            self._once("gaps", f"PX4 leaves many frames unanswered; each is waited for {1e3 * IMPATIENT_S:g} ms")
+            self._print_once("gaps", f"PX4 leaves many frames unanswered; each is waited for {1e3 * IMPATIENT_S:g} ms")
         silence = time.perf_counter() - self._heard
         if silence > SILENCE_S:
             raise RunError(f"{self.name}: its PX4 has not answered for {SILENCE_S:g} s")
 
     def _check_boot(self) -> None:
+        """Check that the connected program behaves like a PX4 within the waiting time; raises RunError."""
         waited = time.perf_counter() - self._since
         if self._peer is None or self.booted or waited <= self._wait:
             return
@@ -261,7 +267,7 @@ class Px4Link:
                 return True
             # Nothing came for a while: bytes that only look like the head of a frame may hold back whole frames.
             for found in self._reader.inside():
-                self._take(found)
+                self._handle_frame(found)
             return left > 0.0
         except OSError:
             data = b""
@@ -271,14 +277,15 @@ class Px4Link:
         self._unframed += len(data)
         for found in self._reader.feed(data):
             self._unframed = 0
-            self._take(found)
+            self._handle_frame(found)
         self.harmed = self._reader.damaged
         if self._unframed > NO_FRAME_BYTES:
             self._hang_up(f"not a PX4: {NO_FRAME_BYTES // 1024} kB without a MAVLink frame")
         # A peer that sends without a pause does not delay the next frame of sensors.
         return time.perf_counter() < until
 
-    def _take(self, found: Frame) -> None:
+    def _handle_frame(self, found: Frame) -> None:
+        """Store the controls of a received frame, and count frames of other programs."""
         number = found.layout.number
         if number == messages.HEARTBEAT:
             self._greeted = True
@@ -292,7 +299,7 @@ class Px4Link:
             return
         if found.system != self.instance + 1:
             line = f"PX4 has MAV_SYS_ID {found.system}, and instance {self.instance} should have {self.instance + 1}"
-            self._once("system", line)
+            self._print_once("system", line)
         self._heard = time.perf_counter()
         self._answered, self.wanted = wanted.time_usec, wanted
         if not self.booted:
@@ -307,10 +314,13 @@ class Px4Link:
         found, odd = messages.speeds(self.wanted, count)
         if odd:
             self.odd += odd
-            self._once("odd", "an output of PX4 is not within -1 to 1; it is clamped, and 0 where it is not a number")
+            self._print_once(
+                "odd", "an output of PX4 is not within -1 to 1; it is clamped, and 0 where it is not a number"
+            )
         return found
 
-    def _once(self, kind: str, line: str) -> None:
+    def _print_once(self, kind: str, line: str) -> None:
+        """Print a line about this vehicle, once per kind."""
         if kind not in self._told:
             self._told.add(kind)
             self._say(f"{self.name}: {line}")

@@ -62,7 +62,8 @@ def controls(payload: bytes) -> Controls:
 
 
 def speeds(wanted: Controls, count: int) -> tuple[list[float], int]:
-    """Return the speeds of motors 1 to ``count`` as parts of the largest, and how many outputs were not within -1 to 1.
+    """Return the speeds of motors 1 to ``count`` as fractions of the maximum, and the number of outputs outside -1 to
+    1.
 
     A motor stops while PX4 is disarmed, and where its output is NaN.
     """
@@ -147,10 +148,10 @@ def hil_gps(unix_usec: int, fix: Fix | None, id: int = 0) -> bytes:
         round(fix.latitude * 1e7),
         round((fix.longitude + 180.0) % 360.0 * 1e7) - 1_800_000_000,
         round(fix.altitude * 1e3),
-        _whole(fix.horizontal * 100.0, 1, 65534),
-        _whole(fix.vertical * 100.0, 1, 65534),
-        _whole(ground * 100.0, 0, 65534),
-        *(_whole(axis * 100.0, -32767, 32767) for axis in (north, east, down)),
+        _clipped_integer(fix.horizontal * 100.0, 1, 65534),
+        _clipped_integer(fix.vertical * 100.0, 1, 65534),
+        _clipped_integer(ground * 100.0, 0, 65534),
+        *(_clipped_integer(axis * 100.0, -32767, 32767) for axis in (north, east, down)),
         course,
         fix.type,
         min(max(fix.satellites, 0), 254),
@@ -168,7 +169,7 @@ def distance_sensor(time_usec: int, distance: float, low: float, high: float, ax
         axis: of the body along which it looks.
     """
     known = distance == distance
-    centimetres = [_whole(metres * 100.0, 0, 65535) for metres in (low, high, distance if known else high)]
+    centimetres = [_clipped_integer(metres * 100.0, 0, 65535) for metres in (low, high, distance if known else high)]
     return _PACK["DISTANCE_SENSOR"](
         time_usec // 1000 & 0xFFFFFFFF, *centimetres, 0, 0, ROTATIONS[axis], 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         100 if known else 1,
@@ -190,7 +191,7 @@ def optical_flow(
     known = flow[0] == flow[0] and flow[1] == flow[1]
     return _PACK["HIL_OPTICAL_FLOW"](
         time_usec, period_usec, *(flow if known else (0.0, 0.0)), *turned, 0,
-        distance if distance == distance else -1.0, 0, 0, _whole(quality * 255.0, 0, 255) if known else 0,
+        distance if distance == distance else -1.0, 0, 0, _clipped_integer(quality * 255.0, 0, 255) if known else 0,
     )  # fmt: skip
 
 
@@ -214,14 +215,14 @@ def true_state(
         airspeed: true [m/s].
         acceleration_ned: coordinate acceleration [m/s^2], which PX4 reads in NED and mm/s^2.
     """
-    speed = _whole(airspeed * 100.0, 0, 65535)
+    speed = _clipped_integer(airspeed * 100.0, 0, 65535)
     return _PACK["HIL_STATE_QUATERNION"](
         time_usec, *quaternion, *rates, round(place[0] * 1e7), round(place[1] * 1e7), round(place[2] * 1e3),
-        *(_whole(axis * 100.0, -32768, 32767) for axis in velocity_ned), speed, speed,
-        *(_whole(axis * 1000.0, -32768, 32767) for axis in acceleration_ned),
+        *(_clipped_integer(axis * 100.0, -32768, 32767) for axis in velocity_ned), speed, speed,
+        *(_clipped_integer(axis * 1000.0, -32768, 32767) for axis in acceleration_ned),
     )  # fmt: skip
 
 
-def _whole(value: float, low: int, high: int) -> int:
+def _clipped_integer(value: float, low: int, high: int) -> int:
     """Return a number rounded and within limits; the upper limit for NaN and infinity."""
     return round(min(max(value, low), high)) if math.isfinite(value) else high

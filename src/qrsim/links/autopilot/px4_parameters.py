@@ -54,37 +54,45 @@ def parameters(fleet: Fleet, order: Sequence[int], sight: FleetSight, number: in
         number: of the vehicle in the fleet.
     """
     vehicle: Any = fleet.vehicle
-    torque_ratio = _of(vehicle.torque_ratio, number)
+    torque_ratio = _of_vehicle(vehicle.torque_ratio, number)
     found: dict[str, Number] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(order)}
     for motor, rotor in sorted(zip(order, vehicle.rotors, strict=True), key=lambda pair: pair[0]):
         name = f"CA_ROTOR{motor}_"
         x, y, down = rotor.position
-        found |= {name + "PX": _set(x, BUILT_PLACE), name + "PY": _set(y, BUILT_PLACE), name + "PZ": round(down, 6)}
+        found |= {
+            name + "PX": _nudged(x, BUILT_PLACE),
+            name + "PY": _nudged(y, BUILT_PLACE),
+            name + "PZ": round(down, 6),
+        }
         if rotor.axis != (0.0, 0.0, -1.0):
             found |= {name + axis: part for axis, part in zip(("AX", "AY", "AZ"), rotor.axis, strict=True)}
-        found[name + "KM"] = _set(-rotor.direction * torque_ratio, BUILT_RATIO)
+        found[name + "KM"] = _nudged(-rotor.direction * torque_ratio, BUILT_RATIO)
         found[f"PWM_MAIN_FUNC{motor + 1}"] = MOTOR_1 + motor
     if len(order) in TYPES:
         found["MAV_TYPE"] = TYPES[len(order)]
     handling = vehicle.handling()
-    hover = _of(handling.mass, number) * _of(handling.gravity, number) / _of(handling.thrust_max, number)
+    hover = (
+        _of_vehicle(handling.mass, number)
+        * _of_vehicle(handling.gravity, number)
+        / _of_vehicle(handling.thrust_max, number)
+    )
     found["MPC_THR_HOVER"] = min(max(hover, HOVER_LIMITS[0]), HOVER_LIMITS[1])
-    return found | ALWAYS | _sensors(fleet, sight)
+    return found | ALWAYS | _sensor_parameters(fleet, sight)
 
 
-def _set(value: float, built: float) -> float:
-    """Return a number that PX4 does not take for the one it was built with."""
+def _nudged(value: float, built: float) -> float:
+    """Return a value that differs from PX4's built-in default, so that PX4 stores it."""
     return round(value if abs(value - built) > AWAY / 2.0 else built + AWAY, 6)
 
 
-def _of(values: object, number: int) -> float:
-    """Return the number of a vehicle, of one for all or of one for each."""
+def _of_vehicle(values: object, number: int) -> float:
+    """Return a vehicle's value of a parameter that is one for all or one for each."""
     found = np.ravel(np.asarray(values, np.float64))
     return float(found[number if len(found) > 1 else 0])
 
 
-def _sensors(fleet: Fleet, sight: FleetSight) -> dict[str, Number]:
-    """Return the parameters of sensors: the delay of the receiver, and those that the fleet lacks."""
+def _sensor_parameters(fleet: Fleet, sight: FleetSight) -> dict[str, Number]:
+    """Return the parameters of sensors: the delay of the receiver, and flags for missing sensors."""
     found: dict[str, Number] = {}
     number = sight.sensors.get(s.FIX_POSITION)
     if number is not None:

@@ -87,7 +87,7 @@ class Process:
             raise RunError(f"{build.program}: {error.strerror or error}") from None
 
     def ended(self) -> str:
-        """Return how it has ended and its last lines, in one line; "" while it runs."""
+        """Return how the process has ended and its last lines, in one line; "" while it runs."""
         # The connection is closed a moment before the process has ended.
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.05)
@@ -96,32 +96,32 @@ class Process:
             return ""
         names = {each.value: each.name for each in signal.Signals}
         how = f"was killed by {names.get(-code, -code)}" if code < 0 else f"has ended with code {code}"
-        lines = [shortened(line, LONGEST_LINE) for line in self._last() if line.strip()]
+        lines = [shortened(line, LONGEST_LINE) for line in self._last_lines() if line.strip()]
         return f"PX4 {how}" + (f"; its last lines: {' | '.join(lines[-LAST_LINES:])}" if lines else "")
 
-    def _last(self) -> list[str]:
-        """Return the last lines of its output, of which there may be gigabytes."""
+    def _last_lines(self) -> list[str]:
+        """Return the last lines of the output, which may have gigabytes."""
         with open(self._log, "rb") as log:
             log.seek(max(0, os.fstat(log.fileno()).st_size - LAST_BYTES))
             return log.read(LAST_BYTES).decode("utf-8", "replace").splitlines()
 
     def ask(self) -> None:
-        """Ask it to end, without waiting for it."""
+        """Request the process to end, without waiting."""
         if self._until is None:
             self._until = time.monotonic() + END_S
-            self._signal(signal.SIGTERM)
+            self._signal_group(signal.SIGTERM)
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self.ask()
         assert self._until is not None
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(max(0.0, self._until - time.monotonic()))
         # Its clock has stopped, so a step of its shutdown that waits for time never ends.
-        self._signal(signal.SIGKILL)
+        self._signal_group(signal.SIGKILL)
         self._process.wait()
 
-    def _signal(self, number: signal.Signals) -> None:
+    def _signal_group(self, number: signal.Signals) -> None:
         """Signal the process and its children."""
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, number)
@@ -148,6 +148,7 @@ def started(build: Build, flight: Px4Flight, own: Mapping[str, Number], logs: Pa
     processes: list[Process] = []
 
     def ask_all() -> None:
+        """Request all processes to end."""
         for process in processes:
             process.ask()
 

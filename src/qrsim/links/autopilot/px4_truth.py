@@ -32,12 +32,12 @@ def geodetic(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def above(place: tuple[float, float, float], undulation: float) -> tuple[float, float, float]:
-    """Return a place with its altitude [m] above a sea that is ``undulation`` [m] above the ellipsoid."""
+    """Return a geodetic position with its altitude [m] above a sea that is ``undulation`` [m] above the ellipsoid."""
     return place[0], place[1], place[2] - undulation
 
 
 def turned(quaternion: NumpyArray, vectors: NumpyArray) -> NumpyArray:
-    """Return vectors (n, 3) in body axes turned to NED by quaternions (n, 4: w, x, y, z)."""
+    """Rotate body-frame vectors (n, 3) to NED by quaternions (n, 4: w, x, y, z)."""
     w, x, y, z = quaternion.T
     a, b, c = vectors.T
     p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)

@@ -44,7 +44,7 @@ class FleetSight:
         state = layout.numbers.fleets[number]
         self.sensors: dict[int, int | None] = {}
         places = []
-        for column, leaf, sensor in _leaves(fleet, state, truth):
+        for column, leaf, sensor in _sensed_leaves(fleet, state, truth):
             if column not in self.sensors and layout.is_float[leaf]:
                 self.sensors[column] = sensor
                 places.append(np.arange(layout.slices[leaf].start, layout.slices[leaf].stop))
@@ -65,7 +65,7 @@ class FleetSight:
         self._last[:, s.PRESSURE] = math.nan
 
     def read(self) -> list[list[float]]:
-        """Return the numbers of each vehicle at this tick by column; NaN where nobody knows them."""
+        """Return the known values of each vehicle at this tick by column; NaN where unknown."""
         floats, integers = (np.asarray(part) for part in self._simulation.packed[1])
         now = self._now
         now[:, self._columns] = floats[self._places].T
@@ -86,13 +86,14 @@ class FleetSight:
         known[:, ASKED:] = True
         self._last = np.where(known, self._now, self._last)
         rows: list[list[float]] = self._last.tolist()
-        return [row[ASKED:] for row in rows], [self._sensed(row) for row in rows]
+        return [row[ASKED:] for row in rows], [self._sensed_row(row) for row in rows]
 
     def positions(self) -> list[list[float]]:
-        """Return where each vehicle takes itself to be, NED [m], as of the last look."""
+        """Return the estimated position of each vehicle, NED [m], as of the last ``look``."""
         return self._last[:, s.POSITION : s.POSITION + 3].tolist()
 
-    def _sensed(self, row: list[float]) -> Sensed:
+    def _sensed_row(self, row: list[float]) -> Sensed:
+        """Convert a row of known values to the readings that the firmware takes."""
         latitude, longitude = self._site.latitude_rad, self._site.longitude_rad
         north, east, down = row[s.POSITION : s.POSITION + 3]
         # The firmware takes the place to no more than a number to show: a sphere is enough.
@@ -110,7 +111,7 @@ class FleetSight:
 
 
 def pressure_of(row: Sequence[float], site_altitude: float) -> float:
-    """Return the pressure [Pa] that a barometer reads, or that of the height it reads above the site.
+    """Return the pressure [Pa] that a barometer measures, or that at its measured height above the site.
 
     Args:
         row: numbers of a vehicle, by column.
@@ -120,8 +121,8 @@ def pressure_of(row: Sequence[float], site_altitude: float) -> float:
     return pressure if pressure == pressure else pressure_at(site_altitude + row[s.HEIGHT])
 
 
-def _leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield column, leaf and sensor number of the commands and readings of a fleet."""
+def _sensed_leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
+    """Yield (column, leaf, sensor number) of the commands and readings of a fleet."""
     command = state.command
     for column, leaf in enumerate((command.pitch, command.roll, command.throttle, command.yaw_rate), ASKED):
         yield column, leaf, None

@@ -57,7 +57,7 @@ class ServoLink:
         self.lost = self.repeated = self.foreign = self.restarts = 0
 
     def wait(self) -> Servos:
-        """Return the next step; a step that comes again is answered again.
+        """Return the next step; a repeated step is answered again.
 
         Raises:
             RunError: no autopilot has come, or come back, in time.
@@ -65,17 +65,17 @@ class ServoLink:
         begin = time.monotonic()
         told = self._last is None
         while True:
-            found = self._received()
+            found = self._next_step()
             if found is not None:
                 return found
             silence = time.monotonic() - begin
             if silence > self._wait:
-                self._complain()
+                self._raise_silence()
             if not told and silence > SILENCE_S:
                 told = True
                 self._say(f"{self.name}: its ArduPilot is silent; waiting {self._wait:g} s for it to start again")
 
-    def _received(self) -> Servos | None:
+    def _next_step(self) -> Servos | None:
         """Return the step of one received packet; None after a time-out, and for foreign and repeated packets."""
         try:
             packet, peer = self._socket.recvfrom(LONGEST)
@@ -84,7 +84,7 @@ class ServoLink:
         except ConnectionError:  # an earlier answer found its port closed
             return None
         found = servos(packet)
-        if found is None or not self._is_own(found, peer):
+        if found is None or not self._is_from_autopilot(found, peer):
             self.foreign += 1
             if self.foreign == 1:
                 self._say(f"{self.name}: a packet of {peer[0]}:{peer[1]} that is not of its ArduPilot is passed over")
@@ -98,30 +98,32 @@ class ServoLink:
             self._say(f"{self.name}: ArduPilot has restarted, at {peer[0]}:{peer[1]}; the vehicle goes on as it is")
         elif found.frame == last.frame:
             self.repeated += 1
-            self._send(self._reply)
+            self._send_reply(self._reply)
             return None
         else:
             self.lost += found.frame - last.frame - 1
         self._last = found
         return found
 
-    def _is_own(self, found: Servos, peer: tuple[str, int]) -> bool:
-        """Return whether a packet is of the vehicle's autopilot, or of one that takes its place."""
+    def _is_from_autopilot(self, found: Servos, peer: tuple[str, int]) -> bool:
+        """Return whether a packet comes from the vehicle's autopilot, or from one that replaces it."""
         silent = time.monotonic() - self._heard > SILENCE_S
         return self._peer in (None, peer) or found.frame < FIRST_FRAMES or silent
 
     def answer(self, reply: bytes) -> None:
-        """Send the answer of the step that came last."""
+        """Send the answer to the last step."""
         self._reply = reply
-        self._send(reply)
+        self._send_reply(reply)
 
-    def _send(self, reply: bytes) -> None:
+    def _send_reply(self, reply: bytes) -> None:
+        """Send a reply to the autopilot; errors are left to the next wait."""
         # Who is not there any more is found out where its next step is waited for.
         if self._peer is not None and reply:
             with suppress(OSError):
                 self._socket.sendto(reply, self._peer)
 
-    def _complain(self) -> NoReturn:
+    def _raise_silence(self) -> NoReturn:
+        """Raise a RunError: no ArduPilot has come, or it has been silent for too long."""
         if self._last is None:
             raise RunError(
                 f"{self.name}: no ArduPilot has come to UDP port {self.port} in {self._wait:g} s; start it with "

@@ -13,7 +13,7 @@ CENTRE, HALF, FULL = 1500, 500, 2000
 def channels(
     pitch: float, roll: float, throttle: float, yaw_rate: float, throttle_curve: float = 0.0
 ) -> tuple[int, int, int, int, int, int]:
-    """Return roll, pitch, throttle, yaw, the switch that arms and that of angle mode, each 1000 to 2000.
+    """Return roll, pitch, throttle, yaw, arming switch and angle-mode switch, each 1000 to 2000.
 
     Args:
         pitch: nose up [rad]; the stick is pushed to lower the nose.
@@ -30,8 +30,16 @@ def channels(
         speed = min(math.sqrt(thrust), 1.0)
         share = max((speed - IDLE) / (1.0 - IDLE), 0.0)
         lift = round(MIN_CHECK + (FULL - MIN_CHECK) * share)
-    return (_stick(roll / TILT_RAD), _stick(-pitch / TILT_RAD), lift, _stick(yaw_rate / YAW_RATE_RAD_S), FULL, FULL)
+    return (
+        _stick_value(roll / TILT_RAD),
+        _stick_value(-pitch / TILT_RAD),
+        lift,
+        _stick_value(yaw_rate / YAW_RATE_RAD_S),
+        FULL,
+        FULL,
+    )
 
 
-def _stick(share: float) -> int:
+def _stick_value(share: float) -> int:
+    """Return the channel value, 1000 to 2000, of a deflection from -1 to 1; the centre for NaN."""
     return CENTRE + round(HALF * max(-1.0, min(1.0, share))) if math.isfinite(share) else CENTRE

@@ -47,7 +47,7 @@ class SharedCalls(ABC):
                 connection is lost.
         """
         request = pb.Claim(vehicle=vehicles, on_silence=on_silence, hold=hold)
-        found = self._ask(Message(type=Message.CLAIM, claim=request), Message.CLAIMED).claimed
+        found = self._call(Message(type=Message.CLAIM, claim=request), Message.CLAIMED).claimed
         return Claim(
             found.client,
             tuple(found.vehicle),
@@ -63,7 +63,7 @@ class SharedCalls(ABC):
 
     def release(self, *vehicles: str) -> None:
         """Give claimed vehicles back to the guidance of their scenario; without names all."""
-        self._ask(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
+        self._call(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
 
     def command(self, orders: Mapping[str, object], *, computed_from: int | None = None) -> int:
         """Have claimed vehicles fly by orders until the next ones; return the tick from which they do (pace "free").
@@ -72,8 +72,8 @@ class SharedCalls(ABC):
             orders: vehicle -> (kind, numbers), as ``{"a": ("waypoint", [8.0, -6.0, -10.0, 0.0])}``; see ``KINDS``.
             computed_from: tick of the readings that they were computed from.
         """
-        request = pb.Command(order=_orders(orders), computed_from=computed_from)
-        return int(self._ask(Message(type=Message.COMMAND, command=request), Message.COMMANDED).commanded.tick)
+        request = pb.Command(order=_order_messages(orders), computed_from=computed_from)
+        return int(self._call(Message(type=Message.COMMAND, command=request), Message.COMMANDED).commanded.tick)
 
     def advance(
         self,
@@ -97,9 +97,13 @@ class SharedCalls(ABC):
         if ticks is not None and until_tick is not None:
             raise UsageError("advance: give ticks or until_tick, not both")
         request = pb.Command(
-            order=_orders(orders or {}), computed_from=computed_from, until_tick=until_tick, truth=truth, ticks=ticks
+            order=_order_messages(orders or {}),
+            computed_from=computed_from,
+            until_tick=until_tick,
+            truth=truth,
+            ticks=ticks,
         )
-        return sensed_of(self._ask(Message(type=Message.COMMAND, command=request), Message.READINGS).readings)
+        return sensed_of(self._call(Message(type=Message.COMMAND, command=request), Message.READINGS).readings)
 
     def subscribe(self, *vehicles: str, rate: float | None = None, truth: bool = False, stop: bool = False) -> None:
         """Have what vehicles sense pushed; ``sensed`` returns it.
@@ -111,7 +115,7 @@ class SharedCalls(ABC):
             stop: no more.
         """
         request = pb.Subscribe(vehicle=vehicles, rate=rate, truth=truth, stop=stop)
-        self._ask(Message(type=Message.SUBSCRIBE, subscribe=request), Message.ACK)
+        self._call(Message(type=Message.SUBSCRIBE, subscribe=request), Message.ACK)
         if stop:
             self._pushed.clear()
 
@@ -122,9 +126,9 @@ class SharedCalls(ABC):
             timeout: how long to wait [s]; default: for ever.
             newest: of several, the last one, the others being dropped; else the first one.
         """
-        self._take_in()
+        self._decode_pushed()
         if not self._pushed:
-            self._pushed.append(self._expect(self._receive(timeout), Message.SENSED).sensed)
+            self._pushed.append(self._checked_reply(self._receive(timeout), Message.SENSED).sensed)
         found = self._pushed.pop() if newest else self._pushed.popleft()
         if newest:
             self._pushed.clear()
@@ -142,11 +146,11 @@ class SharedCalls(ABC):
         request = pb.Say(
             words=[pb.Say.Words(vehicle=name, value=numbers_of(name, said), to=to) for name, said in words.items()]
         )
-        self._ask(Message(type=Message.SAY, say=request), Message.ACK)
+        self._call(Message(type=Message.SAY, say=request), Message.ACK)
 
     def inbox(self) -> dict[str, tuple[Heard, ...]]:
         """Return vehicle -> what it has heard over the radio, the newest message of each sender, the newest first."""
-        found = self._ask(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
+        found = self._call(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {vehicle.name: heard_of(vehicle.heard) for vehicle in found.vehicle}
 
     def inject(
@@ -172,7 +176,7 @@ class SharedCalls(ABC):
             duration: how long [s]; None: for good.
             numbers: how large it is, as in ``Simulation.inject``.
         """
-        request = pb.Inject(target=target, kind=kind, vehicle=_names(vehicles), at=at, duration=duration)
+        request = pb.Inject(target=target, kind=kind, vehicle=_vehicle_list(vehicles), at=at, duration=duration)
         for name, value in numbers.items():
             if name == "field":
                 request.field = str(value)
@@ -186,7 +190,7 @@ class SharedCalls(ABC):
                     request.number.add(name=part, value=float(number))
             except (TypeError, ValueError, OverflowError):
                 raise UsageError(f"{name}: {value!r:.100}; expected a number, or 3 of a vector") from None
-        return str(self._ask(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
+        return str(self._call(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
 
     def clear(self, target: str | None = None, vehicles: object = None) -> str:
         """End injected faults of a target, None: of all, and return what the server says.
@@ -195,8 +199,8 @@ class SharedCalls(ABC):
             target: as in ``inject``.
             vehicles: name or names; None: all, in a shared world those that one has claimed.
         """
-        request = pb.ClearFaults(target=target, vehicle=_names(vehicles))
-        return str(self._ask(Message(type=Message.CLEAR, clear=request), Message.ACK).ack.msg)
+        request = pb.ClearFaults(target=target, vehicle=_vehicle_list(vehicles))
+        return str(self._call(Message(type=Message.CLEAR, clear=request), Message.ACK).ack.msg)
 
     def set_wind(self, speed: float, from_deg: float) -> str:
         """Change the mean wind: speed [m/s] at 20 ft, and bearing it comes from [degrees].
@@ -207,16 +211,16 @@ class SharedCalls(ABC):
 
     def status(self) -> Status:
         """Return who flies what, how old the orders are, and how the pace is kept."""
-        found = self._ask(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
+        found = self._call(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
         vehicles = {
             each.name: VehicleStatus(
                 each.client,
                 each.flies,
-                _given(each, "source_tick"),
-                _given(each, "arrival_tick"),
-                _given(each, "age"),
+                _optional_field(each, "source_tick"),
+                _optional_field(each, "arrival_tick"),
+                _optional_field(each, "age"),
                 each.misses,
-                _given(each, "silent_since"),
+                _optional_field(each, "silent_since"),
             )
             for each in found.vehicle
         }
@@ -225,7 +229,7 @@ class SharedCalls(ABC):
 
     def describe(self) -> dict[str, Any]:
         """Return what the world is made of: area, obstacles, ground, wind, fleets with their sensors and commands."""
-        found = self._ask(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
+        found = self._call(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
         parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
         parts.update({"radio": _part(found.radio)} if found.HasField("radio") else {})
         return {
@@ -235,34 +239,37 @@ class SharedCalls(ABC):
             "origin": list(found.origin),
             **parts,
             "obstacles": [_part(each) for each in found.obstacle],
-            "fleets": {fleet.name: _fleet(fleet) for fleet in found.fleet},
+            "fleets": {fleet.name: _fleet_description(fleet) for fleet in found.fleet},
         }
 
     # ---- of the client ----
 
     @abstractmethod
-    def _ask(self, request: Message, expected: Message.Type) -> Message:
+    def _call(self, request: Message, expected: Message.Type) -> Message:
         """Send a request and return its reply."""
 
     @abstractmethod
     def _receive(self, timeout: float | None) -> Message:
-        """Return the next message."""
+        """Return the next message of the server, waiting at most a timeout [s]."""
 
     @abstractmethod
-    def _expect(self, reply: Message, expected: Message.Type) -> Message:
+    def _checked_reply(self, reply: Message, expected: Message.Type) -> Message:
         """Return a reply of a type; raises Refused and ConnectionFailed."""
 
     @abstractmethod
-    def _take_in(self) -> None:
+    def _decode_pushed(self) -> None:
         """Take in what was pushed and has arrived."""
 
 
 def sensed_of(found: pb.Readings) -> Sensed:
-    """Return what a message of stamped readings says."""
-    return Sensed(found.tick, found.t, found.sent, found.missed, {each.name: _vehicle(each) for each in found.vehicle})
+    """Convert a message of stamped readings to a ``Sensed``."""
+    return Sensed(
+        found.tick, found.t, found.sent, found.missed, {each.name: _sensed_vehicle(each) for each in found.vehicle}
+    )
 
 
-def _vehicle(found: Any) -> SensedVehicle:
+def _sensed_vehicle(found: Any) -> SensedVehicle:
+    """Convert the stamped readings of one vehicle from their message."""
     sensors = {
         sensor.name: {
             **{f.name: f.value[0] if len(f.value) == 1 else np.array(f.value) for f in sensor.field},
@@ -276,16 +283,18 @@ def _vehicle(found: Any) -> SensedVehicle:
     return SensedVehicle(found.valid, found.reason, sensors, state, heard_of(found.heard))
 
 
-def _names(vehicles: Any) -> list[str]:
+def _vehicle_list(vehicles: Any) -> list[str]:
+    """Return vehicle names as a list; None is the empty list, a string one name."""
     return [] if vehicles is None else [vehicles] if isinstance(vehicles, str) else list(vehicles)
 
 
-def _given(found: Any, name: str) -> Any:
+def _optional_field(found: Any, name: str) -> Any:
+    """Return a field of a message, None where it is not set."""
     return getattr(found, name) if found.HasField(name) else None
 
 
 def numbers_of(vehicle: str, said: object) -> list[float]:
-    """Return what somebody says as numbers; raises UsageError for what is none."""
+    """Convert a user's value to an array of floats; raises UsageError for other values."""
     try:
         values = np.asarray(said, np.float64)
     except (TypeError, ValueError):
@@ -296,8 +305,9 @@ def numbers_of(vehicle: str, said: object) -> list[float]:
     return found
 
 
-def _orders(orders: Mapping[str, Any]) -> list[pb.Order]:
-    found = []
+def _order_messages(orders: Mapping[str, Any]) -> list[pb.Order]:
+    """Convert vehicle -> (kind, numbers) to messages; raises UsageError for orders of another form."""
+    messages = []
     for vehicle, order in orders.items():
         try:
             kind, numbers = order
@@ -306,19 +316,19 @@ def _orders(orders: Mapping[str, Any]) -> list[pb.Order]:
             values = np.zeros((0, 0))
         if values.ndim != 1:
             raise UsageError(f"order of '{vehicle}': expected (kind, numbers), found {order!r:.100}")
-        found.append(pb.Order(vehicle=vehicle, type=kind_of(kind), cmd=pb.Arrayd(value=values.tolist())))
-    return found
+        messages.append(pb.Order(vehicle=vehicle, type=kind_of(kind), cmd=pb.Arrayd(value=values.tolist())))
+    return messages
 
 
 def kind_of(name: str) -> Step.Type:
-    """Return the number of a kind of order; raises UsageError for one that is none."""
+    """Return the number of a kind of order; raises UsageError for an unknown one."""
     if name not in KINDS:
         raise UsageError(f"no order is of kind {name!r:.60}; there are {', '.join(KINDS)}")
     return KINDS[name]
 
 
 def _part(found: Any) -> dict[str, Any]:
-    """Return a component: its type, its numbers, and the units of these."""
+    """Return a component from its message: its type, its numbers, and their units."""
     values: dict[str, Any] = {"type": found.type}
     for each in found.quantity:
         numbers = list(each.value)
@@ -327,7 +337,8 @@ def _part(found: Any) -> dict[str, Any]:
     return values
 
 
-def _fleet(found: Any) -> dict[str, Any]:
+def _fleet_description(found: Any) -> dict[str, Any]:
+    """Convert the description of a fleet from its message to a dict."""
     return {
         "vehicles": list(found.vehicle),
         "model": _part(found.model),

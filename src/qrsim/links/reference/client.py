@@ -92,18 +92,18 @@ class Client(SharedCalls):
     def init(self, task: str, *, realtime: bool = False) -> State:
         """Start a task by its name and return the state at the start; see also ``open``."""
         request = Message(type=Message.INIT, init=pb.Init(task=task, realTime=realtime))
-        state = state_of(self._ask(request, Message.STATE).state)
-        self._note(self._expect(self._receive(self._timeout), Message.TASKINFO).taskInfo)
+        state = state_of(self._call(request, Message.STATE).state)
+        self._set_info(self._checked_reply(self._receive(self._timeout), Message.TASKINFO).taskInfo)
         return state
 
     def reset(self) -> None:
         """Start the next episode of the task; ``restart`` does it too, and returns its seed and its state."""
-        self._ask(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
+        self._call(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
 
     def set_state(self, state: object) -> None:
         """Set the vehicles' states (n, 13), (n, 12), (n, 6) or (n, 3); see ``Simulation.set_state``."""
         rows = pb.SetState(X=_vectors("state", state, (3, 6, 12, 13)))
-        self._ask(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
+        self._call(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
 
     def step_waypoint(self, dt: float, waypoints: object) -> State:
         """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for a simulated time [s]."""
@@ -120,7 +120,7 @@ class Client(SharedCalls):
         except (TypeError, ValueError):
             shape = f"(vehicles, 5), found {commands!r:.100}"
             raise UsageError(f"command: expected numbers of shape {shape}") from None
-        return self._fly(Step(dt=dt, type=Step.CTRL, cmd=vectors))
+        return self._send_step(Step(dt=dt, type=Step.CTRL, cmd=vectors))
 
     def step_velocity(self, dt: float, velocities: object) -> State:
         """Fly at velocities NED (n, 3) [m/s], heading north, for a simulated time [s]."""
@@ -128,33 +128,33 @@ class Client(SharedCalls):
 
     def step_setpoint(self, dt: float, kind: str, setpoints: object) -> State:
         """Fly set-points of a kind of ``claiming.KINDS``, one row for each vehicle, for a simulated time [s]."""
-        return self._fly(Step(dt=dt, type=kind_of(kind), cmd=_vectors("set-point", setpoints)))
+        return self._send_step(Step(dt=dt, type=kind_of(kind), cmd=_vectors("set-point", setpoints)))
 
     def disconnect(self) -> None:
         """End the session and the connection."""
-        self._leave(quit_server=False)
+        self._send_disconnect(quit_server=False)
 
     def quit(self) -> str:
         """End the session and ask the server to quit; return "" or the reason it goes on."""
-        return self._leave(quit_server=True)
+        return self._send_disconnect(quit_server=True)
 
-    def _leave(self, quit_server: bool) -> str:
+    def _send_disconnect(self, quit_server: bool) -> str:
         request = Message(type=Message.DISCONNECT, disconnect=pb.Disconnect(quit=quit_server))
-        said = self._ask(request, Message.ACK).ack.msg
+        said = self._call(request, Message.ACK).ack.msg
         self.close()
         return said
 
     def _step(self, dt: float, kind: Step.Type, rows: object, width: int) -> State:
-        return self._fly(Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,))))
+        return self._send_step(Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,))))
 
-    def _fly(self, step: Step) -> State:
-        return state_of(self._ask(Message(type=Message.STEP, step=step), Message.STATE).state)
+    def _send_step(self, step: Step) -> State:
+        return state_of(self._call(Message(type=Message.STEP, step=step), Message.STATE).state)
 
     # ---- extensions ----
 
     def hello(self) -> dict[str, Any]:
         """Return version, capabilities, tasks and running sessions; afterwards invalid vehicles have reasons."""
-        found = self._ask(Message(type=Message.HELLO, hello=pb.Hello()), Message.SERVER).server
+        found = self._call(Message(type=Message.HELLO, hello=pb.Hello()), Message.SERVER).server
         return {
             "version": found.version,
             "capabilities": list(found.capability),
@@ -181,23 +181,23 @@ class Client(SharedCalls):
             realtime: simulated seconds per second of the wall clock, 0 for lock-step; default: the server's.
             events: collect events.
         """
-        request = pb.Open(task=task, scenario=scenario, seed=_seed(seed), realtime=realtime, events=events)
-        return self._session(Message(type=Message.OPEN, open=request))
+        request = pb.Open(task=task, scenario=scenario, seed=_checked_seed(seed), realtime=realtime, events=events)
+        return self._open_session(Message(type=Message.OPEN, open=request))
 
     def restart(self, seed: int | None = None) -> Session:
         """Start the next episode of the task, or that of a seed."""
-        return self._session(Message(type=Message.RESTART, restart=pb.Restart(seed=_seed(seed))))
+        return self._open_session(Message(type=Message.RESTART, restart=pb.Restart(seed=_checked_seed(seed))))
 
-    def _session(self, request: Message) -> Session:
-        found = self._ask(request, Message.SESSION).session
-        self._note(found.info)
+    def _open_session(self, request: Message) -> Session:
+        found = self._call(request, Message.SESSION).session
+        self._set_info(found.info)
         return Session(
             found.id, found.scenario, found.seed, tuple(found.vehicle), found.info.timestep, state_of(found.state)
         )
 
     def readings(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Return vehicle -> sensor -> field -> value, a number or an array; "reason" says why a reading is missing."""
-        found = self._ask(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
+        found = self._call(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {
             vehicle.name: {
                 sensor.name: {
@@ -211,7 +211,7 @@ class Client(SharedCalls):
 
     def events(self) -> list[dict[str, Any]]:
         """Return the events since the last call, in a session opened with events."""
-        found = self._ask(Message(type=Message.GET_EVENTS, get_events=pb.GetEvents()), Message.EVENTS).events
+        found = self._call(Message(type=Message.GET_EVENTS, get_events=pb.GetEvents()), Message.EVENTS).events
         return [
             {
                 "time": event.t,
@@ -227,7 +227,7 @@ class Client(SharedCalls):
     def pace(self, factor: float | None = None) -> dict[str, float]:
         """Return the pace statistics of the session, and set a new pace (0: lock-step) if one is given."""
         request = Message(type=Message.PACE, pace=pb.Pace(factor=factor))
-        found = self._ask(request, Message.PACING).pacing
+        found = self._call(request, Message.PACING).pacing
         return {field.name: value for field, value in found.ListFields()}
 
     def play(self, task: str | None = None, *, scenario: str | None = None, seed: int | None = None) -> Episode:
@@ -239,8 +239,8 @@ class Client(SharedCalls):
             seed: of all randomness; default: the next one of the server, or where the task is played already the next
                 episode of the series that its seed has begun.
         """
-        request = pb.Play(task=task, scenario=scenario, seed=_seed(seed))
-        found = self._ask(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
+        request = pb.Play(task=task, scenario=scenario, seed=_checked_seed(seed))
+        found = self._call(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
         return Episode(
             session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
             axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
@@ -258,7 +258,7 @@ class Client(SharedCalls):
         """
         words = [] if say is None else [pb.Arrayd(value=numbers_of(f"agent {i}", row)) for i, row in enumerate(say)]
         request = pb.Act(action=_vectors("action", action), answer=_answers(answer), say=words)
-        found = self._ask(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
+        found = self._call(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
         return Outcome(
             step=found.step,
             time=found.t,
@@ -280,12 +280,12 @@ class Client(SharedCalls):
             timeout: how long to wait for a state [s]; default: for ever.
         """
         request = pb.Watch(session=session, period=period)
-        self._ask(Message(type=Message.WATCH, watch=request), Message.ACK)
-        return self._states(timeout)
+        self._call(Message(type=Message.WATCH, watch=request), Message.ACK)
+        return self._watched(timeout)
 
-    def _states(self, timeout: float | None) -> Iterator[State]:
+    def _watched(self, timeout: float | None) -> Iterator[State]:
         while True:
-            yield state_of(self._expect(self._receive(timeout), Message.STATE).state)
+            yield state_of(self._checked_reply(self._receive(timeout), Message.STATE).state)
 
     # ---- the connection ----
 
@@ -303,28 +303,28 @@ class Client(SharedCalls):
     ) -> None:
         self.close()
 
-    def _note(self, info: pb.TaskInfo) -> None:
+    def _set_info(self, info: pb.TaskInfo) -> None:
         self.time_step, self.size = info.timestep, info.numUAVs
 
-    def _ask(self, request: Message, expected: Message.Type) -> Message:
+    def _call(self, request: Message, expected: Message.Type) -> Message:
         try:
             self._open_socket().sendall(frame(request.SerializeToString()))
         except OSError as error:
             # What the server said before it closed the connection says more than this.
             try:
-                return self._expect(self._receive(0.5), expected)
+                return self._checked_reply(self._receive(0.5), expected)
             except ConnectionFailed:
-                raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+                raise self._close_with(f"the connection is lost: {error.strerror or error}") from None
         while (reply := self._receive(self._timeout)).type == Message.SENSED:
             self._pushed.append(reply.sensed)
-        return self._expect(reply, expected)
+        return self._checked_reply(reply, expected)
 
-    def _expect(self, reply: Message, expected: Message.Type) -> Message:
+    def _checked_reply(self, reply: Message, expected: Message.Type) -> Message:
         if reply.type == expected and not (expected == Message.ACK and reply.ack.error):
             return reply
         if reply.type == Message.ACK:
             raise (InvalidState if reply.ack.msg == INVALID else Refused)(f"{self._where}: {reply.ack.msg}")
-        raise self._failed(f"expected {Message.Type.Name(expected)}, found {Message.Type.Name(reply.type)}")
+        raise self._close_with(f"expected {Message.Type.Name(expected)}, found {Message.Type.Name(reply.type)}")
 
     def _receive(self, timeout: float | None) -> Message:
         connection = self._open_socket()
@@ -334,17 +334,17 @@ class Client(SharedCalls):
                 connection.settimeout(None if deadline is None else max(deadline - time.monotonic(), 1e-6))
                 data = connection.recv(1 << 18)
                 if not data:
-                    raise self._failed("the server has closed the connection")
+                    raise self._close_with("the server has closed the connection")
                 self._deframer.feed(data)
             return Message.FromString(payload)
         except (TimeoutError, socket.timeout):  # noqa: UP041 (two things before Python 3.10)
-            raise self._failed(f"no answer within {timeout:g} s") from None
+            raise self._close_with(f"no answer within {timeout:g} s") from None
         except OSError as error:
-            raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+            raise self._close_with(f"the connection is lost: {error.strerror or error}") from None
         except (UsageError, DecodeError) as error:
-            raise self._failed(f"this is no qrsim server: {error}") from None
+            raise self._close_with(f"this is no qrsim server: {error}") from None
 
-    def _take_in(self) -> None:
+    def _decode_pushed(self) -> None:
         connection = self._open_socket()
         connection.settimeout(0.0)
         try:
@@ -353,25 +353,25 @@ class Client(SharedCalls):
         except (BlockingIOError, InterruptedError):
             pass
         except OSError as error:
-            raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+            raise self._close_with(f"the connection is lost: {error.strerror or error}") from None
         # Where it has ended, the next to receive says so.
         try:
             while (payload := self._deframer.next()) is not None:
-                self._pushed.append(self._expect(Message.FromString(payload), Message.SENSED).sensed)
+                self._pushed.append(self._checked_reply(Message.FromString(payload), Message.SENSED).sensed)
         except (UsageError, DecodeError) as error:
-            raise self._failed(f"this is no qrsim server: {error}") from None
+            raise self._close_with(f"this is no qrsim server: {error}") from None
 
     def _open_socket(self) -> socket.socket:
         if self._socket is None:
             raise ConnectionFailed(f"{self._where}: this client is closed")
         return self._socket
 
-    def _failed(self, why: str) -> ConnectionFailed:
+    def _close_with(self, why: str) -> ConnectionFailed:
         self.close()
         return ConnectionFailed(f"{self._where}: {why}")
 
 
-def _seed(seed: int | None) -> int | None:
+def _checked_seed(seed: int | None) -> int | None:
     if seed is not None and not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return seed

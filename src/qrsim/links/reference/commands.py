@@ -100,7 +100,7 @@ class Commands:
         return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]
 
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
-        """Learn the layout of a STEP: later ones that differ only in numbers are not parsed.
+        """Store the layout of a STEP: later ones that differ only in numbers are not parsed.
 
         Args:
             payload: the message as it came.
@@ -147,7 +147,7 @@ class MixedCommands(Commands):
         self._fleets, self._dtype = fleets, dtype
 
     def of(self, request: Step) -> dict[str, Any]:
-        """Convert a STEP to commands by fleet; what it has for vehicles that take no commands is not looked at.
+        """Convert a STEP to commands by fleet; vectors for vehicles that take no commands are ignored.
 
         Raises:
             UsageError: the number of vectors or of their entries is wrong.
@@ -182,18 +182,18 @@ class MixedCommands(Commands):
         return found
 
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
-        """Learn nothing: vectors differ in their lengths."""
+        """Do nothing: vectors of mixed fleets differ in their lengths."""
 
 
 def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
-    """Return what converts STEPs for the vehicles of fleets."""
+    """Return the converter of STEPs for the vehicles of fleets."""
     if all(fleet.vehicle.command_type is Command for fleet in fleets):
         return Commands([name for fleet in fleets for name in fleet.vehicle_names], dtype)
     return MixedCommands(fleets, dtype)
 
 
 def _command_of_array(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
-    """Return an array (n, width) for the vectors of a STEP, and a fleet's command that changes when it is written.
+    """Return the array (n, width) for the vectors of a STEP, and the fleet's command, which is a view of it.
 
     The fields of the command are views of the array's columns.
     """

@@ -122,6 +122,7 @@ class Connection(asyncio.Protocol):
         self._wake()
 
     def _wake(self) -> None:
+        """Wake the coroutine that waits for more bytes."""
         if self._more is not None and not self._more.done():
             self._more.set_result(None)
 
@@ -213,6 +214,7 @@ class Connection(asyncio.Protocol):
             await loop.run_in_executor(None, time.sleep, rest)
 
     async def _serve(self, refused: str | None) -> None:
+        """Serve the client until it leaves, then end its session; or refuse it with a reason."""
         try:
             if refused is not None:
                 self.acknowledge(refused)

@@ -49,6 +49,7 @@ def description(scenario: Scenario, simulation: Simulation) -> pb.World:
 
 
 def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: World, reading: FleetReading) -> None:
+    """Append the description of a fleet to a WORLD message: vehicles, sensors, commands with their limits."""
     start = as_array(fleet.start.position_ned)
     added = found.fleet.add(
         name=fleet.name,
@@ -57,7 +58,7 @@ def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: Wo
         controller=spec["controller"]["type"],
         guidance=spec["guidance"]["type"],
         radius=float(np.asarray(world.radius_of(fleet))),
-        limits=_limits(fleet),
+        limits=_limits_message(fleet),
         start=[pb.Arrayd(value=np.asarray(row, np.float64).tolist()) for row in start],
     )
     for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
@@ -70,22 +71,23 @@ def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: Wo
             command.field.add(name=field.name, unit=field.unit, low=field.low, high=field.high)
 
 
-def _limits(fleet: Fleet) -> Part:
+def _limits_message(fleet: Fleet) -> Part:
+    """Return the limits of a fleet as a message."""
     limits = fleet.limits
-    found = Part(type=type(limits).__name__)
+    message = Part(type=type(limits).__name__)
     for field in dataclasses.fields(limits):
         value = getattr(limits, field.name)
         if value is not None:
             numbers = np.asarray(value, np.float64).ravel().tolist()
-            found.quantity.add(name=field.name, unit=field_info(field).unit, value=numbers)
-    return found
+            message.quantity.add(name=field.name, unit=field_info(field).unit, value=numbers)
+    return message
 
 
 def _part(spec: Any, known: Mapping[str, object]) -> Part:
-    """Return a component from its place in a scenario."""
+    """Return the message of a component of a scenario: its type, numbers and units."""
     content = {"type": spec} if isinstance(spec, str) else dict(spec)
     kind = str(content.pop("type"))
-    units = _units(known.get(kind))
+    units = _units_by_field(known.get(kind))
     found = Part(type=kind)
     for name, value in _values(content, ""):
         unit = units.get(name.partition(".")[0], "")
@@ -96,15 +98,16 @@ def _part(spec: Any, known: Mapping[str, object]) -> Part:
     return found
 
 
-def _units(kind: object) -> dict[str, str]:
+def _units_by_field(kind: object) -> dict[str, str]:
+    """Return field -> unit of a component; empty for other values."""
     if not dataclasses.is_dataclass(kind):
         return {}
     return {field.name: field_info(field).unit for field in dataclasses.fields(kind)}
 
 
 def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Yield (dotted name, text or numbers) of what is in a part of a scenario; a list of points is flat, and several
-    such lists, as the courtyards of a building, are numbered, and so are parts, as the zones of an area.
+    """Yield (dotted name, text or numbers) of the content of a part of a scenario; a list of points is flattened, and
+    several such lists, such as the courtyards of a building, are numbered, and so are parts, as the zones of an area.
     """
     for key, value in content.items():
         name = f"{prefix}{key}"

@@ -94,7 +94,7 @@ class EpisodeSession:
         self._episodes = Episodes(self.play, 1, PRECISION)
         self.pacer = Pacer(self._options.realtime, 0.0)
         self.seed = self._seeds.next()
-        self._start()
+        self._start_episode()
 
     def start_clock(self, factor: float) -> None:
         """Begin to count the pace, at a factor (0: lock-step); raises UsageError."""
@@ -111,10 +111,11 @@ class EpisodeSession:
             self.seed, self.episode = self._seeds.next(), 0
         elif self._seeds.episodes == "new":
             self.episode += 1
-        self._start()
+        self._start_episode()
         self.pacer.restarted()
 
-    def _start(self) -> None:
+    def _start_episode(self) -> None:
+        """Start an episode from the session's seed and episode number, and store its first observation."""
         keys = self.play.keys(Key.roots(np.array([self.seed]), np.array([self.episode])))
         self._running = False
         begun = self._episodes.start(np.zeros(1, int), keys)

@@ -17,8 +17,8 @@ from qrsim.world.state import World
 
 
 async def inject(client: Client, message: Message) -> None:
-    """Let something fail, or change the wind."""
-    await _obey(client, "INJECT", request_of(message.inject))
+    """Apply the fault or the change of the wind that an INJECT message requests."""
+    await _apply_request(client, "INJECT", request_of(message.inject))
 
 
 async def clear(client: Client, message: Message) -> None:
@@ -26,11 +26,11 @@ async def clear(client: Client, message: Message) -> None:
     asked = message.clear
     target = asked.target if asked.HasField("target") else None
     _check_texts([*asked.vehicle, target or ""])
-    await _obey(client, "CLEAR", Request(target, OK, tuple(asked.vehicle) or None))
+    await _apply_request(client, "CLEAR", Request(target, OK, tuple(asked.vehicle) or None))
 
 
 def request_of(asked: pb.Inject) -> Request:
-    """Return what an INJECT asks for; raises UsageError for texts that are none and numbers that are given twice."""
+    """Return the request of an INJECT message; raises UsageError for invalid texts and numbers given twice."""
     _check_texts([asked.target, asked.kind, asked.field, *asked.vehicle, *(each.name for each in asked.number)])
     numbers: dict[str, Any] = {"field": asked.field} if asked.HasField("field") else {}
     for each in asked.number:
@@ -43,24 +43,26 @@ def request_of(asked: pb.Inject) -> Request:
 
 
 def _check_texts(texts: list[object]) -> None:
+    """Check that all texts of a message are UTF-8; raises UsageError."""
     # What is not UTF-8 comes as bytes.
     if not all(isinstance(text, str) for text in texts):
         raise UsageError("message: a text is not UTF-8")
 
 
-async def _obey(client: Client, what: str, request: Request) -> None:
+async def _apply_request(client: Client, what: str, request: Request) -> None:
+    """Apply a request to the client's session or to its claimed vehicles, and acknowledge it."""
     session, sharing = client.required_session(), client.server.sharing
     still: contextlib.AbstractAsyncContextManager[Any] = contextlib.nullcontext()
     if sharing is not None:
-        request, still = _own(client, sharing, what, request), sharing.lock
+        request, still = _claimed_request(client, sharing, what, request), sharing.lock
     async with still:
         asked_by = f"tcp:{client.number}"
         done = await client.server.run(session, lambda: apply(session.simulation, request, asked_by))
     client.acknowledge(note=done)
 
 
-def _own(client: Client, sharing: Sharing, what: str, request: Request) -> Request:
-    """Return a request for vehicles that a client has claimed, by default all of these that have the target.
+def _claimed_request(client: Client, sharing: Sharing, what: str, request: Request) -> Request:
+    """Return a request limited to a client's claimed vehicles; by default all of these that have the target.
 
     Raises:
         UsageError: one is not claimed by it, or the request is for the whole world and the operator does not allow it.
@@ -77,11 +79,11 @@ def _own(client: Client, sharing: Sharing, what: str, request: Request) -> Reque
     mine = claims.of(client.number)
     if not mine:
         raise UsageError(f"{what}: this client has claimed no vehicle; CLAIM first")
-    having = _having(sharing.session.simulation.world, request.target)
+    having = _vehicles_with(sharing.session.simulation.world, request.target)
     return replace(request, vehicles=tuple(name for name in mine if name in having) or mine)
 
 
-def _having(world: World, target: str | None) -> set[str]:
-    """Return the names of the vehicles that a target may fail of; of no target, of all."""
+def _vehicles_with(world: World, target: str | None) -> set[str]:
+    """Return the names of the vehicles that have a target part; without a target, all names."""
     fleets = [fleet for fleet in world.fleets if target is None or plain_target(target) in targets_of(fleet)]
     return {name for fleet in fleets for name in fleet.vehicle_names}

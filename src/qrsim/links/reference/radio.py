@@ -22,7 +22,7 @@ _HEARD = b"\x32"
 
 
 def words_of(request: pb.Say) -> list[Words]:
-    """Return what a request has vehicles say.
+    """Return the radio messages of a request.
 
     Raises:
         UsageError: a name is no text, or a vehicle says two things at once.
@@ -39,7 +39,7 @@ def words_of(request: pb.Say) -> list[Words]:
 
 
 def hand_over(simulation: Simulation, words: Sequence[Words]) -> None:
-    """Hand messages to the radios of vehicles, all or none; raises UsageError for what cannot be said."""
+    """Pass messages to the radios of vehicles, all or none; raises UsageError for invalid messages."""
     world, names = simulation.world, simulation.vehicle_names
     simulation.send_all([checked_message(world, names, each.vehicle, each.numbers, each.to) for each in words])
 
@@ -48,23 +48,24 @@ def heard_by_all(simulation: Simulation) -> list[list[pb.Readings.Heard]]:
     """Return what each vehicle has heard, the newest message of each sender."""
     if simulation.world.radio is None:
         return [[] for _ in range(simulation.size)]
-    return [[_message(each) for each in heard] for heard in simulation.inboxes()]
+    return [[_heard_message(each) for each in heard] for heard in simulation.inboxes()]
 
 
-def _message(found: Received) -> pb.Readings.Heard:
+def _heard_message(found: Received) -> pb.Readings.Heard:
+    """Convert a received radio message to its protobuf message."""
     return pb.Readings.Heard(
         sender=found.sender, sent=found.sent, received=found.received, rssi=found.rssi, value=found.payload.tolist()
     )
 
 
 def heard_bytes(heard: Sequence[pb.Readings.Heard]) -> bytes:
-    """Return what a vehicle has heard as a part of its message."""
+    """Return the radio messages that a vehicle has received, encoded as a part of its protobuf message."""
     parts = [each.SerializeToString() for each in heard]
     return b"".join(_HEARD + varint(len(part)) + part for part in parts)
 
 
 def said(play: Play, request: Act) -> NumpyArray:
-    """Return what agents say (n, D), NaN for those who say nothing; D = 0 without a radio.
+    """Return the radio payloads of agents (n, D), NaN for those that send nothing; D = 0 without a radio.
 
     Raises:
         UsageError: there is no radio, or not one message of each agent, of D finite numbers or none.

@@ -76,7 +76,7 @@ class Source(Protocol):
 
     @property
     def world(self) -> World:
-        """What the state is of."""
+        """World whose state is sent."""
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
@@ -84,7 +84,7 @@ class Source(Protocol):
 
 
 def places_of(simulation: Source) -> Any:
-    """Return the state of a world whose leaves are their own places in its packed arrays."""
+    """Return the state of a world with each leaf replaced by its indices in the packed arrays."""
     layout, _ = simulation.packed
     floats, integers = layout.sizes
     return layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
@@ -128,7 +128,7 @@ class Readout:
         self._find_places(simulation)
 
     def _find_places(self, simulation: Source) -> None:
-        """Find where in the packed state the numbers of each vehicle are."""
+        """Store the indices of each vehicle's numbers in the packed state."""
         places = places_of(simulation)
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
         # Vehicles from outside can have a state without a thrust, for example.
@@ -173,7 +173,7 @@ class Readout:
         return self._x
 
     def _explained(self) -> bytes:
-        """Return the STATE with a reason for each vehicle that is invalid, the numbers being there already."""
+        """Return the STATE with a reason for each invalid vehicle; its numbers are written already."""
         floats, integers = self._simulation.packed[1]
         codes, values = np.asarray(integers).take(self._codes), np.asarray(floats).take(self._values)
         body = bytes(self._buffer[self._body_at : self._body_at + self._body_size])
@@ -208,7 +208,7 @@ class States:
         return self._plain.vectors()
 
     def message(self) -> State:
-        """Return the message State of now, with reasons."""
+        """Return the present message State, with reasons for invalid vehicles."""
         return self._with_reasons().message()
 
     def all_valid(self) -> bool:
@@ -216,6 +216,7 @@ class States:
         return self._plain.all_valid()
 
     def _with_reasons(self) -> Readout:
+        """Return the readout that adds reasons, building it at the first call."""
         self._explaining = self._explaining or Readout(self._simulation, reasons=True)
         return self._explaining
 
@@ -234,7 +235,7 @@ class _Posed:
         self._compiled = jax.jit(_vectors)
 
     def vectors(self, layout: Packer, buffers: Buffers) -> NumpyArray:
-        """Return the state vectors (n, 13) of the vehicles of a packed state, the first parts of positions in them."""
+        """Return the state vectors (n, 13) of vehicles of a packed state, with the high parts of positions."""
         part = layout.numbers.fleets[self._number].vehicle
         state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
         with jax.enable_x64(layout.dtype == np.float64):
@@ -242,13 +243,14 @@ class _Posed:
 
 
 def _vectors(vehicle: Vehicle, state: Any) -> jax.Array:
+    """Return pose and thrust [N] of a fleet's vehicles as state vectors (n, 13)."""
     pose, like = vehicle.pose(state), state.position_ned.x
     thrust = jnp.broadcast_to(jnp.asarray(vehicle.load(state).thrust), like.shape)
     return jnp.stack([*jax.tree.leaves(pose), thrust], axis=1)
 
 
 def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
-    """Return the fleets whose own states lack a part of the pose."""
+    """Return the fleets that need ``Vehicle.pose``, because their states lack a part of the pose."""
     found, first = [], 0
     for number, (fleet, state) in enumerate(zip(world.fleets, fleets, strict=True)):
         rows = slice(first, first + fleet.size)
@@ -259,7 +261,7 @@ def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
 
 
 def _state_places(fleet: FleetState) -> NumpyArray:
-    """Return the places (n, 13) of the state vector of vehicles; -1 for what their own state has not."""
+    """Return the indices (n, 13) of the state vectors in the packed state; -1 for parts that the state lacks."""
     own = vars(fleet.vehicle)
     nothing = np.full(len(fleet.violation.code), -1)
     columns: list[Any] = []
@@ -269,7 +271,7 @@ def _state_places(fleet: FleetState) -> NumpyArray:
 
 
 def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
-    """Return the places (n, 3) of what single precision leaves out of the positions, None in double precision."""
+    """Return the indices (n, 3) of the low parts of positions in the packed state, None in double precision."""
     lows = [fleet.position_low_ned for fleet in fleets]
     if any(low is None for low in lows):
         return None
@@ -277,7 +279,7 @@ def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
 
 
 def _measured_places(fleet: FleetState) -> dict[int, object]:
-    """Return column of the measured vector -> places (n,) of its numbers."""
+    """Return column of the measured vector -> indices (n,) of its numbers in the packed state."""
     found: dict[int, object] = {}
     for reading in reversed(fleet.readings):
         if isinstance(reading, GnssReading):

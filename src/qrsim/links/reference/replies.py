@@ -256,7 +256,7 @@ class Status:
 
 
 def state_of(found: Any) -> State:
-    """Return what a message STATE says."""
+    """Convert a STATE message."""
     return State(
         found.t,
         np.array([row.value for row in found.X]).reshape(len(found.X), -1),
@@ -266,16 +266,16 @@ def state_of(found: Any) -> State:
 
 
 def heard_of(found: Iterable[Any]) -> tuple[Heard, ...]:
-    """Return the messages that a vehicle has heard."""
+    """Convert the radio messages that a vehicle has received."""
     return tuple(Heard(each.sender, each.sent, each.received, each.rssi, np.array(each.value)) for each in found)
 
 
 def arrays_of(found: Iterable[Any]) -> dict[str, Array]:
-    """Return the arrays of Values by their names."""
+    """Return name -> array of a Values message."""
     return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
 
 
 def seen_of(found: Iterable[object]) -> Array | dict[str, Array]:
-    """Return what agents see: an array, or several by name."""
+    """Return the observation of agents: an array, or several by name."""
     arrays = arrays_of(found)
     return arrays[""] if list(arrays) == [""] else arrays

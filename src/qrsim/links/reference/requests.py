@@ -40,7 +40,7 @@ async def init(connection: Client, message: Message) -> None:
     session_options = await server.run_in_thread(lambda: _session_options(connection, request.task, realtime=realtime))
     session = await server.open(connection, lambda number: Session(number, session_options, server.options.view))
     connection.send_frame(session.states.frame(connection.reasons))
-    connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
+    connection.send(Message(type=Message.TASKINFO, taskInfo=_task_info(session)))
     server.broadcast(session)
 
 
@@ -59,7 +59,7 @@ def _session_options(
     return SessionOptions(found, **{"seeds": server.seeds, "record": server.options.record, **others})
 
 
-def _info(session: Session) -> pb.TaskInfo:
+def _task_info(session: Session) -> pb.TaskInfo:
     return pb.TaskInfo(timestep=session.time_step, numUAVs=session.simulation.size)
 
 
@@ -67,12 +67,12 @@ async def reset(connection: Client, message: Message) -> None:
     """Start the next episode of the task."""
     session = connection.required_session()
     await connection.server.run(session, session.restart)
-    _say_episode(connection, session)
+    _print_episode(connection, session)
     connection.acknowledge()
     connection.server.broadcast(session)
 
 
-def _say_episode(connection: Client, session: Session) -> None:
+def _print_episode(connection: Client, session: Session) -> None:
     connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
@@ -197,12 +197,12 @@ async def restart(connection: Client, message: Message) -> None:
     session, seed = connection.required_session(), _seed(message.restart)
     async with _still(connection, "RESTART"):
         await connection.server.run(session, lambda: session.restart(seed))
-        _say_episode(connection, session)
+        _print_episode(connection, session)
         _send_session(connection, session)
 
 
 def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[Any]:
-    """Return a context in which a world that clients share does not move.
+    """Return a context in which a shared world does not advance.
 
     Args:
         connection: whose request it is.
@@ -221,15 +221,15 @@ def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContex
 
 def _send_session(connection: Client, session: Session) -> None:
     simulation = session.simulation
-    found = pb.Session(
+    message = pb.Session(
         id=session.number,
         scenario=session.scenario.name,
         seed=simulation.seed,
         vehicle=simulation.vehicle_names,
-        info=_info(session),
+        info=_task_info(session),
         state=session.states.message(),
     )
-    connection.send(Message(type=Message.SESSION, session=found))
+    connection.send(Message(type=Message.SESSION, session=message))
     connection.server.broadcast(session)
 
 
@@ -281,7 +281,7 @@ async def pace(connection: Client, message: Message) -> None:
 
 
 async def describe(connection: Client, message: Message) -> None:
-    """Say what the world is made of."""
+    """Send the description of the world."""
     session = connection.required_session()
     found = await connection.server.run(session, lambda: description(session.scenario, session.simulation))
     connection.send(Message(type=Message.WORLD, world=found))
@@ -347,7 +347,7 @@ async def act(connection: Client, message: Message) -> None:
 
 
 async def say(connection: Client, message: Message) -> None:
-    """Hand messages to the radios of vehicles."""
+    """Pass messages to the radios of vehicles."""
     session, words = connection.required_session(), words_of(message.say)
     if isinstance(session, SharedSession):
         session.plant.say(connection.number, words)

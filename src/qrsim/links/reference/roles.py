@@ -56,7 +56,7 @@ class Host(Protocol):
 
     @property
     def say(self) -> Callable[[str], None]:
-        """Tells the operator something."""
+        """Print a line for the operator."""
 
     @property
     def sharing(self) -> Any:
@@ -66,13 +66,13 @@ class Host(Protocol):
         """End the server."""
 
     def admit(self, connection: Any) -> str | None:
-        """Take a connection in; say why not."""
+        """Register a connection; return the reason for refusing it, or None."""
 
     def report_bug(self, error: Exception) -> None:
-        """Tell the operator of an error of the server's own."""
+        """Print an internal error for the operator."""
 
     def forget(self, connection: Any) -> Awaitable[None]:
-        """End what a connection had."""
+        """End the session and the watching of a closed connection."""
 
     def answer(self, connection: Any, message: Message) -> Awaitable[None]:
         """Answer a request."""
@@ -84,19 +84,19 @@ class Host(Protocol):
         """End the session of a connection."""
 
     def run_in_thread(self, work: Callable[[], T]) -> Awaitable[T]:
-        """Do what takes long in a thread."""
+        """Run slow work in a thread."""
 
     def run(self, session: Session | EpisodeSession, work: Callable[[], T]) -> Awaitable[T]:
-        """Do what takes long in the thread of a session."""
+        """Run slow work in the thread of a session."""
 
     def advance(self, connection: Any, session: Session, command: Any, ticks: int) -> Awaitable[None]:
         """Fly some ticks."""
 
     def watch(self, connection: Any, session: int | None, period: float, stop: bool) -> None:
-        """Let a connection watch a session, or no more."""
+        """Start or stop sending a session's states to a connection."""
 
     def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
-        """Send the state of a session to who watches it."""
+        """Send the state of a session to its watchers."""
 
 
 class Client(Protocol):
@@ -134,4 +134,4 @@ class Client(Protocol):
         """Return the session, episodes of a task."""
 
     def pause(self, seconds: float) -> Awaitable[None]:
-        """Wait, but not for a client that is gone."""
+        """Wait for a time [s]; end early if the client leaves."""

@@ -26,5 +26,5 @@ class Seeds:
         return found
 
     def begin(self, first: int) -> Seeds:
-        """Return the same kind of seeds, from another first one."""
+        """Return a series of seeds of the same kind with another first seed."""
         return Seeds(first, self.episodes)

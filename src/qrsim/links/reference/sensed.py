@@ -52,7 +52,7 @@ class Sensed:
         self._heard: list[list[Readings.Heard]] = []
 
     def frame(self, kind: Message.Type, rows: Sequence[int], truth: bool, missed: int = 0) -> bytes:
-        """Return a message of some vehicles by their numbers, with its length message.
+        """Return a framed message with the stamped readings of some vehicles, selected by index.
 
         Args:
             kind: READINGS or SENSED.
@@ -60,20 +60,20 @@ class Sensed:
             truth: with their true states.
             missed: readings that its receiver was too slow for.
         """
-        self._look()
+        self._drop_stale()
         body = [_TIME, struct.pack("<d", self._simulation.time)]
         for row in rows:
-            content = self._vehicle(row)
+            content = self._encoded_vehicle(row)
             if truth:
-                content += _X + self._true(row)
+                content += _X + self._state_bytes(row)
             body += [_VEHICLE, varint(len(content)), content]
         sent = struct.pack("<d", time.monotonic())
         body += [_TICK, varint(self._simulation.tick), _SENT, sent, _MISSED, varint(missed)]
         whole = b"".join(body)
         return frame(_HEADS[kind] + varint(len(whole)) + whole)
 
-    def _look(self) -> None:
-        """Forget what was of another tick."""
+    def _drop_stale(self) -> None:
+        """Drop cached values of an earlier tick."""
         if self._tick != self._simulation.tick:
             self._tick, self._vectors, self._heard = self._simulation.tick, None, []
             self._written.clear()
@@ -81,21 +81,23 @@ class Sensed:
                 fleet.look()
             self._flies = np.asarray(self._simulation.packed[1][1]).take(self._codes) == 0
 
-    def _true(self, row: int) -> bytes:
+    def _state_bytes(self, row: int) -> bytes:
+        """Return the true state vector of a vehicle as bytes."""
         if self._vectors is None:
             self._vectors = self._states.vectors()
         return self._vectors[row].tobytes()
 
-    def _vehicle(self, row: int) -> bytes:
-        found = self._written.get(row)
-        if found is None:
+    def _encoded_vehicle(self, row: int) -> bytes:
+        """Return the encoded readings of a vehicle with its received radio messages, cached for this tick."""
+        encoded = self._written.get(row)
+        if encoded is None:
             fleet, own = self._of_row[row]
-            found = fleet.vehicle(own, self._names[row], bool(self._flies[row]))
+            encoded = fleet.vehicle(own, self._names[row], bool(self._flies[row]))
             if self._simulation.world.radio is not None:
                 self._heard = self._heard or heard_by_all(self._simulation)
-                found += heard_bytes(self._heard[row])
-            self._written[row] = found
-        return found
+                encoded += heard_bytes(self._heard[row])
+            self._written[row] = encoded
+        return encoded
 
 
 class _FleetSensed:
@@ -115,23 +117,23 @@ class _FleetSensed:
         self._reading: Any = None
 
     def look(self) -> None:
-        """Forget what was of another tick."""
+        """Drop cached values of an earlier tick."""
         self._values = self._reading = None
 
-    def _told(self) -> tuple[NumpyArray, NumpyArray]:
-        """Return what the sensors say (n, W), with when it was true (n, S), and whether it is fresh (n, S) bool."""
+    def _measured(self) -> tuple[NumpyArray, NumpyArray]:
+        """Return the readings (n, W), their times (n, S) [s], and whether each is fresh (n, S) bool."""
         if self._values is None:
             simulation = self._simulation
             floats = np.asarray(simulation.packed[1][0])
             parts = [sensor.values(floats) for sensor in self._sensors]
-            times, fresh = self._when()
+            times, fresh = self._timing()
             none = np.zeros((self.size, 0))
             self._values = np.ascontiguousarray(np.concatenate([none, *parts, times], axis=1, dtype=np.float64))
             self._fresh = fresh
         return self._values, self._fresh
 
-    def _when(self) -> tuple[NumpyArray, NumpyArray]:
-        """Return when the reading of each sensor was true (n, S) [s], and whether it arrives at this tick (n, S)."""
+    def _timing(self) -> tuple[NumpyArray, NumpyArray]:
+        """Return the time of each sensor's reading (n, S) [s], and whether it arrives at this tick (n, S) bool."""
         simulation, fleet = self._simulation, self._fleet
         tick: Any = simulation.tick
         dt = simulation.world.time_step
@@ -142,20 +144,21 @@ class _FleetSensed:
             if fitting is None or not fitting.is_late:
                 times[:, i], fresh[:, i] = sensor.time_of_reading(tick, dt) * dt, sensor.fresh(tick, dt)
                 continue
-            reading = getattr(self._whole()[fleet.name], fleet.sensor_names[i])
+            reading = getattr(self._fleet_reading()[fleet.name], fleet.sensor_names[i])
             times[:, i], fresh[:, i] = reading.time_of_reading, reading.fresh
         return times, fresh
 
-    def _whole(self) -> Any:
+    def _fleet_reading(self) -> Any:
+        """Return the simulation's reading, cached for this tick."""
         if self._reading is None:
             self._reading = self._simulation.reading
         return self._reading
 
     def vehicle(self, row: int, name: str, flies: bool) -> bytes:
-        """Return the Vehicle of one, by its number in the fleet."""
+        """Return the encoded message of a vehicle, selected by its number in the fleet."""
         if not self._quick:
             return self._by_protobuf(row, name, flies)
-        values, fresh = self._told()
+        values, fresh = self._measured()
         if not flies or not np.isfinite(values[row]).all():
             return self._by_protobuf(row, name, flies)
         if row not in self._templates:
@@ -167,11 +170,11 @@ class _FleetSensed:
         return bytes(buffer)
 
     def _template(self, name: str) -> tuple[bytearray, NumpyArray, NumpyArray]:
-        """Return the Vehicle with numbers that are easily found, and the places of bytes of numbers, and of flags."""
-        count = self._told()[0].shape[1]
+        """Return an encoded message with marker numbers, and the byte offsets of its numbers and of its flags."""
+        count = self._measured()[0].shape[1]
         # Each number says its own place: what protobuf makes of them is searched once.
         marks = np.float64(2.0**40) + np.arange(count) * np.pi
-        content = self._message(name, marks, np.ones(len(self._sensors), bool)).SerializeToString()
+        content = self._vehicle_message(name, marks, np.ones(len(self._sensors), bool)).SerializeToString()
         numbers = [content.index(struct.pack("<d", mark)) for mark in marks]
         flags = []
         for mark in marks[count - len(self._sensors) :]:
@@ -180,42 +183,44 @@ class _FleetSensed:
         places = (np.array(numbers, int)[:, None] + np.arange(8)).ravel()
         return bytearray(content), places, np.array(flags, int)
 
-    def _message(
+    def _vehicle_message(
         self, name: str, values: NumpyArray, fresh: NumpyArray, why: str = "", reasons: Sequence[str] = ()
     ) -> Any:
-        found = Readings.Vehicle(name=name, valid=not why, reason=why)
-        at, count = 0, len(values) - len(self._sensors)
+        """Return the message of a vehicle from its values, freshness flags and reasons."""
+        message = Readings.Vehicle(name=name, valid=not why, reason=why)
+        begin, count = 0, len(values) - len(self._sensors)
         for i, sensor in enumerate(self._sensors):
-            added = found.sensor.add(name=sensor.name, reason=reasons[i] if reasons else "")
+            added = message.sensor.add(name=sensor.name, reason=reasons[i] if reasons else "")
             for field, width in sensor.fields:
-                added.field.add(name=field, value=values[at : at + width].tolist())
-                at += width
+                added.field.add(name=field, value=values[begin : begin + width].tolist())
+                begin += width
             added.time, added.fresh = float(values[count + i]), bool(fresh[i])
-        return found
+        return message
 
     def _by_protobuf(self, row: int, name: str, flies: bool) -> bytes:
-        """Return the Vehicle of one that has stopped, or lacks a reading, with the reasons."""
+        """Return the encoded message of a vehicle that has stopped or lacks a reading, with the reasons."""
         if flies:
             self._last_words.pop(row, None)
-            why, reasons = "", self._reasons(row)
+            why, reasons = "", self._missing_reasons(row)
         else:
             if row not in self._last_words:
                 why = self._simulation.reasons[self._first + row]
-                self._last_words[row] = why, self._reasons(row)
+                self._last_words[row] = why, self._missing_reasons(row)
             why, reasons = self._last_words[row]
         if self._quick:
-            values, fresh = self._told()
-            return bytes(self._message(name, values[row], fresh[row], why, reasons).SerializeToString())
-        return self._of_cameras(row, name, why, reasons)
+            values, fresh = self._measured()
+            return bytes(self._vehicle_message(name, values[row], fresh[row], why, reasons).SerializeToString())
+        return self._with_pictures(row, name, why, reasons)
 
-    def _reasons(self, row: int) -> list[str]:
-        readings = self._whole()[self._fleet.name]
+    def _missing_reasons(self, row: int) -> list[str]:
+        """Return for each sensor why the reading of a vehicle is missing, "" where it is not."""
+        readings = self._fleet_reading()[self._fleet.name]
         return [getattr(readings, sensor).reasons[row] for sensor in self._fleet.sensor_names]
 
-    def _of_cameras(self, row: int, name: str, why: str, reasons: Sequence[str]) -> bytes:
-        """Return the Vehicle of a fleet with pictures."""
+    def _with_pictures(self, row: int, name: str, why: str, reasons: Sequence[str]) -> bytes:
+        """Return the encoded message of a vehicle with cameras."""
         found = Readings.Vehicle(name=name, valid=not why, reason=why)
-        readings = self._whole()[self._fleet.name]
+        readings = self._fleet_reading()[self._fleet.name]
         for sensor_name, reason in zip(self._fleet.sensor_names, reasons, strict=True):
             sensor = getattr(readings, sensor_name)
             added = found.sensor.add(name=sensor_name, reason=reason)

@@ -106,7 +106,7 @@ class SensorReadout:
         return self._bytes.tobytes()
 
     def _lay_out(self, fleets: list[list[Any]]) -> None:
-        """Write all that never changes, and note where the numbers go."""
+        """Write the constant bytes, and store the offsets of the numbers."""
         content = b""
         names = iter(self._simulation.vehicle_names)
         self._sensors = [sensor for sensors in fleets for sensor in sensors]
@@ -114,7 +114,7 @@ class SensorReadout:
         for fleet, sensors in zip(self._simulation.world.fleets, fleets, strict=True):
             of_sensors: list[list[int]] = [[] for _ in sensors]
             for _ in range(fleet.size):
-                vehicle, inside = _vehicle(next(names), sensors)
+                vehicle, inside = _blank_vehicle(next(names), sensors)
                 content, at = _appended(content, _VEHICLE, vehicle)
                 for mine, more in zip(of_sensors, inside, strict=True):
                     mine += [at + offset for offset in more]
@@ -127,35 +127,36 @@ class SensorReadout:
         self._places = (first + numbers[:, None] + np.arange(8)).ravel()
 
 
-def _vehicle(name: str, sensors: list[SensorPart]) -> tuple[bytes, list[list[int]]]:
-    """Return a Vehicle, its numbers zero, and where in it those of each sensor are."""
-    content = _text(_NAME, name) + _VALID + _text(_VEHICLE_REASON, "")
+def _blank_vehicle(name: str, sensors: list[SensorPart]) -> tuple[bytes, list[list[int]]]:
+    """Return an encoded Vehicle with zeros for numbers, and the offset of each sensor's numbers."""
+    content = _encoded_text(_NAME, name) + _VALID + _encoded_text(_VEHICLE_REASON, "")
     found = []
     for sensor in sensors:
-        inner, inside = _text(_NAME, sensor.name), []
+        inner, inside = _encoded_text(_NAME, sensor.name), []
         for field, width in sensor.fields:
-            head = _text(_NAME, field) + _VALUES + varint(8 * width)
+            head = _encoded_text(_NAME, field) + _VALUES + varint(8 * width)
             inner, at = _appended(inner, _FIELD, head + bytes(8 * width))
             inside += [at + len(head) + 8 * i for i in range(width)]
-        inner += _text(_SENSOR_REASON, "")
+        inner += _encoded_text(_SENSOR_REASON, "")
         content, at = _appended(content, _SENSOR, inner)
         found.append([at + offset for offset in inside])
     return content, found
 
 
 def _appended(content: bytes, tag: bytes, inner: bytes) -> tuple[bytes, int]:
-    """Return a message with another one in it, and where that begins."""
+    """Return an encoded message with another one appended as a field, and the offset of that one."""
     content += tag + varint(len(inner))
     return content + inner, len(content)
 
 
-def _text(tag: bytes, text: str) -> bytes:
+def _encoded_text(tag: bytes, text: str) -> bytes:
+    """Encode a text as a field of a protobuf message."""
     encoded = text.encode()
     return tag + varint(len(encoded)) + encoded
 
 
 def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
-    """Return a sensor's part of the message, from the places of its reading; None for one with pictures."""
+    """Return the encoder of a sensor's readings, from the indices of its reading; None for one with pictures."""
     if isinstance(reading, CameraReading):
         return None
     said = {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading)}
@@ -171,6 +172,7 @@ def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
         fields += [(field, 1) for field in derived]
 
         def geodetic(position_ned: NumpyArray) -> NumpyArray:
+            """Return latitude [degrees], longitude [degrees], height [m] and fix type as columns (n, 4) or fewer."""
             latitude, longitude, height = site.ned_to_geodetic(position_ned)
             # Who has a position has a fix of three dimensions.
             columns = [np.degrees(latitude), np.degrees(longitude), height, np.full_like(height, 3.0)]

@@ -101,7 +101,7 @@ class Server:
                 lambda: Connection(self), self.options.host, self.options.port, backlog=BACKLOG, start_serving=False
             )
         except OSError as error:
-            raise RunError(self._why_not(error)) from None
+            raise RunError(self._listen_error(error)) from None
         except OverflowError:
             raise UsageError(f"--port {self.options.port}: expected 0 to 65535") from None
         if threading.current_thread() is threading.main_thread():
@@ -111,12 +111,12 @@ class Server:
         if self.options.idle_timeout:
             threading.Thread(target=self._watch_idle, args=(loop,), name="idle", daemon=True).start()
         # Nobody gets in before there is a world to share.
-        begun = await self._share() if self.options.pace != "owner" else ""
+        begun = await self._start_shared() if self.options.pace != "owner" else ""
         try:
             await listening.start_serving()
         except OSError as error:
             # Another server can have begun to listen there meanwhile.
-            raise RunError(self._why_not(error)) from None
+            raise RunError(self._listen_error(error)) from None
         ready(*listening.sockets[0].getsockname()[:2])
         if begun:
             self.say(begun)
@@ -125,10 +125,10 @@ class Server:
         finally:
             self._stopped.set()
         listening.close()
-        await self._end()
+        await self._end_all()
 
-    async def _share(self) -> str:
-        """Begin the world that all clients share; return a line about it."""
+    async def _start_shared(self) -> str:
+        """Start the world that all clients share; return a line about it for the operator."""
         options = self.options
         scenario = await self.run_in_thread(lambda: self.tasks.offboard(""))
         session_options = SessionOptions(
@@ -138,12 +138,12 @@ class Server:
         session = SharedSession(
             self._opened, session_options, options.view, pace=options.pace, silence=options.silence, say=self.say
         )
-        begun = await self._begin(session)
+        begun = await self._start_session(session)
         self.sharing = Sharing(self, session, options.barrier_timeout)
         return f"{begun}, pace {session.pace}"
 
-    async def _begin(self, session: Session | EpisodeSession) -> str:
-        """Begin a session in its thread; return a line about it."""
+    async def _start_session(self, session: Session | EpisodeSession) -> str:
+        """Start a session in its thread; return a line about it for the operator."""
         try:
             await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
         except BaseException:
@@ -153,7 +153,8 @@ class Server:
         count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
         return f"session {session.number} begins: {session.scenario.name}, {count}, seed {session.seed}"
 
-    def _why_not(self, error: OSError) -> str:
+    def _listen_error(self, error: OSError) -> str:
+        """Return the message for an address on which the server cannot listen."""
         where = f"{self.options.host}:{self.options.port}"
         if error.errno == errno.EADDRINUSE:
             return f"cannot listen on {where}: the port is in use; choose another with --port, or 0 for any"
@@ -163,7 +164,8 @@ class Server:
         """End the server; may be called from its own thread only."""
         self._stopping.set()
 
-    async def _end(self) -> None:
+    async def _end_all(self) -> None:
+        """Close all connections, the shared world and the threads; waits at most 5 s for the clients."""
         for connection in list(self._connections):
             connection.gone_soon()
         tasks = [connection.finished for connection in self._connections if connection.finished]
@@ -255,7 +257,7 @@ class Server:
         self._opening += 1
         session = make(self._opened)
         try:
-            line = await self._begin(session)
+            line = await self._start_session(session)
         finally:
             self._opening -= 1
         connection.session, connection.lost = session, ""
@@ -263,13 +265,13 @@ class Server:
         return session
 
     def _watch_idle(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Look for idle owners, in a thread of its own: a timer of the loop would cost every request microseconds."""
+        """Check for idle owners in a thread, because a timer of the event loop would slow every request."""
         while not self._stopped.wait(min(0.25 * self.options.idle_timeout, MOST_BETWEEN_LOOKS_S)):
             with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._end_idle)
 
     def _end_idle(self) -> None:
-        """End the sessions of owners who have asked for nothing for too long."""
+        """End the sessions of owners that have sent no request for too long."""
         longest = self.options.idle_timeout
         for connection in self._connections:
             session = connection.session
@@ -283,6 +285,7 @@ class Server:
             ending.add_done_callback(self._endings.discard)
 
     def _owner_leaves(self) -> bool:
+        """Return whether a session is ending or its owner is disconnecting."""
         return self._ending > 0 or any(
             other.session is not None and other.leaving.is_set() for other in self._connections
         )
@@ -296,6 +299,7 @@ class Server:
         await self._end_session(session)
 
     async def _end_session(self, session: Session | EpisodeSession, why: str = "") -> None:
+        """End a session in its thread, remove it, and print its summary."""
         self._ending += 1
         try:
             await self.run(session, session.end)

@@ -135,12 +135,12 @@ class Session:
             self._view.begin(self.simulation, f"{scenario.name}, session {self.number}")
 
     def prepare(self) -> None:
-        """Do what is to be done before the first episode: in real time, to compile."""
+        """Prepare the first episode: in real time, compile in advance."""
         if self._options.realtime:
             self.warm()
 
     def warm(self) -> None:
-        """Compile every kind of step, from and to the start."""
+        """Compile every kind of step by flying it from the start and resetting."""
         start = self.simulation.truth.position_ned
         self.simulation.set_state(np.full_like(start, np.nan))
         for command in self.commands.samples(start):
@@ -170,10 +170,11 @@ class Session:
             self._view.show(self.simulation)
 
     def _start_episode(self) -> None:
+        """Start an episode: new readouts, a new request log, and a new run folder if the session is recorded."""
         self.states, self.sensors = States(self.simulation), SensorReadout(self.simulation)
         self.close_recording()
         self.episode += 1
-        self._requests = RequestLog(self.simulation, self._note_injection, lambda **event: self.keep_events([event]))
+        self._requests = RequestLog(self.simulation, self._write_injection, lambda **event: self.keep_events([event]))
         if not self.ticks_are_kept:
             return
         beginning = self.simulation.history
@@ -181,14 +182,15 @@ class Session:
         if self._options.record is not None:
             self._columns = columns(self.simulation.world, beginning) | self.more_columns()
             self._writer = self._new_writer(self._options.record)
-        self._keep(beginning)
+        self._record_history(beginning)
 
     @property
     def ticks_are_kept(self) -> bool:
-        """Whether somebody looks at every tick."""
+        """Whether every tick is examined, for events or a recording."""
         return self._options.events or self._options.record is not None
 
     def _new_writer(self, folder: Path) -> RunWriter:
+        """Create the run folder of the present episode, and return its writer."""
         simulation = self.simulation
         info = RunInfo.collect(
             scenario=self.scenario.name,
@@ -224,14 +226,14 @@ class Session:
 
     def expected_s(self, command: object, ticks: int) -> float:
         """Return the expected wall time of some ticks [s]; infinite for a kind of command not seen yet."""
-        seconds, measured = self._seconds.get(_kind(command), (math.inf, 1))
+        seconds, measured = self._seconds.get(_command_kind(command), (math.inf, 1))
         return seconds * max(1.0, ticks / measured)
 
     def piece(self, command: object, ticks: int) -> int:
-        """Return how many of the ticks to advance at once."""
-        if _kind(command) not in self._seconds:
+        """Return how many of the ticks to advance in one call."""
+        if _command_kind(command) not in self._seconds:
             return min(ticks, PIECE_TICKS)
-        seconds, measured = self._seconds[_kind(command)]
+        seconds, measured = self._seconds[_command_kind(command)]
         return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
 
     def advance(self, command: object, ticks: int) -> None:
@@ -243,18 +245,21 @@ class Session:
         begun = time.perf_counter()
         if self.ticks_are_kept:
             self.keep_requests()
-        self._advance(command, ticks)
+        self._advance_ticks(command, ticks)
         if self._view is not None:
             self._view.show(self.simulation)
             self._view.change(self.simulation)
         # The first call compiles, which says nothing about the next one.
-        known = _kind(command) in self._seconds
-        self._seconds[_kind(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
+        known = _command_kind(command) in self._seconds
+        self._seconds[_command_kind(command)] = (
+            (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
+        )
 
-    def _advance(self, command: object, ticks: int) -> None:
+    def _advance_ticks(self, command: object, ticks: int) -> None:
+        """Advance by some ticks with a command, recording each tick if needed."""
         if self.ticks_are_kept:
             for done in range(0, ticks, PIECE_TICKS):
-                self._keep(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
+                self._record_history(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
         else:
             self.simulation.advance(command, ticks)
 
@@ -278,41 +283,42 @@ class Session:
     # ---- what is kept ----
 
     def more_columns(self) -> dict[str, list[Column]]:
-        """Return the columns of streams that a recording has beside those of every run."""
+        """Return the additional columns that this kind of session records."""
         return {}
 
     def more_values(self) -> dict[str, Values]:
-        """Return their values (T, n) for the last ticks that were flown."""
+        """Return the values (T, n) of the additional columns for the last ticks flown."""
         return {}
 
-    def _keep(self, history: History) -> None:
+    def _record_history(self, history: History) -> None:
+        """Extract the events of a history, and write both to the run folder."""
         assert self._finder is not None
-        found = self._finder.find(history)
+        events = self._finder.find(history)
         if self._writer is None:
-            self.keep_events(found)
+            self.keep_events(events)
             return
         arrays = values(self.simulation.world, history, self._columns) | self.more_values()
         try:
             with self._writer.together():
-                for stream, found_in_it in arrays.items():
-                    self._writer.append(stream, history.ticks, history.time, found_in_it)
-                self.keep_events(found)
+                for stream, stream_values in arrays.items():
+                    self._writer.append(stream, history.ticks, history.time, stream_values)
+                self.keep_events(events)
         except RunError as error:
             # The client flies on: it is the operator who has no room.
             warn_user(f"session {self.number} is no longer recorded: {error}")
             self._writer = None
 
     def keep_requests(self) -> None:
-        """Keep what was injected since the last ticks, for GET_EVENTS and in the recording."""
+        """Store the injections since the last ticks, for GET_EVENTS and in the recording."""
         self._requests.write_new()
 
-    def _note_injection(self, entry: Mapping[str, object]) -> None:
-        """Keep an entry of ``injections.yaml`` in the recording."""
+    def _write_injection(self, entry: Mapping[str, object]) -> None:
+        """Write an entry of ``injections.yaml`` into the recording."""
         if self._writer is not None:
             self._writer.note_injection(entry)
 
     def keep_events(self, found: list[dict[str, Any]]) -> None:
-        """Keep events for GET_EVENTS and in the recording."""
+        """Store events for GET_EVENTS and in the recording."""
         if self._options.events:
             self._events.extend(found)
             while len(self._events) > MOST_EVENTS:
@@ -363,8 +369,8 @@ class Session:
         self.thread.shutdown(wait=False)
 
 
-def _kind(command: object) -> Any:
-    """Return the kind of a command; of commands by fleet that of each."""
+def _command_kind(command: object) -> Any:
+    """Return the kind of a command, or by fleet the kind of each command."""
     if isinstance(command, Mapping):
         return tuple((name, type(part)) for name, part in command.items())
     return type(command)

@@ -18,22 +18,23 @@ from qrsim.links.shared.plant import checked_silence
 MOST_RATE_HZ = 1e6
 
 
-def _sharing(client: Client) -> Sharing:
+def _shared_world(client: Client) -> Sharing:
+    """Return the shared world of the client's server."""
     found = client.server.sharing
     assert isinstance(found, Sharing)
     return found
 
 
 def has_no_owner(server: Host, name: str) -> UsageError:
-    """Return why a request that only an owner of a world can make is refused."""
+    """Return the reason for refusing a request that only the owner of a world can make."""
     return UsageError(
         f"{name}: this server's world is shared by its clients (--pace {server.options.pace}); CLAIM vehicles of it, "
         "and send COMMANDs"
     )
 
 
-def _texts(names: Sequence[object]) -> list[str]:
-    """Return names; raises UsageError for what is no text."""
+def _checked_names(names: Sequence[object]) -> list[str]:
+    """Return names as texts; raises UsageError for bytes that are no text."""
     if not all(isinstance(name, str) for name in names):
         raise UsageError("message: a text is not UTF-8")
     return [str(name) for name in names]
@@ -41,14 +42,14 @@ def _texts(names: Sequence[object]) -> list[str]:
 
 async def claim(client: Client, message: Message) -> None:
     """Claim vehicles."""
-    sharing, request = _sharing(client), message.claim
+    sharing, request = _shared_world(client), message.claim
     session, default = sharing.session, client.server.options.silence
     silence = None
     if request.HasField("on_silence") or request.HasField("hold"):
-        (does,) = _texts([request.on_silence if request.HasField("on_silence") else default.does])
+        (does,) = _checked_names([request.on_silence if request.HasField("on_silence") else default.does])
         after = request.hold if request.HasField("hold") else default.after
         silence = checked_silence(does, after, "CLAIM: on_silence")
-    vehicles = sharing.claim(client, _texts(request.vehicle), silence)
+    vehicles = sharing.claim(client, _checked_names(request.vehicle), silence)
     plant = session.plant
     found = pb.Claimed(
         client=client.number,
@@ -67,15 +68,15 @@ async def claim(client: Client, message: Message) -> None:
 
 async def release(client: Client, message: Message) -> None:
     """Give vehicles back to the guidance of their scenario."""
-    _sharing(client).release(client, _texts(message.release.vehicle))
+    _shared_world(client).release(client, _checked_names(message.release.vehicle))
     client.acknowledge()
 
 
 async def command(client: Client, message: Message) -> None:
     """Take orders; at a barrier, wait for the tick that they are to be flown until."""
-    sharing, request = _sharing(client), message.command
+    sharing, request = _shared_world(client), message.command
     orders = [order_of(order) for order in request.order]
-    _check_once(orders)
+    _check_one_order(orders)
     now = sharing.session.plant.now
     source = request.computed_from if request.HasField("computed_from") else None
     if source is not None and source > now:
@@ -98,15 +99,16 @@ async def command(client: Client, message: Message) -> None:
     client.send(Message(type=Message.COMMANDED, commanded=pb.Commanded(tick=tick)))
 
 
-def _check_once(orders: Sequence[Order]) -> None:
+def _check_one_order(orders: Sequence[Order]) -> None:
+    """Check that no vehicle is given two orders in one message; raises UsageError."""
     for name, count in Counter(order.vehicle for order in orders).items():
         if count > 1:
             raise UsageError(f"COMMAND: '{name}' is given {count} orders; one is allowed")
 
 
 async def subscribe(client: Client, message: Message) -> None:
-    """Begin to push what vehicles sense."""
-    sharing, request = _sharing(client), message.subscribe
+    """Start pushing the stamped readings of vehicles."""
+    sharing, request = _shared_world(client), message.subscribe
     if request.stop:
         sharing.subscribe(client, None)
         client.acknowledge()
@@ -115,15 +117,15 @@ async def subscribe(client: Client, message: Message) -> None:
     rate = request.rate if request.HasField("rate") else MOST_RATE_HZ
     if not (math.isfinite(rate) and rate > 0.0):
         raise UsageError(f"SUBSCRIBE: rate {rate:g} Hz; allowed: above 0")
-    rows = tuple(session.plant.latches.row(name) for name in _texts(request.vehicle))
+    rows = tuple(session.plant.latches.row(name) for name in _checked_names(request.vehicle))
     every = max(1, round(1.0 / (min(rate, MOST_RATE_HZ) * session.time_step)))
     sharing.subscribe(client, Subscription(rows or None, every, request.truth))
     client.acknowledge()
 
 
 async def get_status(client: Client, message: Message) -> None:
-    """Say who flies what, and how old its orders are."""
-    session = _sharing(client).session
+    """Send each vehicle's controller and the age of its last order."""
+    session = _shared_world(client).session
     plant = session.plant
     time = plant.now * session.time_step
     report = pb.Pacing(**vars(session.pacer.report()))

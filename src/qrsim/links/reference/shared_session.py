@@ -63,12 +63,12 @@ class SharedSession(Session):
         self._flown: list[Flown] = []
 
     def prepare(self) -> None:
-        """Make the plant, and compile the one kind of step that there is."""
-        self.plant = Plant(self.simulation, self._silence, self._options.realtime, self._note)
+        """Create the plant, and compile its only kind of step."""
+        self.plant = Plant(self.simulation, self._silence, self._options.realtime, self._report_event)
         self.warm()
 
     def warm(self) -> None:
-        """Compile the kind of step that is flown, and what a failsafe needs."""
+        """Compile the kind of step that is flown, and the functions of failsafes."""
         actions = self.plant.latches.actions()
         if self.ticks_are_kept:
             self.simulation.record(1, actions, PIECE_TICKS)
@@ -97,14 +97,15 @@ class SharedSession(Session):
         self.start_clock()
 
     def _start_episode(self) -> None:
+        """Start an episode: write pending ticks, reset the plant, and renew the stamped readings."""
         self.plant.restart()
         self._drain()
         self._flown = [self.plant.flown]
         super()._start_episode()
         self.sensed = Sensed(self.simulation, self.states)
 
-    def _note(self, kind: str, vehicle: str, text: str) -> None:
-        """Tell the operator, the recording and whoever asks for events."""
+    def _report_event(self, kind: str, vehicle: str, text: str) -> None:
+        """Report an event to the operator, the recording and GET_EVENTS."""
         time = self.simulation.time
         self._say(f"t = {time:.10g} s, '{vehicle}': {text}")
         if self.ticks_are_kept:
@@ -113,14 +114,15 @@ class SharedSession(Session):
 
     # ---- what is kept ----
 
-    def _advance(self, command: object, ticks: int) -> None:
+    def _advance_ticks(self, command: object, ticks: int) -> None:
+        """Advance by some ticks with a command, and queue them for the writing thread."""
         if not self.ticks_are_kept:
             self.simulation.advance(command, ticks)
         elif ticks > 1:
             self.hand_over()
             for done in range(0, ticks, PIECE_TICKS):
                 history = self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS)
-                self._keeping.submit(self._keep_history, history, [self.plant.flown] * len(history.ticks))
+                self._keeping.submit(self._record_shared, history, [self.plant.flown] * len(history.ticks))
         else:
             self.simulation.advance(command)
             _, state = self.simulation.packed
@@ -129,46 +131,48 @@ class SharedSession(Session):
                 self.hand_over()
 
     def hand_over(self) -> None:
-        """Have the ticks that were flown kept."""
+        """Submit the ticks flown so far to the writing thread."""
         if self._ticks:
             layout, _ = self.simulation.packed
-            self._keeping.submit(self._keep_ticks, layout, self._ticks)
+            self._keeping.submit(self._record_ticks, layout, self._ticks)
             self._ticks = []
 
     def _drain(self) -> None:
-        """Wait until all is kept."""
+        """Wait until the writing thread has written everything."""
         self.hand_over()
         self._keeping.submit(int).result()
 
-    def _keep_ticks(self, layout: Packer, ticks: list[tuple[int, list[NumpyArray], Flown]]) -> None:
+    def _record_ticks(self, layout: Packer, ticks: list[tuple[int, list[NumpyArray], Flown]]) -> None:
+        """Build a history from packed states of single ticks, and record it."""
         numbers, states, flown = zip(*ticks, strict=True)
         floats, integers = (np.stack(parts) for parts in zip(*states, strict=True))
         history = History(np.array(numbers), self.time_step, layout, (floats, integers))
-        self._keep_history(history, list(flown))
+        self._record_shared(history, list(flown))
 
-    def _keep_history(self, history: History, flown: list[Flown]) -> None:
+    def _record_shared(self, history: History, flown: list[Flown]) -> None:
+        """Record a history with its orders; runs in the writing thread and turns errors into warnings."""
         self._flown = flown
         try:
-            self._keep(history)
+            self._record_history(history)
         except Exception as error:
             # Who hands over does not wait for the result.
             warn_user(f"session {self.number}: {type(error).__name__} while ticks were kept: {error}")
 
     def keep_requests(self) -> None:
-        """Keep what was injected, in the thread that keeps everything, after the ticks before it."""
+        """Store the injections, in the writing thread, after the ticks before them."""
         if self._requests.has_new:
             self.hand_over()
             self._keeping.submit(super().keep_requests)
 
     def keep_events(self, found: list[dict[str, object]]) -> None:
-        """Keep events, in the thread that keeps everything."""
+        """Store events, in the writing thread."""
         if threading.current_thread().name.startswith("keep-"):
             super().keep_events(found)
         elif found:
             self._keeping.submit(super().keep_events, found)
 
     def events(self) -> Events:
-        """Return the events since the last call, of ticks that were handed over."""
+        """Return the events since the last call, up to the ticks that were submitted for writing."""
         return self._keeping.submit(super().events).result()
 
     def more_columns(self) -> dict[str, list[Column]]:
@@ -176,7 +180,7 @@ class SharedSession(Session):
         return {STREAM: order_columns(self.plant)}
 
     def more_values(self) -> dict[str, Values]:
-        """Return the orders that the last ticks were flown by."""
+        """Return the orders of the last ticks flown."""
         return {STREAM: stacked(order_columns(self.plant), self._flown)}
 
     def close_recording(self) -> None:

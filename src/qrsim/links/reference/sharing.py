@@ -67,7 +67,7 @@ class Sharing:
         self._mover: asyncio.Task[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._late = False
-        self._clock = asyncio.create_task(self._run()) if session.pace == "free" else None
+        self._clock = asyncio.create_task(self._run_free()) if session.pace == "free" else None
 
     def end(self) -> None:
         """Stop the clock."""
@@ -84,7 +84,7 @@ class Sharing:
         plant = self.session.plant
         new = plant.claim(client.number, names, silence)
         if new:
-            self._server.say(f"client {client.number} flies {_list(new)}")
+            self._server.say(f"client {client.number} flies {_quoted_names(new)}")
         if not self._claimed.is_set():
             # The clock begins with the first claim.
             self.session.start_clock()
@@ -95,17 +95,17 @@ class Sharing:
         """Give a client's vehicles back to the guidance of their scenario; raises UsageError."""
         found = self.session.plant.release(client.number, names)
         if found:
-            self._server.say(f"client {client.number} releases {_list(found)}")
-        self._consider()
+            self._server.say(f"client {client.number} releases {_quoted_names(found)}")
+        self._advance_if_ready()
 
     def forget(self, client: Client) -> None:
-        """Free what a client has claimed that has gone without a word."""
+        """Free the vehicles of a client that has disconnected."""
         self._subscriptions.pop(client, None)
         self._waiting.pop(client.number, None)
         found = self.session.plant.lose(client.number)
         if found:
-            self._server.say(f"client {client.number} has gone from {_list(found)}")
-        self._consider()
+            self._server.say(f"client {client.number} has gone from {_quoted_names(found)}")
+        self._advance_if_ready()
 
     def check_alone(self, client: Client, what: str) -> None:
         """Check that no other client flies in this world; raises UsageError."""
@@ -113,7 +113,8 @@ class Sharing:
         for other in claims.holders:
             if other != client.number:
                 raise UsageError(
-                    f"{what}: client {other} flies {_list(claims.of(other))} in this world, which would be disturbed"
+                    f"{what}: client {other} flies {_quoted_names(claims.of(other))} in this world, "
+                    "which would be disturbed"
                 )
 
     # ---- orders ----
@@ -146,7 +147,7 @@ class Sharing:
         if until <= now:
             return
         waiting = self._waiting[client.number] = Waiting(until, asyncio.get_running_loop().create_future())
-        self._consider()
+        self._advance_if_ready()
         leaving: asyncio.Future[Any] = asyncio.ensure_future(client.leaving.wait())
         try:
             await asyncio.wait({waiting.there, leaving}, return_when=asyncio.FIRST_COMPLETED)
@@ -157,8 +158,8 @@ class Sharing:
             raise UsageError("COMMAND: the client closes the connection")
         waiting.there.result()
 
-    def _agreed(self) -> int | None:
-        """Return the tick to go to, None while somebody has not said how far he goes."""
+    def _agreed_tick(self) -> int | None:
+        """Return the tick to advance to, None while a client has not named its tick."""
         if not self._waiting:
             return None
         claims = self.session.plant.claims
@@ -170,35 +171,37 @@ class Sharing:
         self._late = False
         return min(waiting.until for waiting in self._waiting.values())
 
-    def _consider(self) -> None:
-        """Move on where everybody is there; else wait for who is not, up to the timeout."""
+    def _advance_if_ready(self) -> None:
+        """Advance if all clients are at the barrier; else wait for the others, up to the timeout."""
         if self.session.pace != "barrier" or (self._mover is not None and not self._mover.done()):
             return
-        until = self._agreed()
+        until = self._agreed_tick()
         if until is not None:
             self._stop_timer()
-            self._mover = asyncio.create_task(self._move(until))
+            self._mover = asyncio.create_task(self._advance_agreed(until))
         elif self._waiting and self._timeout and self._timer is None:
-            self._timer = asyncio.get_running_loop().call_later(self._timeout, self._expired)
+            self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
 
-    def _expired(self) -> None:
+    def _on_timeout(self) -> None:
+        """Advance without the clients that are late at the barrier."""
         self._timer, self._late = None, True
-        self._consider()
+        self._advance_if_ready()
 
     def _stop_timer(self) -> None:
+        """Cancel the timeout of the barrier."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
-    async def _move(self, until: int | None) -> None:
-        """Move on to the tick that was agreed upon, tell those who wait for it, and go on while all are agreed."""
+    async def _advance_agreed(self, until: int | None) -> None:
+        """Advance to the agreed tick, answer the clients that wait for it, and repeat while all agree."""
         session, plant = self.session, self.session.plant
         try:
             while until is not None:
                 async with self.lock:
                     while session.simulation.tick < until:
                         actions = plant.begin()
-                        await self._advance(actions, session.piece(actions, until - session.simulation.tick))
+                        await self._advance_ticks(actions, session.piece(actions, until - session.simulation.tick))
                         plant.now = session.simulation.tick
                 wait = session.pacer.wait_s(session.time)
                 if wait > 0.0:
@@ -209,7 +212,7 @@ class Sharing:
                         del self._waiting[number]
                         if not waiting.there.done():
                             waiting.there.set_result(None)
-                until = self._agreed()
+                until = self._agreed_tick()
         except Exception as error:
             self._server.report_bug(error)
             for waiting in self._waiting.values():
@@ -217,12 +220,12 @@ class Sharing:
                     waiting.there.set_exception(error)
             self._waiting.clear()
         self._mover = None
-        self._consider()
+        self._advance_if_ready()
 
     # ---- the clock ----
 
-    async def _run(self) -> None:
-        """Let the world run by itself from the first claim on."""
+    async def _run_free(self) -> None:
+        """Advance the world at its pace from the first claim on."""
         await self._claimed.wait()
         session = self.session
         try:
@@ -237,14 +240,15 @@ class Sharing:
                     if session.pacer is not pacer:
                         actions = session.plant.begin()
                         continue
-                    await self._advance(actions, 1)
+                    await self._advance_ticks(actions, 1)
                     self._publish()
                     actions = session.plant.begin()
                     pacer.ended(session.time)
         except Exception as error:
             self._server.report_bug(error)
 
-    async def _advance(self, actions: object, ticks: int) -> None:
+    async def _advance_ticks(self, actions: object, ticks: int) -> None:
+        """Advance the session by some ticks, long steps in its thread."""
         session = self.session
         if session.expected_s(actions, ticks) < SHORT_S:
             session.advance(actions, ticks)
@@ -254,22 +258,23 @@ class Sharing:
     # ---- what is told ----
 
     def subscribe(self, client: Client, subscription: Subscription | None) -> None:
-        """Begin to push what vehicles sense to a client, or end it."""
+        """Start or stop pushing stamped readings to a client."""
         if subscription is None:
             self._subscriptions.pop(client, None)
         else:
             self._subscriptions[client] = subscription
 
     def sensed(self, client: Client, rows: Sequence[int] | None, truth: bool) -> bytes:
-        """Return READINGS of vehicles, by default those that a client has claimed."""
-        return self.session.sensed.frame(Message.READINGS, self._rows(client, rows), truth)
+        """Return the READINGS message of vehicles, by default those that a client has claimed."""
+        return self.session.sensed.frame(Message.READINGS, self._selected_rows(client, rows), truth)
 
-    def _rows(self, client: Client, rows: Sequence[int] | None) -> Sequence[int]:
+    def _selected_rows(self, client: Client, rows: Sequence[int] | None) -> Sequence[int]:
+        """Return the indices of the selected vehicles, by default those that a client has claimed."""
         plant = self.session.plant
         return [plant.latches.row(name) for name in plant.claims.of(client.number)] if rows is None else rows
 
     def _publish(self) -> None:
-        """Tell everybody who wants to know; who reads too slowly misses it, and delays nobody."""
+        """Push readings to all subscribers; slow ones miss them and delay nobody."""
         tick = self.session.simulation.tick
         for client, wanted in self._subscriptions.items():
             if 0 <= tick - wanted.last < wanted.every:
@@ -278,11 +283,12 @@ class Sharing:
             if client.backlog > MOST_STALE:
                 wanted.missed += 1
                 continue
-            rows = self._rows(client, wanted.rows)
+            rows = self._selected_rows(client, wanted.rows)
             client.send_frame(self.session.sensed.frame(Message.SENSED, rows, wanted.truth, wanted.missed))
         self._server.broadcast(self.session)
 
 
-def _list(names: Sequence[str]) -> str:
+def _quoted_names(names: Sequence[str]) -> str:
+    """Return up to eight quoted names, and the number of the others."""
     shown = ", ".join(f"'{name}'" for name in names[:8])
     return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown

@@ -96,13 +96,13 @@ class Tasks:
         Raises:
             UsageError: no task is called so.
         """
-        known = self._known(name)
+        known = self._known_name(name)
         if known not in self._loaded:
             self._loaded[known] = self.flown(self.scenario(name))
         return self._loaded[known]
 
     def flown(self, scenario: Scenario) -> Scenario:
-        """Return a scenario that accepts commands of every kind, and whose parts clients may let fail."""
+        """Return the scenario of a task that accepts commands of every kind and has injectable parts."""
         return offboard(with_injectable(scenario, of_those(scenario, self._injectable)))
 
     def scenario(self, name: str) -> Scenario:
@@ -111,15 +111,15 @@ class Tasks:
         Raises:
             UsageError: no task is called so.
         """
-        known = self._known(name)
+        known = self._known_name(name)
         if self.own and not known:
             return self.own
         if known in built_in_names():
             return load_scenario(known)
-        raise UsageError(f"no task is called '{_short(name)}'{did_you_mean(name[:100], self.names)}")
+        raise UsageError(f"no task is called '{_shortened(name)}'{did_you_mean(name[:100], self.names)}")
 
-    def _known(self, name: str) -> str:
-        """Return our name of a task, "" for the operator's, which is the same task by each of its names."""
+    def _known_name(self, name: str) -> str:
+        """Return our name of a task; "" for the operator's scenario, by whichever of its names."""
         return "" if self.own and {name, ours(name)} & self._own_names else ours(name)
 
 
@@ -138,7 +138,7 @@ def uploaded(text: str) -> Scenario:
     if size > LARGEST_SCENARIO:
         raise UsageError(f"scenario: {size} bytes; allowed: up to {LARGEST_SCENARIO}")
     try:
-        if _depth(text) > DEEPEST:
+        if _nesting_depth(text) > DEEPEST:
             raise RecursionError
         _refuse_aliases(text)
         content = parse_yaml(text, "scenario")
@@ -150,13 +150,13 @@ def uploaded(text: str) -> Scenario:
         raise UsageError("scenario: nested too deeply") from None
 
 
-def _depth(text: str) -> int:
-    """Return how deeply brackets are nested, with which the parser would take long."""
+def _nesting_depth(text: str) -> int:
+    """Return the nesting depth of brackets in a text; the parser is slow for deep ones."""
     return max(accumulate((char in "[{") - (char in "]}") for char in text), default=0)
 
 
 def _refuse_aliases(text: str) -> None:
-    """Refuse references to other parts of the text, with which few bytes can say a lot."""
+    """Refuse YAML aliases in an upload; with them a small text can expand to a huge one."""
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
             if isinstance(token, yaml.AliasToken):
@@ -166,12 +166,13 @@ def _refuse_aliases(text: str) -> None:
 
 
 def _upload_problems(content: object) -> Iterator[str]:
+    """Yield what an uploaded scenario must not contain: file names, foreign parents, numbers above the limits."""
     if not isinstance(content, dict):
         yield "expected keys and values such as name: hover"
         return
     parent = content.get("extends")
     if parent is not None and parent not in built_in_names():
-        yield f"extends: expected the name of a built-in scenario, found {_short(str(parent))!r}"
+        yield f"extends: expected the name of a built-in scenario, found {_shortened(str(parent))!r}"
     for path, key, value in _entries(content, ""):
         if key == "file":
             yield f"{path}: a scenario that a client sends can name no files"
@@ -188,18 +189,19 @@ def _upload_problems(content: object) -> Iterator[str]:
         if not isinstance(fleet, Mapping):
             continue
         vehicles += count_of(fleet.get("vehicles"))
-        if _count(fleet.get("sensors")) > MOST_SENSORS:
-            yield f"fleets.{name}.sensors: {_count(fleet['sensors'])}; allowed: up to {MOST_SENSORS}"
+        if _length(fleet.get("sensors")) > MOST_SENSORS:
+            yield f"fleets.{name}.sensors: {_length(fleet['sensors'])}; allowed: up to {MOST_SENSORS}"
     if vehicles > MOST_VEHICLES:
         yield f"fleets: {vehicles} vehicles; allowed: up to {MOST_VEHICLES}"
 
 
-def _count(value: object) -> int:
+def _length(value: object) -> int:
+    """Return the number of entries of a list or dict; 0 for other values."""
     return len(value) if isinstance(value, list | dict) else 0
 
 
 def _entries(part: object, path: str) -> Iterator[tuple[str, str, object]]:
-    """Return path, key and value of everything that has a key."""
+    """Yield (path, key, value) of every key at any depth."""
     for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
         where = f"{path}.{key}" if path else str(key)
         if isinstance(part, dict):
@@ -207,5 +209,6 @@ def _entries(part: object, path: str) -> Iterator[tuple[str, str, object]]:
         yield from _entries(value, where)
 
 
-def _short(name: str) -> str:
+def _shortened(name: str) -> str:
+    """Return a name with at most 60 characters, "..." for the rest."""
     return name if len(name) <= 60 else f"{name[:57]}..."

@@ -32,7 +32,7 @@ _ENDLESS = QosTime(9_223_372_036, 854_775_807)
 
 
 def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str, int]:
-    """Write a run as a bag, and return what is in it.
+    """Write a run as a bag, and return the counts of what it contains.
 
     Args:
         run: with the streams of its sensors, commands or truth.
@@ -51,7 +51,7 @@ def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         # The file in it is called as the folder.
-        count = _write(types, recorded, temporary / folder.name, BEFORE if distro in _BEFORE else VERSION)
+        count = _write_messages(types, recorded, temporary / folder.name, BEFORE if distro in _BEFORE else VERSION)
         shutil.rmtree(folder, ignore_errors=True)
         os.replace(temporary / folder.name, folder)
     except (OSError, WriterError) as error:
@@ -61,7 +61,8 @@ def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str
     return {"messages": count}
 
 
-def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9]) -> int:
+def _write_messages(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9]) -> int:
+    """Write all messages of a run to a bag in MCAP, and return their number."""
     world = recorded.world
     names = recorded.names
     publications = Publications(types, world, names, recorded.sensor, [False] * len(names), recorded.has_truth)
@@ -77,8 +78,9 @@ def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9
         connections: dict[int, object] = {}
 
         def put(number: int, topic: t.Topic, nanoseconds: int, cdr: bytes) -> None:
+            """Write an encoded message at a time [ns], creating its connection at the first use."""
             if number not in connections:
-                qos = [_qos(topic.quality)]
+                qos = [_bag_qos(topic.quality)]
                 connections[number] = writer.add_connection(
                     topic.name, topic.type, typestore=types.store, offered_qos_profiles=qos
                 )
@@ -105,7 +107,8 @@ def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9
     return count
 
 
-def _qos(quality: t.Quality) -> Qos:
+def _bag_qos(quality: t.Quality) -> Qos:
+    """Return the QoS of a topic as rosbags stores it."""
     profile = PROFILES[quality]
     return Qos(
         QosHistory.KEEP_LAST,

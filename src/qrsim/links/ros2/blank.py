@@ -13,7 +13,7 @@ from qrsim.links.ros2.typestore import Types
 
 def empty(types: Types, name: str) -> Message:
     """Return a message of a type: numbers 0, texts and sequences empty."""
-    return types[name](**{field: _nothing(types, description) for field, description in types.fields(name)})
+    return types[name](**{field: _default(types, description) for field, description in types.fields(name)})
 
 
 def stamped(types: Types, name: str, time: float, frame: str = "") -> Message:
@@ -24,7 +24,8 @@ def stamped(types: Types, name: str, time: float, frame: str = "") -> Message:
     return message
 
 
-def _nothing(types: Types, description: Any) -> Any:
+def _default(types: Types, description: Any) -> Any:
+    """Return the default of a field from its description: 0, False, "", an empty list or an array of zeros."""
     kind, content = description
     if kind == Nodetype.NAME:
         return empty(types, content)
@@ -34,7 +35,7 @@ def _nothing(types: Types, description: Any) -> Any:
     if kind == Nodetype.SEQUENCE:
         count = 0
     if element != Nodetype.BASE or base[0] == "string":
-        return [_nothing(types, (element, base)) for _ in range(count)]
+        return [_default(types, (element, base)) for _ in range(count)]
     return np.zeros(count, {"char": "uint8", "byte": "uint8"}.get(base[0], base[0]))
 
 

@@ -70,12 +70,12 @@ Wish = Motion | Place | Tilt | Thrust
 
 
 def topics_of(namespace: str, kinds: Any) -> list[tuple[str, Topic]]:
-    """Return what is read for a vehicle that takes some kinds of orders: what it is, and its topic."""
+    """Return (what it commands, topic) for every topic that a vehicle with some kinds of orders subscribes to."""
     return [(own, Topic(f"/{namespace}/{own}", kind, "command")) for own, kind, order in TAKEN if order in kinds]
 
 
 def wish_of(own: str, message: Message) -> Wish:
-    """Return what a message asks.
+    """Convert a message to the command that it requests.
 
     Args:
         own: name of its topic after the namespace.
@@ -88,7 +88,7 @@ def wish_of(own: str, message: Message) -> Wish:
         twist = message if message.__msgtype__ == TWIST else message.twist
         if own == VELOCITY:
             _check_frame(own, message.header.frame_id)
-        return _motion(own, twist)
+        return _motion_of(own, twist)
     if own == THRUST:
         throttle = _finite(own, "data", message.data)
         if not 0.0 <= throttle <= 1.0:
@@ -104,14 +104,15 @@ def wish_of(own: str, message: Message) -> Wish:
     return Place((north, east, -up), None if angles is None else angles[2])
 
 
-def _motion(own: str, twist: Message) -> Motion:
+def _motion_of(own: str, twist: Message) -> Motion:
+    """Convert a Twist to a velocity FRD or NED [m/s] and a yaw rate [rad/s]."""
     x, y, z = _vector(own, "linear", twist.linear)
     rate = -_vector(own, "angular", twist.angular)[2]
     return Motion((x, -y, -z), rate, True) if own == CMD_VEL else Motion((y, x, -z), rate, False)
 
 
 def _angles(own: str, quaternion: object) -> tuple[float, float, float] | None:
-    """Return roll, pitch and yaw of an orientation; None where it is nothing."""
+    """Return roll, pitch and yaw [rad] of an orientation; None for four zeros."""
     numbers = [_finite(own, f"orientation.{axis}", value) for axis, value in _axes(quaternion, "xyzw")]
     if math.hypot(*numbers) < 1e-6:
         return None
@@ -120,20 +121,24 @@ def _angles(own: str, quaternion: object) -> tuple[float, float, float] | None:
 
 
 def _vector(own: str, name: str, vector: object) -> tuple[float, float, float]:
+    """Return the finite x, y, z of a message's vector; raises UsageError for others."""
     x, y, z = (_finite(own, f"{name}.{axis}", value) for axis, value in _axes(vector, "xyz"))
     return x, y, z
 
 
 def _axes(record: object, names: str) -> list[tuple[str, float]]:
+    """Return (name, value) of some fields of a message."""
     return [(axis, float(getattr(record, axis))) for axis in names]
 
 
 def _finite(own: str, name: str, value: float) -> float:
+    """Return a finite number; raises UsageError that names the topic and the field."""
     if not math.isfinite(value):
         raise UsageError(f"{own}: {name} is {value:g}, which is not finite")
     return float(value)
 
 
 def _check_frame(own: str, frame: str) -> None:
+    """Check that the frame of a message is the map or empty; raises UsageError."""
     if frame not in ("", MAP):
         raise UsageError(f"{own}: frame '{frame[:60]}'; expected '{MAP}', or none")

@@ -27,15 +27,16 @@ def definitions_of(*packages: str) -> dict[str, tuple[list[Any], Fields]]:
             own, _, kind = file.name.rpartition(".")
             text = file.read_text(encoding="utf-8")
             if kind == "msg":
-                found[f"{package}/msg/{own}"] = _parsed(text, f"{package}/msg/{own}")
+                found[f"{package}/msg/{own}"] = _parsed_fields(text, f"{package}/msg/{own}")
             else:
                 request, _, response = text.partition("---\n")
-                found[f"{package}/srv/{own}_Request"] = _parsed(request, f"{package}/msg/{own}_Request")
-                found[f"{package}/srv/{own}_Response"] = _parsed(response, f"{package}/msg/{own}_Response")
+                found[f"{package}/srv/{own}_Request"] = _parsed_fields(request, f"{package}/msg/{own}_Request")
+                found[f"{package}/srv/{own}_Response"] = _parsed_fields(response, f"{package}/msg/{own}_Response")
     return found
 
 
-def _parsed(text: str, name: str) -> tuple[list[Any], Fields]:
+def _parsed_fields(text: str, name: str) -> tuple[list[Any], Fields]:
+    """Return constants and fields of a message definition."""
     (found,) = get_types_from_msg(text, name).values()
     return found
 

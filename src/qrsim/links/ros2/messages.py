@@ -59,7 +59,7 @@ class Messages:
         self.static = types.encode(static_transforms(types, world, self.namespaces, simulation.site))
 
     def due(self, modes: list[str]) -> Iterator[tuple[int, bytes]]:
-        """Yield what is published at the present tick: number of its topic, and message.
+        """Yield (number of the topic, message) of everything published at the present tick.
 
         Args:
             modes: by what each vehicle flies.

@@ -23,14 +23,14 @@ class Reader(Protocol):
     topic: Topic
 
     def take(self) -> list[Any]:
-        """Return what has come, oldest first."""
+        """Return the messages that have arrived, oldest first."""
 
 
 class Service(Protocol):
     """Answers requests of a service."""
 
     def take(self) -> list[tuple[Any, Any]]:
-        """Return the requests that have come, oldest first: what ``reply`` needs to know, and the message."""
+        """Return the requests that have arrived, oldest first: a handle for ``reply``, and the message."""
 
     def reply(self, request: Message, response: Message) -> None:
         """Send the response to a request."""
@@ -49,7 +49,7 @@ class Node(Protocol):
         """Return a new service of a type, such as "std_srvs/srv/Trigger"."""
 
     def announce(self) -> None:
-        """Tell others which topics are this node's, once all are made."""
+        """Announce the topics of this node, once all are created."""
 
     def remarks(self) -> list[str]:
         """Return lines about other nodes that have begun to use a topic of this node in a way that cannot work."""

@@ -36,7 +36,7 @@ _CORRECTED = 4.0
 
 
 def seen(values: NumpyArray) -> NumpyArray:
-    """Return the numbers (n, WIDTH) for what vehicles know of themselves.
+    """Return the numbers (n, WIDTH) of messages from the values that vehicles know.
 
     Args:
         values: (n, sight.WIDTH), of ``shared.sight``; NaN where nobody knows them.
@@ -88,7 +88,7 @@ def seen(values: NumpyArray) -> NumpyArray:
 
 
 def asked(commands: NumpyArray, yaw: NumpyArray) -> NumpyArray:
-    """Return the numbers (n, WIDTH) for commands (n, 4) of pitch, roll [rad], throttle and yaw rate [rad/s].
+    """Return the numbers (n, WIDTH) of messages for commands (n, 4): pitch, roll [rad], throttle, yaw rate [rad/s].
 
     Args:
         commands: NaN where a vehicle has none.
@@ -104,7 +104,7 @@ def asked(commands: NumpyArray, yaw: NumpyArray) -> NumpyArray:
 
 
 def true(simulation: Simulation) -> NumpyArray:
-    """Return the numbers (n, WIDTH) for what is true: motion and wind, with variances 0."""
+    """Return the numbers (n, WIDTH) of messages from the true motion and wind, with variances 0."""
     truth = simulation.truth
     parts = truth.position_ned, truth.attitude, truth.velocity_ned, truth.rates_body, truth.wind_ned
     return of_motion(*(np.asarray(part, np.float64) for part in parts))
@@ -137,6 +137,7 @@ def _put_motion(
     velocity_ned: NumpyArray,
     rates_body: NumpyArray,
 ) -> None:
+    """Write position, attitude, velocity and rates, converted to ENU and FLU, into numbers (n, WIDTH) in place."""
     orientation = quaternion_enu_flu(quaternion)
     velocity, rates = enu_of(velocity_ned), flu_of(rates_body)
     found[:, POSITION : POSITION + 3] = enu_of(position_ned)

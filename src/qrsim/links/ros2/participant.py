@@ -82,17 +82,19 @@ class Participant:
         profile = PROFILES[topic.quality]
         if topic.quality == "sensor" and self._resend:
             profile = Profile(reliable=True, depth=profile.depth)
-        sample, found = self._topic(topic)
-        writer = Writer(DataWriter(self._participant, found, qos=self._qos(profile, topic.type)), sample)
+        sample, found = self._dds_topic(topic)
+        writer = Writer(DataWriter(self._participant, found, qos=self._endpoint_qos(profile, topic.type)), sample)
         self._writers.append(writer)
         self._written.setdefault(f"rt{topic.name}", {})[dds_name(topic.type)] = profile
         return writer
 
     def reader(self, topic: Topic) -> Reader:
         """Return a new reader of a topic."""
-        _, found = self._topic(topic)
+        _, found = self._dds_topic(topic)
         profile = PROFILES[topic.quality]
-        reader = Reader(self._types, topic, DataReader(self._participant, found, qos=self._qos(profile, topic.type)))
+        reader = Reader(
+            self._types, topic, DataReader(self._participant, found, qos=self._endpoint_qos(profile, topic.type))
+        )
         self._readers.append(reader)
         self._read.setdefault(f"rt{topic.name}", {})[dds_name(topic.type)] = profile
         return reader
@@ -113,13 +115,13 @@ class Participant:
         if self._info is None:
             kind = self._types.sample(_INFO)
             topic = DdsTopic(self._participant, _DISCOVERY, kind)
-            self._info = Writer(DataWriter(self._participant, topic, qos=_plain(Profile(True, 1, True))), kind)
+            self._info = Writer(DataWriter(self._participant, topic, qos=_dds_qos(Profile(True, 1, True))), kind)
         readers = [*(each.entity.guid.bytes for each in self._readers), *(each.reader for each in self._services)]
         writers = [*(each.entity.guid.bytes for each in self._writers), *(each.writer for each in self._services)]
         node = self._types["rmw_dds_common/msg/NodeEntitiesInfo"](
-            "/", self._node, list(map(self._gid, readers)), list(map(self._gid, writers))
+            "/", self._node, list(map(self._gid_message, readers)), list(map(self._gid_message, writers))
         )
-        info = self._types[_INFO](self._gid(self._participant.guid.bytes), [node])
+        info = self._types[_INFO](self._gid_message(self._participant.guid.bytes), [node])
         self._info.write(self._types.encode(info))
 
     def remarks(self) -> list[str]:
@@ -129,14 +131,15 @@ class Participant:
         """
         found = []
         for each in self._publishers.take(_MOST_AT_ONCE):
-            found += self._of_publisher(each)
+            found += self._publisher_remarks(each)
         for each in self._subscribers.take(_MOST_AT_ONCE):
-            found += self._of_subscriber(each)
+            found += self._subscriber_remarks(each)
         new = [line for line in dict.fromkeys(found) if line not in self._remarked]
         self._remarked.update(new)
         return new
 
-    def _of_publisher(self, other: DcpsEndpoint) -> list[str]:
+    def _publisher_remarks(self, other: DcpsEndpoint) -> list[str]:
+        """Return a line if another publisher's type or QoS does not match this node's readers."""
         known, name = self._read.get(str(other.topic_name)), str(other.topic_name).removeprefix("rt")
         if known is None:
             return []
@@ -150,7 +153,8 @@ class Participant:
             ]
         return []
 
-    def _of_subscriber(self, other: DcpsEndpoint) -> list[str]:
+    def _subscriber_remarks(self, other: DcpsEndpoint) -> list[str]:
+        """Return a line if another subscriber's QoS does not match this node's writers."""
         profile = self._written.get(str(other.topic_name), {}).get(str(other.type_name))
         if profile is None:
             return []
@@ -166,31 +170,36 @@ class Participant:
         )
         return [line] if policy else []
 
-    def _topic(self, topic: Topic) -> tuple[Any, Any]:
+    def _dds_topic(self, topic: Topic) -> tuple[Any, Any]:
+        """Return the sample type and the DDS topic of a ROS topic."""
         sample = self._types.sample(topic.type)
         return sample, DdsTopic(self._participant, f"rt{topic.name}", sample)
 
-    def _qos(self, profile: Profile, name: str) -> Any:
+    def _endpoint_qos(self, profile: Profile, name: str) -> Any:
+        """Return the QoS of an endpoint, with the hash of its type in the user data."""
         known = self._types.hash(name)
-        return _plain(profile, *((Policy.Userdata(f"typehash={known};".encode()),) if known else ()))
+        return _dds_qos(profile, *((Policy.Userdata(f"typehash={known};".encode()),) if known else ()))
 
-    def _gid(self, guid: bytes) -> Any:
+    def _gid_message(self, guid: bytes) -> Any:
+        """Return a GUID as a message of rmw_dds_common/Gid."""
         kind = "rmw_dds_common/msg/Gid"
         size = self._types.fields(kind)[0][1][1][1]
         return self._types[kind](np.frombuffer(guid.ljust(size, b"\0"), np.uint8))
 
 
 def _is_best_effort(qos: Any) -> bool:
+    """Return whether a QoS is best effort, which is the default of a reader."""
     # Of a reader it is the default.
     return Policy.Reliability not in qos or qos[Policy.Reliability] == Policy.Reliability.BestEffort
 
 
 def _is_latched(qos: Any) -> bool:
+    """Return whether a QoS keeps samples for late subscribers."""
     return Policy.Durability in qos and qos[Policy.Durability] != Policy.Durability.Volatile
 
 
-def _plain(profile: Profile, *more: object) -> Any:
-    """Return qualities of service: XCDR1, as ROS has it, and no waiting for slow readers."""
+def _dds_qos(profile: Profile, *more: object) -> Any:
+    """Return the QoS of a profile: XCDR1, as ROS uses it, and no waiting for slow readers."""
     latched = (
         Policy.Durability.TransientLocal,
         Policy.DurabilityService(0, Policy.History.KeepLast(profile.depth), -1, -1, -1),
@@ -238,7 +247,7 @@ class Reader:
         self._types, self.topic, self.entity = types, topic, entity
 
     def take(self) -> list[Any]:
-        """Return what has come, oldest first; a writer that leaves is an ``InvalidSample``."""
+        """Return the messages that have arrived, oldest first; a writer that leaves is an ``InvalidSample``."""
         samples = self.entity.take(_MOST_AT_ONCE)
         return self._types.heard((each.cdr for each in samples if not isinstance(each, InvalidSample)), self.topic.type)
 
@@ -257,7 +266,7 @@ class Service:
         self._types, self._kind, self._rtps, self._raw = types, kind, rtps, raw
 
     def take(self) -> list[tuple[Request, Any]]:
-        """Return the requests that have come, oldest first."""
+        """Return the requests that have arrived, oldest first."""
         self._rtps.spin()
         found = []
         while self._raw.waiting:

@@ -70,7 +70,7 @@ class _Part:
         self.begin()
 
     def begin(self) -> None:
-        """Add the topics."""
+        """Add the topics of a fleet."""
 
     def messages(self, reading: object, row: int, time: float) -> Iterator[tuple[int, bytes]]:
         """Yield topics and messages of the reading of a vehicle, by its row in the fleet."""
@@ -114,7 +114,7 @@ class _Ranges(_Part):
             )
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield the ranges that there are."""
+        """Yield the topic and message of each range that the vehicle has measured."""
         parts = [part for part in (reading.beacon_range, reading.vehicle_range) if part is not None]
         ranges = np.concatenate([np.asarray(part, np.float64)[row] for part in parts])
         message = stamped(self.types, RANGE, time, base_link(self.spaces[row]))
@@ -133,7 +133,7 @@ class _Neighbours(_Part):
         self._topics = [self.add(Topic(f"/{space}/neighbours", POSES, "sensor")) for space in self.spaces]
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield the places of the neighbours that it sees, the nearest first."""
+        """Yield the positions of the neighbours that a vehicle sees, the nearest first."""
         places = flu_of(np.asarray(reading.position, np.float64)[row])
         message = stamped(self.types, POSES, time, neighbours_link(self.spaces[row]))
         point, turn, pose = (self.types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose"))

@@ -64,7 +64,7 @@ class Pilots:
         self.restart()
 
     def restart(self) -> None:
-        """Begin with an episode: all go by their guidance."""
+        """Begin an episode: all vehicles fly by their guidance."""
         self._pilots = [Pilot() for _ in self._names]
         self._home = np.asarray(self._simulation.truth.position_ned, np.float64).copy()
         for name in self._names:
@@ -72,11 +72,11 @@ class Pilots:
 
     @property
     def modes(self) -> list[str]:
-        """By what each vehicle flies."""
+        """Return by which kind of command each vehicle flies."""
         return [pilot.mode for pilot in self._pilots]
 
     def ask(self, row: int, wish: Wish) -> None:
-        """Take what is asked of a vehicle."""
+        """Store a command that was requested for a vehicle."""
         pilot = self._pilots[row]
         pilot.tick, pilot.at = self._simulation.tick, time.monotonic()
         if isinstance(wish, Thrust):
@@ -84,51 +84,54 @@ class Pilots:
             return
         if isinstance(wish, Place):
             pilot.wish = None
-            yaw = self._heading(row) if wish.yaw is None else wish.yaw
-            self._fly(row, Order(self._names[row], "waypoint", (*wish.position_ned, yaw)), "position")
+            yaw = self._estimated_heading(row) if wish.yaw is None else wish.yaw
+            self._fly_order(row, Order(self._names[row], "waypoint", (*wish.position_ned, yaw)), "position")
             return
         if not (isinstance(wish, Motion) and isinstance(pilot.wish, Motion)):
             pilot.yaw = None
         pilot.wish = wish
 
     def refuse(self, row: int, why: str) -> None:
-        """Have a vehicle hold its place, for it was asked for what it cannot fly, and say so once."""
-        self._hold(row, why)
+        """Make a vehicle hold its position after a command that it cannot fly, and report that once."""
+        self._hold_position(row, why)
 
     def actions(self) -> object:
-        """Return what ``Simulation.advance`` takes for the next tick."""
+        """Return the action of the next tick for ``Simulation.advance``."""
         flown = [row for row, pilot in enumerate(self._pilots) if pilot.wish is not None]
         if flown:
-            self._latch(flown)
+            self._update_orders(flown)
         return self.latches.actions()
 
     @property
     def waited_for(self) -> bool:
-        """Whether a vehicle that is flown by motions or attitudes has not been asked for any at the present tick."""
+        """Return whether a vehicle flown by motions or attitudes has received none at the present tick."""
         tick = self._simulation.tick
         return any(
             pilot.wish is not None and pilot.tick < tick and not self._is_silent(pilot) for pilot in self._pilots
         )
 
     def _is_silent(self, pilot: Pilot) -> bool:
+        """Return whether the last command of a vehicle is older than the timeout."""
         if self._wall is not None:
             return time.monotonic() - pilot.at >= self._wall
         return self._simulation.tick - pilot.tick >= self._limit
 
-    def _latch(self, rows: Sequence[int]) -> None:
+    def _update_orders(self, rows: Sequence[int]) -> None:
+        """Turn the latest commands of vehicles into orders, and hold those that are silent."""
         believed = believed_of(self._simulation)
         for row in rows:
             pilot = self._pilots[row]
             if self._is_silent(pilot):
                 silent = (self._simulation.tick - pilot.tick) * self._simulation.world.time_step
-                self._hold(row, f"nothing is heard for {silent if self._wall is None else self._wall:.10g} s")
+                self._hold_position(row, f"nothing is heard for {silent if self._wall is None else self._wall:.10g} s")
             elif isinstance(pilot.wish, Motion):
-                self._move(row, pilot, pilot.wish, float(believed[row, 3]))
+                self._fly_motion(row, pilot, pilot.wish, float(believed[row, 3]))
             elif isinstance(pilot.wish, Tilt) and pilot.throttle is not None:
                 numbers = (*pilot.wish.angles, pilot.throttle)
-                self._fly(row, Order(self._names[row], "attitude", numbers), "attitude")
+                self._fly_order(row, Order(self._names[row], "attitude", numbers), "attitude")
 
-    def _move(self, row: int, pilot: Pilot, wish: Motion, heading: float) -> None:
+    def _fly_motion(self, row: int, pilot: Pilot, wish: Motion, heading: float) -> None:
+        """Give a vehicle a velocity order from a Motion, integrating its yaw rate."""
         yaw = heading if pilot.yaw is None else pilot.yaw
         # The heading that is asked for runs ahead of the vehicle by no more than a quarter turn.
         step = wish.yaw_rate * self._simulation.world.time_step
@@ -139,18 +142,20 @@ class Pilots:
             forward, right = north, east
             cosine, sine = math.cos(heading), math.sin(heading)
             north, east = cosine * forward - sine * right, sine * forward + cosine * right
-        self._fly(row, Order(self._names[row], "velocity", (north, east, down, yaw)), "velocity")
+        self._fly_order(row, Order(self._names[row], "velocity", (north, east, down, yaw)), "velocity")
 
-    def _fly(self, row: int, order: Order, mode: str) -> None:
+    def _fly_order(self, row: int, order: Order, mode: str) -> None:
+        """Give a vehicle an order, or hold its position if the order is invalid."""
         try:
             self.latches.put(self.latches.checked(order))
         except UsageError as error:
-            self._hold(row, str(error))
+            self._hold_position(row, str(error))
             return
         pilot = self._pilots[row]
         pilot.mode, pilot.told = mode, ""
 
-    def _hold(self, row: int, why: str) -> None:
+    def _hold_position(self, row: int, why: str) -> None:
+        """Make a vehicle hold its position, and report the reason once."""
         pilot, name = self._pilots[row], self._names[row]
         pilot.wish, pilot.throttle = None, None
         if pilot.mode != "hold":
@@ -165,5 +170,6 @@ class Pilots:
             what = "holds its place" if pilot.mode == "hold" else "goes on by its guidance"
             self._say(f"t = {self._simulation.time:.10g} s, '{name}': {why}; it {what}")
 
-    def _heading(self, row: int) -> float:
+    def _estimated_heading(self, row: int) -> float:
+        """Return the estimated heading of a vehicle [rad]."""
         return float(believed_of(self._simulation)[row, 3])

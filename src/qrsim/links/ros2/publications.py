@@ -68,8 +68,8 @@ class Publications:
             for vehicle in range(fleet.size):
                 row = len(self._vehicles)
                 kinds = kinds_of(sensors, fleet.battery.drains, windy[row])
-                self._vehicles.append(self._published(kinds, row, sensors, vehicle))
-                self._true.append(self._published(t.TRUE_KINDS, row, sensors, vehicle) if truth else [])
+                self._vehicles.append(self._added(kinds, row, sensors, vehicle))
+                self._true.append(self._added(t.TRUE_KINDS, row, sensors, vehicle) if truth else [])
                 distance = variances.of_range(sensors(s.RANGE), vehicle)
                 attitude = max((variances.of_attitude(each, vehicle) for each in fleet.sensors), default=0.0)
                 self._noise[:, row] = (*distance, attitude)
@@ -80,9 +80,10 @@ class Publications:
         self.topics.append(topic)
         return len(self.topics) - 1
 
-    def _published(
+    def _added(
         self, kinds: Sequence[t.Kind], row: int, sensors: Sensors, vehicle: int
     ) -> list[tuple[int, Publication]]:
+        """Add the topics of a vehicle, and return them with their numbers."""
         made = [Publication(self._types, kind, self.namespaces[row], sensors, vehicle) for kind in kinds]
         return [(self.add(own.topic), own) for own in made]
 
@@ -94,7 +95,7 @@ class Publications:
         news: Mapping[int, News],
         true: NumpyArray | None,
     ) -> Iterator[tuple[int, bytes]]:
-        """Yield numbers of topics and messages.
+        """Yield (number of the topic, message) of everything published at a tick.
 
         Args:
             tick: its number.
@@ -106,7 +107,7 @@ class Publications:
         due = tick % self._each == 0
         if not due and not any(any(fresh) for fresh, _ in news.values()):
             return
-        numbers, stamps = self._numbers(values), [stamp_of(time) for time in believed]
+        numbers, stamps = self._filled_numbers(values), [stamp_of(time) for time in believed]
         if due:
             yield 0, self._transforms.message(numbers, stamps)
         for row, (own, own_numbers) in enumerate(zip(self._vehicles, numbers.tolist(), strict=True)):
@@ -117,29 +118,32 @@ class Publications:
                     if not fresh[row]:
                         continue
                     stamp = stamp_of(times[row])
-                elif not (due and self._is_time(tick, publication.kind.every)):
+                elif not (due and self._is_due(tick, publication.kind.every)):
                     continue
                 message = publication.message(own_numbers, *stamp)
                 if message is not None:
                     yield topic, message
         if due and true is not None:
-            yield from self._truths(true, stamp_of(tick * self._dt))
+            yield from self._true_messages(true, stamp_of(tick * self._dt))
 
-    def _numbers(self, values: NumpyArray) -> NumpyArray:
-        found = n.seen(values)
+    def _filled_numbers(self, values: NumpyArray) -> NumpyArray:
+        """Return the numbers (n, WIDTH) of messages, with the variances of sensors filled in."""
+        numbers = n.seen(values)
         still, growth, turn = self._noise
-        measured = np.where(np.isfinite(found[:, n.RANGE]), found[:, n.RANGE], 0.0)
-        found[:, n.RANGE_VARIANCE] = (still + growth * measured) ** 2
+        measured = np.where(np.isfinite(numbers[:, n.RANGE]), numbers[:, n.RANGE], 0.0)
+        numbers[:, n.RANGE_VARIANCE] = (still + growth * measured) ** 2
         for first in (n.TURN_VARIANCE, n.IMU_VARIANCE):
-            own = found[:, first : first + 3]
+            own = numbers[:, first : first + 3]
             own[:] = np.where(own == 0.0, turn[:, None], own)
-        return found
+        return numbers
 
-    def _is_time(self, tick: int, every: float) -> bool:
+    def _is_due(self, tick: int, every: float) -> bool:
+        """Return whether a message with a period [s] is due at a tick."""
         # Of ticks at which something is published.
         return not every or tick // self._each % max(1, round(every / (self._dt * self._each))) == 0
 
-    def _truths(self, true: NumpyArray, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
+    def _true_messages(self, true: NumpyArray, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
+        """Yield (number of the topic, message) of the true states."""
         for own, row in zip(self._true, true.tolist(), strict=True):
             for topic, publication in own:
                 message = publication.message(row, *stamp)

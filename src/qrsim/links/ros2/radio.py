@@ -17,12 +17,12 @@ ARRAY, DIMENSION = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/MultiArrayDim
 
 
 def heard_topic(namespace: str) -> Topic:
-    """Return the topic of what a vehicle hears."""
+    """Return the topic of the radio messages that a vehicle receives."""
     return Topic(f"/{namespace}/radio/rx", ARRAY, "reliable")
 
 
 def said_topic(namespace: str) -> Topic:
-    """Return the topic of what a vehicle is to say."""
+    """Return the topic of the radio messages that a vehicle is to send."""
     return Topic(f"/{namespace}/radio/tx", ARRAY, "reliable")
 
 
@@ -43,7 +43,7 @@ class Inboxes:
         self._time = simulation.time
 
     def new(self) -> Iterator[tuple[int, bytes]]:
-        """Yield row of the vehicle and message of what was heard since the last call."""
+        """Yield (row of the vehicle, message) of what was received since the last call."""
         if self._simulation.time < self._time:
             # Another episode.
             self._last = [{} for _ in self._last]
@@ -63,7 +63,7 @@ class Inboxes:
 
 
 def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Any]]) -> list[Checked]:
-    """Hand what vehicles are to say to their radios, and return it: sender, numbers (D,), receiver or -1.
+    """Pass messages to the vehicles' radios, and return them: sender, numbers (D,), receiver or -1.
 
     Args:
         simulation: with a radio.

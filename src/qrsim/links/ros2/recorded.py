@@ -69,18 +69,18 @@ class Recorded:
                 self._knowing.append(rows)
                 behind = 0.0
             self.behind += [behind] * fleet.size
-            self._sensors.append(self._find(fleet, rows))
+            self._sensors.append(self._find_columns(fleet, rows))
             first += fleet.size
 
     def sensor(self, fleet: int, column: int) -> Any:
-        """Return the sensor of a fleet, by its number, that a column (shared/sight.py) is of; None without one."""
+        """Return the sensor, by its number in a fleet, that fills a column (shared/sight.py); None without one."""
         number = self._sensors[fleet].get(column)
         return None if number is None else self.world.fleets[fleet].sensors[number]
 
-    def _find(self, fleet: Fleet, rows: slice) -> dict[int, int]:
-        """Find which columns of the run the numbers of a fleet are in; return whose sensor they are."""
+    def _find_columns(self, fleet: Fleet, rows: slice) -> dict[int, int]:
+        """Store the run's columns of each number of a fleet; return the sensors that fill them."""
         found: dict[int, int] = {}
-        commands = self._columns("commands")
+        commands = self._stream_columns("commands")
         for prefix, column, axes in (
             ("estimate.position_ned", s.POSITION, "xyz"),
             ("estimate.velocity_ned", s.VELOCITY, "xyz"),
@@ -94,7 +94,7 @@ class Recorded:
                     self._sources.append((rows, column + i, "commands", f"{prefix}.{axis}"))
         if fleet.battery.drains and "battery" in commands:
             self._sources.append((rows, s.CHARGE, "commands", "battery"))
-        measured = self._columns("measurements")
+        measured = self._stream_columns("measurements")
         for number, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
             fix = "gnss" in type(sensor).__module__
             vectors, scalars = (s.FIX_VECTORS, s.FIX_SCALARS) if fix else (s.VECTORS, s.SCALARS)
@@ -111,13 +111,14 @@ class Recorded:
                     self._sources.append((rows, column, "measurements", f"{name}.{field}"))
         return found
 
-    def _columns(self, stream: str) -> Sequence[str]:
+    def _stream_columns(self, stream: str) -> Sequence[str]:
+        """Return the names of the columns of a stream, empty if the run has no such stream."""
         return self._streams[stream].columns() if stream in self._streams else ()
 
     def ticks(
         self, columns: Sequence[int]
     ) -> Iterator[tuple[int, float, NumpyArray, dict[int, News], NumpyArray | None, NumpyArray]]:
-        """Yield number and time [s] of each tick, what vehicles knew, the news of sensors, the truth, and commands.
+        """Yield number and time [s] of each tick, known values, news of sensors, truth, and commands.
 
         Commands are numbers (n, WIDTH) of ``numbers.asked``, of the step that ends with the tick.
 
@@ -127,23 +128,23 @@ class Recorded:
         before: dict[tuple[int, int], Any] = {}
         for begin in range(0, len(self._ticks), MOST_AT_ONCE):
             ticks = self._ticks[begin : begin + MOST_AT_ONCE]
-            values, true = self._values(ticks), self._true(ticks)
-            asked = self._asked(ticks, values[:, :, s.ATTITUDE + 2])
+            values, true = self._values(ticks), self._true_numbers(ticks)
+            asked = self._command_numbers(ticks, values[:, :, s.ATTITUDE + 2])
             for i, tick in enumerate(ticks.tolist()):
                 news = {column: self._news(column, tick, values[i], before) for column in columns}
                 yield tick, tick * self._dt, values[i], news, None if true is None else true[i], asked[i]
 
-    def _part(self, stream: str, column: str, ticks: NumpyArray) -> NumpyArray:
+    def _column(self, stream: str, column: str, ticks: NumpyArray) -> NumpyArray:
         """Return a column (T, n) at ticks."""
         found = self._streams[stream]
         return np.asarray(found[column][np.searchsorted(found.tick, ticks)], np.float64)
 
     def _vector(self, stream: str, name: str, axes: Sequence[str], ticks: NumpyArray) -> NumpyArray:
         """Return a vector (T, n, 3) at ticks."""
-        return np.stack([self._part(stream, f"{name}.{axis}", ticks) for axis in axes], axis=-1)
+        return np.stack([self._column(stream, f"{name}.{axis}", ticks) for axis in axes], axis=-1)
 
-    def _know(self, values: NumpyArray, ticks: NumpyArray) -> None:
-        """Give vehicles that are fed with the truth what is true."""
+    def _fill_truth(self, values: NumpyArray, ticks: NumpyArray) -> None:
+        """Write the true values for vehicles whose feed is the truth."""
         position, body = (self._vector("truth", name, "xyz", ticks) for name in ("position_ned", "velocity_body"))
         attitude = self._vector("truth", "attitude", _ANGLES, ticks)
         velocity = n.velocity_ned(attitude.reshape(-1, 3), body.reshape(-1, 3)).reshape(body.shape)
@@ -152,42 +153,45 @@ class Recorded:
                 values[:, rows, column : column + 3] = vector[:, rows]
 
     def _values(self, ticks: NumpyArray) -> NumpyArray:
+        """Return the known values (T, n, WIDTH) at ticks, derived columns included."""
         values = np.full((len(ticks), len(self.names), s.WIDTH), np.nan)
         for rows, column, stream, name in self._sources:
-            values[:, rows, column] = self._part(stream, name, ticks)[:, rows]
+            values[:, rows, column] = self._column(stream, name, ticks)[:, rows]
         if self._knowing:
-            self._know(values, ticks)
+            self._fill_truth(values, ticks)
         flat = values.reshape(-1, s.WIDTH)
         plain = np.isnan(flat[:, s.FIX_TYPE]) & np.isfinite(flat[:, s.FIX_POSITION])
         s.complete(flat, self.site, plain)
         return values
 
-    def _asked(self, ticks: NumpyArray, yaw: NumpyArray) -> NumpyArray:
-        """Return the numbers (T, n, WIDTH) of the commands of quadrotors; NaN of others."""
+    def _command_numbers(self, ticks: NumpyArray, yaw: NumpyArray) -> NumpyArray:
+        """Return the numbers (T, n, WIDTH) of the commands of quadrotors; NaN for others."""
         names, shape = ("pitch", "roll", "throttle", "yaw_rate"), (len(ticks), len(self.names))
         found = np.full((*shape, len(names)), np.nan)
-        if set(names) <= set(self._columns("commands")):
-            found = np.stack([self._part("commands", name, ticks) for name in names], axis=-1)
+        if set(names) <= set(self._stream_columns("commands")):
+            found = np.stack([self._column("commands", name, ticks) for name in names], axis=-1)
         return n.asked(found.reshape(-1, len(names)), yaw.reshape(-1)).reshape(*shape, n.WIDTH)
 
-    def _true(self, ticks: NumpyArray) -> NumpyArray | None:
+    def _true_numbers(self, ticks: NumpyArray) -> NumpyArray | None:
+        """Return the numbers (T, n, WIDTH) of true motion and wind at ticks, None if the run lacks them."""
         if not self.has_truth:
             return None
 
         def vector(stream: str, name: str, axes: Sequence[str] = "xyz") -> NumpyArray:
+            """Return a vector (T n, 3) of a stream at the ticks."""
             return self._vector(stream, name, axes, ticks).reshape(-1, 3)
 
         winds = "wind" in self._streams
         wind = vector("wind", "mean_ned") + vector("wind", "gust_ned") if winds else np.full((1, 3), np.nan)
         position, attitude = vector("truth", "position_ned"), vector("truth", "attitude", _ANGLES)
-        found = n.of_motion(
+        numbers = n.of_motion(
             position,
             attitude,
             n.velocity_ned(attitude, vector("truth", "velocity_body")),
             vector("truth", "rates_body"),
             np.broadcast_to(wind, position.shape),
         )
-        return found.reshape(len(ticks), len(self.names), n.WIDTH)
+        return numbers.reshape(len(ticks), len(self.names), n.WIDTH)
 
     def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], Any]) -> News:
         """Return, for each vehicle, whether a column's sensor has a new reading in this tick, and its time [s]."""

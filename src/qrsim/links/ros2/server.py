@@ -85,7 +85,7 @@ class Server:
             simulation.reset()
         self._pilots = Pilots(simulation, options.hold, options.factor, say, by_wall=options.pace != "free")
         if flown is None:
-            self._warm()
+            self._compile()
         if flown is not None:
             self.recording = flown.world.recording
         else:
@@ -114,31 +114,32 @@ class Server:
         self._static.write(self.messages.static)
         self.paused, self._steps = options.paused, 0
         self._told_status = -math.inf
-        self._pacer = self._started()
+        self._pacer = self._new_metronome()
 
     def _subscribe(self) -> None:
-        """Subscribe to what nodes ask of vehicles directly."""
+        """Create the subscriptions to the commands of vehicles."""
         for row, (name, space) in enumerate(zip(self.simulation.vehicle_names, self.messages.namespaces, strict=True)):
             for own, topic in topics_of(space, self._pilots.latches.kinds(name)):
                 self._readers.append((row, own, self._participant.reader(topic)))
 
-    def _warm(self) -> None:
-        """Compile what is flown."""
+    def _compile(self) -> None:
+        """Compile the programs of this flight by running them once."""
         self.simulation.advance(self._pilots.actions())
         self.simulation.reset()
         self._pilots.restart()
 
-    def _started(self) -> Metronome:
+    def _new_metronome(self) -> Metronome:
+        """Return a new metronome that starts at the present time."""
         return Metronome(self._options.factor, self.simulation.time, self.simulation.world.time_step)
 
     def serve(self, until: float = math.inf) -> None:
-        """Run until it is interrupted, or up to a simulated time [s]."""
-        self._pacer = self._started()
+        """Run until interrupted, or up to a simulated time [s]."""
+        self._pacer = self._new_metronome()
         self.publish()
         while self.simulation.time < until:
             self.listen()
             if self.paused and not self._steps:
-                self._tell_status()
+                self._publish_status()
                 time.sleep(LISTEN_EVERY_S)
                 continue
             if self._options.pace == "barrier" and not self.paused and self._pilots.waited_for:
@@ -151,8 +152,8 @@ class Server:
             self.tick()
 
     def tick(self) -> None:
-        """Advance by one tick, and publish."""
-        self._say_by_radio()
+        """Advance by one tick, and publish its messages."""
+        self._send_by_radio()
         if self._flown is None:
             self.simulation.advance(self._pilots.actions())
             if self.recording is not None:
@@ -167,19 +168,19 @@ class Server:
             self._told_status = -math.inf
 
     def publish(self) -> None:
-        """Publish what is new at this tick."""
+        """Publish the messages of this tick."""
         writers = self._writers
-        flown, off = self._flown, self._off()
+        flown, off = self._flown, self._off_prefixes()
         for topic, message in self.messages.due(self._pilots.modes if flown is None else flown.modes):
             if not (off and self.messages.topics[topic].name.startswith(off)):
                 writers[topic].write(message)
         if flown is not None:
             for topic, message in flown.due():
                 self._api_writers[topic].write(message)
-        self._tell_status()
+        self._publish_status()
 
-    def _off(self) -> tuple[str, ...]:
-        """Return the prefixes of the topics of vehicles whose link is off."""
+    def _off_prefixes(self) -> tuple[str, ...]:
+        """Return the topic prefixes of the vehicles whose link is off."""
         unlinked = self.simulation.unlinked
         if not unlinked:
             return ()
@@ -187,9 +188,9 @@ class Server:
         return tuple(f"/{space}/" for name, space in names if name in unlinked)
 
     def listen(self) -> None:
-        """Take the requests of other nodes; those for a vehicle whose link is off are lost."""
+        """Apply the requests of other nodes; those for a vehicle whose link is off are lost."""
         for message in self._control.take():
-            self._obey(message.data)
+            self._obey_control(message.data)
         unlinked = self.simulation.unlinked
         for row, own, reader in self._readers:
             for message in reader.take():
@@ -215,8 +216,8 @@ class Server:
         for line in self._participant.remarks():
             self._say(line)
 
-    def _say_by_radio(self) -> None:
-        """Give messages to the radios of vehicles."""
+    def _send_by_radio(self) -> None:
+        """Pass messages to the radios of vehicles."""
         for said in self._saying.items():
             try:
                 checked = hand_over(self.simulation, self.messages.namespaces, [said])
@@ -229,8 +230,8 @@ class Server:
                     self._say(self._not_said)
         self._saying = {}
 
-    def _obey(self, text: str) -> None:
-        """Do what /qrsim/control says."""
+    def _obey_control(self, text: str) -> None:
+        """Apply a message of /qrsim/control, and report an invalid one."""
         try:
             self._control_world(text.split())
         except UsageError as error:
@@ -238,26 +239,27 @@ class Server:
         self._told_status = -math.inf
 
     def _control_world(self, words: list[str]) -> None:
+        """Apply a request of /qrsim/control: reset, step, pause, resume or an injection; raises UsageError."""
         what, rest = (words[0], words[1:]) if words else ("", [])
         if what not in CONTROLS:
             raise UsageError(
                 f"/qrsim/control '{what[:60]}': expected {', '.join(CONTROLS)}{did_you_mean(what[:60], CONTROLS)}"
             )
         if what == "reset":
-            self._reset(_integer("reset", rest, self.simulation.seed, 0, 2**63 - 1))
+            self._reset_world(_integer_argument("reset", rest, self.simulation.seed, 0, 2**63 - 1))
         elif what == "step":
             self.paused = True
-            self._steps = _integer("step", rest, 1, 1, MOST_STEPS)
+            self._steps = _integer_argument("step", rest, 1, 1, MOST_STEPS)
         elif what in VERBS:
             self._inject(words)
         else:
             if rest:
                 raise UsageError(f"/qrsim/control {what}: '{rest[0][:60]}' is too much")
             self.paused = what == "pause"
-            self._pacer = self._started()
+            self._pacer = self._new_metronome()
 
     def _inject(self, words: list[str]) -> None:
-        """Let something fail, or change the wind; vehicles go by their names or their namespaces."""
+        """Inject a fault or change the wind; vehicles are given by name or namespace."""
         names = dict(zip(self.messages.namespaces, self.simulation.vehicle_names, strict=True))
         try:
             request = parsed(" ".join(words))
@@ -266,7 +268,8 @@ class Server:
         except UsageError as error:
             raise UsageError(f"/qrsim/control {words[0]}: {error}") from None
 
-    def _reset(self, seed: int) -> None:
+    def _reset_world(self, seed: int) -> None:
+        """Start another episode with a seed, and publish its first messages."""
         if self._flown is None:
             if self.recording is not None:
                 self.recording.end()
@@ -277,10 +280,11 @@ class Server:
             self._flown.reset(seed)
         self._pilots.restart()
         self._steps, self._saying = 0, {}
-        self._pacer = self._started()
+        self._pacer = self._new_metronome()
         self.publish()
 
-    def _tell_status(self) -> None:
+    def _publish_status(self) -> None:
+        """Publish time, pace and modes as JSON, at most once per STATUS_EVERY_S."""
         now = time.monotonic()
         if now - self._told_status < STATUS_EVERY_S:
             return
@@ -300,11 +304,12 @@ class Server:
         self._status.write(text_message(self._types, json.dumps(status)))
 
     def report(self) -> PaceReport:
-        """Return how the pace was kept."""
+        """Return the statistics of the pace."""
         return self._pacer.report()
 
 
-def _integer(what: str, words: list[str], default: int, low: int, high: int) -> int:
+def _integer_argument(what: str, words: list[str], default: int, low: int, high: int) -> int:
+    """Return the integer argument of a control request, or its default; raises UsageError."""
     if not words:
         return default
     if len(words) == 1 and words[0].isdecimal() and low <= int(words[0]) <= high:

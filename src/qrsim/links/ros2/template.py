@@ -37,10 +37,10 @@ class Template:
         self.places: dict[str, tuple[int, str, int]] = {}
         # Where something begins, numbers, lengths and texts.
         self._taken: set[int] = set()
-        self._walk("", message.__msgtype__, message, 0)
+        self._scan_message("", message.__msgtype__, message, 0)
 
     def putter(self, *paths: str) -> Put:
-        """Return a function that puts numbers at paths, one argument for each, and for each element of an array.
+        """Return a function that writes numbers at paths, one argument for each, and for each element of an array.
 
         Args:
             paths: such as "pose.covariance", or "pose.covariance[7]" for one element.
@@ -51,16 +51,17 @@ class Template:
         runs: list[tuple[int, str]] = []
         end = -1
         for path in paths:
-            offset, code, count = self._place_of(path)
+            offset, code, count = self._slot_of(path)
             gap = offset - end
             if runs and 0 <= gap < 8 and not any(at in self._taken for at in range(end, offset)):
                 runs[-1] = (runs[-1][0], f"{runs[-1][1]}{'x' * gap}{count}{code}")
             else:
                 runs.append((offset, f"<{count}{code}"))
             end = offset + count * struct.calcsize(f"<{code}")
-        return _put_at(self.cdr, runs)
+        return _putter(self.cdr, runs)
 
-    def _place_of(self, path: str) -> tuple[int, str, int]:
+    def _slot_of(self, path: str) -> tuple[int, str, int]:
+        """Return offset, struct code and count of a path, such as "pose.x" or "covariance[4]"; raises KeyError."""
         if path in self.places:
             return self.places[path]
         array, _, rest = path.partition("[")
@@ -70,45 +71,48 @@ class Template:
             raise KeyError(path)
         return offset + number * struct.calcsize(f"<{code}"), code, 1
 
-    def _walk(self, prefix: str, name: str, message: object, at: int) -> int:
-        """Find the places of a message that begins at an offset of the body, and return where it ends."""
+    def _scan_message(self, prefix: str, name: str, message: object, at: int) -> int:
+        """Store the offsets of a message that begins at an offset of the body, and return its end."""
         for field, description in self._types.fields(name):
-            at = self._place(f"{prefix}{field}", description, getattr(message, field), at)
+            at = self._scan_field(f"{prefix}{field}", description, getattr(message, field), at)
         return at
 
-    def _place(self, path: str, description: Any, value: Any, at: int) -> int:
+    def _scan_field(self, path: str, description: Any, value: Any, at: int) -> int:
+        """Store the offsets of a field that begins at an offset of the body, and return its end."""
         kind, content = description
         if kind == Nodetype.NAME:
-            return self._walk(f"{path}.", content, value, at)
+            return self._scan_message(f"{path}.", content, value, at)
         if kind == Nodetype.BASE:
             if content[0] == "string":
-                at = self._take(at, 4)
+                at = self._aligned(at, 4)
                 return at + 4 + len(value.encode()) + 1
-            return self._numbers(path, content[0], 1, at)
+            return self._scan_numbers(path, content[0], 1, at)
         if kind == Nodetype.SEQUENCE:
-            at = self._take(at, 4) + 4
+            at = self._aligned(at, 4) + 4
         element, base = content[0]
         if element == Nodetype.BASE and base[0] != "string":
-            return self._numbers(path, base[0], len(value), at) if len(value) else at
+            return self._scan_numbers(path, base[0], len(value), at) if len(value) else at
         for number, each in enumerate(value):
-            at = self._place(f"{path}.{number}", content[0], each, at)
+            at = self._scan_field(f"{path}.{number}", content[0], each, at)
         return at
 
-    def _numbers(self, path: str, base: str, count: int, at: int) -> int:
+    def _scan_numbers(self, path: str, base: str, count: int, at: int) -> int:
+        """Store the offset of ``count`` numbers, aligned to their size, and return their end."""
         code = _CODES[base]
         size = struct.calcsize(f"<{code}")
-        at = self._take(at, size)
+        at = self._aligned(at, size)
         self.places[path] = HEADER + at, code, count
         return at + size * count
 
-    def _take(self, at: int, size: int) -> int:
-        """Return where something of a size begins."""
+    def _aligned(self, at: int, size: int) -> int:
+        """Return the next offset that is a multiple of a size."""
         at += -at % size
         self._taken.add(HEADER + at)
         return at
 
 
-def _put_at(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
+def _putter(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
+    """Return a function that packs its arguments into runs (offset, struct format) of a message."""
     parts, first = [], 0
     for offset, form in runs:
         packer = struct.Struct(form)
@@ -119,11 +123,13 @@ def _put_at(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
         pack_into, offset, _ = parts[0]
 
         def put_once(*values: float) -> None:
+            """Pack all numbers at the only run."""
             pack_into(cdr, offset, *values)
 
         return put_once
 
     def put(*values: float) -> None:
+        """Pack the numbers at the runs; raises ValueError for another count."""
         if len(values) != first:
             raise ValueError(f"{len(values)} numbers; expected {first}")
         for pack_into, offset, own in parts:

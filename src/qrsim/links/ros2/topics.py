@@ -44,31 +44,35 @@ class Kind:
     child: bool = False
 
 
-def _three(first: int) -> tuple[int, ...]:
+def _three_columns(first: int) -> tuple[int, ...]:
+    """Return three columns that follow each other."""
     return first, first + 1, first + 2
 
 
-def _vector(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    return tuple((f"{path}.{axis}", (column,)) for axis, column in zip("xyz", _three(first), strict=True))
+def _vector_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Return (path, column) of the x, y, z of a vector."""
+    return tuple((f"{path}.{axis}", (column,)) for axis, column in zip("xyz", _three_columns(first), strict=True))
 
 
-def _quaternion(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    return (*_vector(path, first), (f"{path}.w", (first + 3,)))
+def _quaternion_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Return (path, column) of the x, y, z, w of a quaternion."""
+    return (*_vector_fields(path, first), (f"{path}.w", (first + 3,)))
 
 
-def _diagonal(path: str, size: int, columns: tuple[int, ...]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+def _diagonal_fields(path: str, size: int, columns: tuple[int, ...]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Return (path, column) of the diagonal of a covariance (size, size)."""
     return tuple((f"{path}[{i * (size + 1)}]", (column,)) for i, column in enumerate(columns))
 
 
-_POSE_VARIANCES = _three(n.POSITION_VARIANCE) + _three(n.TURN_VARIANCE)
-_TWIST_VARIANCES = _three(n.VELOCITY_VARIANCE) + _three(n.ODOM_RATES_VARIANCE)
+_POSE_VARIANCES = _three_columns(n.POSITION_VARIANCE) + _three_columns(n.TURN_VARIANCE)
+_TWIST_VARIANCES = _three_columns(n.VELOCITY_VARIANCE) + _three_columns(n.ODOM_RATES_VARIANCE)
 _ODOM = (
-    *_vector("pose.pose.position", n.POSITION),
-    *_quaternion("pose.pose.orientation", n.ORIENTATION),
-    *_diagonal("pose.covariance", 6, _POSE_VARIANCES),
-    *_vector("twist.twist.linear", n.BODY_VELOCITY),
-    *_vector("twist.twist.angular", n.ODOM_RATES),
-    *_diagonal("twist.covariance", 6, _TWIST_VARIANCES),
+    *_vector_fields("pose.pose.position", n.POSITION),
+    *_quaternion_fields("pose.pose.orientation", n.ORIENTATION),
+    *_diagonal_fields("pose.covariance", 6, _POSE_VARIANCES),
+    *_vector_fields("twist.twist.linear", n.BODY_VELOCITY),
+    *_vector_fields("twist.twist.angular", n.ODOM_RATES),
+    *_diagonal_fields("twist.covariance", 6, _TWIST_VARIANCES),
 )
 _KNOWN_POSE = (n.POSITION, n.ORIENTATION)
 FIX = Kind(
@@ -80,7 +84,7 @@ FIX = Kind(
         ("latitude", (n.PLACE,)),
         ("longitude", (n.PLACE + 1,)),
         ("altitude", (n.PLACE + 2,)),
-        *_diagonal("position_covariance", 3, _three(n.PLACE_VARIANCE)),
+        *_diagonal_fields("position_covariance", 3, _three_columns(n.PLACE_VARIANCE)),
     ),
     (n.PLACE,),
     s.FIX_POSITION,
@@ -91,10 +95,10 @@ IMU = Kind(
     "sensor",
     "base_link",
     (
-        *_quaternion("orientation", n.IMU_ORIENTATION),
-        *_diagonal("orientation_covariance", 3, _three(n.IMU_VARIANCE)),
-        *_vector("angular_velocity", n.RATES),
-        *_vector("linear_acceleration", n.FORCE),
+        *_quaternion_fields("orientation", n.IMU_ORIENTATION),
+        *_diagonal_fields("orientation_covariance", 3, _three_columns(n.IMU_VARIANCE)),
+        *_vector_fields("angular_velocity", n.RATES),
+        *_vector_fields("linear_acceleration", n.FORCE),
     ),
     (),
     s.RATES,
@@ -104,7 +108,7 @@ MAG = Kind(
     "sensor_msgs/msg/MagneticField",
     "sensor",
     "base_link",
-    _vector("magnetic_field", n.FIELD),
+    _vector_fields("magnetic_field", n.FIELD),
     (n.FIELD,),
     s.FIELD,
 )
@@ -144,7 +148,7 @@ FLOW = Kind(
     "geometry_msgs/msg/Vector3Stamped",
     "sensor",
     "base_link",
-    _vector("vector", n.FLOW),
+    _vector_fields("vector", n.FLOW),
     (n.FLOW,),
     s.FLOW,
 )
@@ -153,7 +157,7 @@ FLOW_TURN = Kind(
     "geometry_msgs/msg/Vector3Stamped",
     "sensor",
     "base_link",
-    _vector("vector", n.FLOW_TURN),
+    _vector_fields("vector", n.FLOW_TURN),
     (n.FLOW_TURN,),
     s.FLOW_TURN,
 )
@@ -172,7 +176,7 @@ POSE = Kind(
     "geometry_msgs/msg/PoseStamped",
     "reliable",
     "map",
-    (*_vector("pose.position", n.POSITION), *_quaternion("pose.orientation", n.ORIENTATION)),
+    (*_vector_fields("pose.position", n.POSITION), *_quaternion_fields("pose.orientation", n.ORIENTATION)),
     _KNOWN_POSE,
 )
 VELOCITY = Kind(
@@ -180,10 +184,10 @@ VELOCITY = Kind(
     "geometry_msgs/msg/TwistStamped",
     "reliable",
     "map",
-    (*_vector("twist.linear", n.VELOCITY), *_vector("twist.angular", n.MAP_RATES)),
+    (*_vector_fields("twist.linear", n.VELOCITY), *_vector_fields("twist.angular", n.MAP_RATES)),
     (n.VELOCITY, n.MAP_RATES),
 )
-WIND = Kind("wind", "geometry_msgs/msg/Vector3Stamped", "reliable", "map", _vector("vector", n.WIND), (n.WIND,))
+WIND = Kind("wind", "geometry_msgs/msg/Vector3Stamped", "reliable", "map", _vector_fields("vector", n.WIND), (n.WIND,))
 # From the estimates and the readings, in the order in which they go out.
 KINDS = (
     FIX, IMU, MAG, BARO, HEIGHT, RANGE, AIRSPEED, DIFFERENTIAL, FLOW, FLOW_TURN, BATTERY, ODOM, POSE, VELOCITY, WIND,
@@ -192,14 +196,19 @@ KINDS = (
 TRUE_KINDS = (
     Kind("ground_truth/odom", "nav_msgs/msg/Odometry", "reliable", "map", _ODOM, _KNOWN_POSE, child=True),
     Kind(
-        "ground_truth/wind", "geometry_msgs/msg/Vector3Stamped", "reliable", "map", _vector("vector", n.WIND), (n.WIND,)
+        "ground_truth/wind",
+        "geometry_msgs/msg/Vector3Stamped",
+        "reliable",
+        "map",
+        _vector_fields("vector", n.WIND),
+        (n.WIND,),
     ),
 )
 # What its controller asks a quadrotor for, of recorded runs only: a live world takes these topics as commands.
 ASKED_KINDS = (
     Kind(
         "setpoint_attitude/attitude", "geometry_msgs/msg/PoseStamped", "reliable", "map",
-        _quaternion("pose.orientation", n.ASKED_ORIENTATION), (n.ASKED_ORIENTATION,),
+        _quaternion_fields("pose.orientation", n.ASKED_ORIENTATION), (n.ASKED_ORIENTATION,),
     ),
     Kind(
         "setpoint_attitude/cmd_vel", "geometry_msgs/msg/TwistStamped", "reliable", "base_link",

@@ -66,14 +66,15 @@ class Transforms:
         known = np.isfinite(poses).all(axis=1)
         key = known.tobytes()
         if key not in self._templates:
-            self._templates[key] = self._template(np.flatnonzero(known).tolist())
+            self._templates[key] = self._transforms_template(np.flatnonzero(known).tolist())
         template, puts = self._templates[key]
         rows = np.flatnonzero(known).tolist()
         for put, row, pose in zip(puts, rows, poses[known].tolist(), strict=True):
             put(*stamps[row], *pose)
         return bytes(template.cdr)
 
-    def _template(self, rows: list[int]) -> tuple[Template, list[Put]]:
+    def _transforms_template(self, rows: list[int]) -> tuple[Template, list[Put]]:
+        """Return the template of /tf for some vehicles, and a function for each that writes its transform."""
         parts = [transform(self._types, MAP, base_link(self._namespaces[row])) for row in rows]
         template = Template(self._types, self._types[TYPE](parts))
         return template, [template.putter(*(f"transforms.{i}.{path}" for path in _PATHS)) for i in range(len(rows))]
@@ -82,7 +83,7 @@ class Transforms:
 def transform(
     types: Types, parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = _LEVEL
 ) -> Any:
-    """Return a transform of a child frame in its parent: place [m] and turn (x, y, z, w)."""
+    """Return a transform of a child frame in its parent: translation [m] and rotation (x, y, z, w)."""
     found = empty(types, ONE)
     found.header.frame_id, found.child_frame_id = parent, child
     found.transform.translation = types["geometry_msgs/msg/Vector3"](*map(float, place))
@@ -95,7 +96,7 @@ def static_transforms(types: Types, world: World, namespaces: Sequence[str], sit
     found, rest = [on_earth(types, site), *_beacons(types, world)], iter(namespaces)
     for fleet in world.fleets:
         for _ in range(fleet.size):
-            found += _of_vehicle(types, fleet, next(rest))
+            found += _vehicle_transforms(types, fleet, next(rest))
     return types[TYPE](found)
 
 
@@ -124,8 +125,9 @@ def _beacons(types: Types, world: World) -> list[object]:
     return list(found.values())
 
 
-def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[object]:
-    found: dict[str, object] = {}
+def _vehicle_transforms(types: Types, fleet: Fleet, name: str) -> list[object]:
+    """Return the static transforms from a vehicle to the frames of its sensors."""
+    transforms: dict[str, object] = {}
     for number, sensor in enumerate(fleet.sensors):
         turn: Sequence[float] = _LEVEL
         if isinstance(sensor, Rangefinder | IdealRangefinder):
@@ -148,5 +150,5 @@ def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[object]:
         place = (0.0, 0.0, 0.0)
         if fitting is not None and fitting.position_body is not None:
             place = tuple(flu_of(np.array([float(axis) for axis in fitting.position_body.axes])).tolist())
-        found.setdefault(child, transform(types, base_link(name), child, place, turn))
-    return list(found.values())
+        transforms.setdefault(child, transform(types, base_link(name), child, place, turn))
+    return list(transforms.values())

@@ -81,7 +81,7 @@ class Types:
         return self.store.deserialize_cdr(cdr, name)
 
     def heard(self, samples: Iterable[bytes], name: str) -> list[Any]:
-        """Return the messages of a type that another node has sent as CDR, without those that are none."""
+        """Return the decoded messages that another node has sent as CDR, without invalid ones."""
         found = []
         for cdr in samples:
             # One node that sends garbage must not end the flights of all.
@@ -101,7 +101,7 @@ class Types:
         """
         if name not in self._samples:
             made = self._struct(name, alone=True)
-            made.serialize = _bytes_of
+            made.serialize = _serialized
             made.deserialize = classmethod(packed)
             self._samples[name] = made
         return self._samples[name]
@@ -110,13 +110,14 @@ class Types:
         """Return a DDS struct as rmw_cyclonedds describes the type: final, members called as in ROS."""
         if name in self._structs and not alone:
             return self._structs[name]
-        fields = {field: self._type(description) for field, description in self.fields(name)}
+        fields = {field: self._dds_type(description) for field, description in self.fields(name)}
         struct = final(make_idl_struct(f"{name.rpartition('/')[2]}_", dds_name(name), fields))
         if not alone:
             self._structs[name] = struct
         return struct
 
-    def _type(self, description: Any) -> object:
+    def _dds_type(self, description: Any) -> object:
+        """Return the DDS type of a field from its description."""
         kind, content = description
         if kind == Nodetype.NAME:
             return self._struct(content)
@@ -127,29 +128,30 @@ class Types:
             return _PRIMITIVES[name]
         element, count = content
         if kind == Nodetype.ARRAY:
-            return idl.array[self._type(element), count]
-        return idl.sequence[self._type(element), count] if count else idl.sequence[self._type(element)]
+            return idl.array[self._dds_type(element), count]
+        return idl.sequence[self._dds_type(element), count] if count else idl.sequence[self._dds_type(element)]
 
 
-def _bytes_of(sample: Message, *args: Any, **options: Any) -> bytes:
+def _serialized(sample: Message, *args: Any, **options: Any) -> bytes:
+    """Return the CDR bytes of a sample; replaces the library's serialisation."""
     cdr: bytes = sample.cdr
     return cdr
 
 
 def packed(kind: Any, cdr: bytes, *args: Any, **options: Any) -> Any:
-    """Return a sample of a DDS type (``Types.sample``), as the library makes one of what it has received."""
+    """Return a sample of a DDS type (``Types.sample``), as the library builds it from received bytes."""
     sample = object.__new__(kind)
     sample.cdr = cdr
     return sample
 
 
 def dds_name(name: str) -> str:
-    """Return what DDS calls a type: "sensor_msgs/msg/Imu" is "sensor_msgs::msg::dds_::Imu_"."""
+    """Return DDS's name of a type: "sensor_msgs/msg/Imu" is "sensor_msgs::msg::dds_::Imu_"."""
     package, _, own = name.rpartition("/")
     return f"{package.replace('/', '::')}::dds_::{own}_"
 
 
 def other_type(topic: str, kind: str) -> str:
-    """Return the line about a topic that another node writes as a type, named as DDS does, that nobody reads."""
+    """Return the warning about a topic that another node writes with an unexpected type, named as in DDS."""
     name = kind.replace("::dds_::", "::").replace("::", "/").rstrip("_")
     return f"{topic}: another node writes it as {name}, which is not read"

@@ -58,7 +58,7 @@ class Publication:
             message.header.frame_id = frame_of(kind, namespace)
         if kind.child:
             message.child_frame_id = base_link(namespace)
-        _CONSTANTS.get(kind.topic, _nothing)(message, sensors, number)
+        _CONSTANTS.get(kind.topic, _no_constants)(message, sensors, number)
         template = Template(types, message)
         puts = [
             (path, columns)
@@ -72,7 +72,7 @@ class Publication:
         self._status = template.putter("status.status") if "status.status" in template.places else None
 
     def message(self, row: Sequence[float], sec: int, nanosec: int) -> bytes | None:
-        """Return the message of a row of numbers at a time; None where what it needs is not known."""
+        """Return the message of a row of numbers at a time; None where a number that it needs is unknown."""
         for column in self.needs:
             if row[column] != row[column]:
                 return None
@@ -86,7 +86,7 @@ class Publication:
 
 
 def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
-    """Return what a vehicle with some sensors publishes of its estimates and readings.
+    """Return the kinds of messages that a vehicle publishes of its estimates and readings, by its sensors.
 
     Args:
         sensors: of the vehicle.
@@ -107,11 +107,12 @@ def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
     return (n.FORCE,), s.FORCE, ("angular_velocity",)
 
 
-def _nothing(message: object, sensors: Sensors, number: int) -> None:
+def _no_constants(message: object, sensors: Sensors, number: int) -> None:
     """Leave the message as it is."""
 
 
-def _of_fix(message: Message, sensors: Sensors, number: int) -> None:
+def _set_fix(message: Message, sensors: Sensors, number: int) -> None:
+    """Set the constants of a NavSatFix: the receiver's systems and the type of covariance."""
     receiver = sensors(s.FIX_POSITION)
     message.status.service = _SERVICES["G"]
     if isinstance(receiver, Gnss):
@@ -119,7 +120,8 @@ def _of_fix(message: Message, sensors: Sensors, number: int) -> None:
     message.position_covariance_type = _KNOWN if sensors(s.HORIZONTAL) is not None else 0
 
 
-def _of_inertial(message: Message, sensors: Sensors, number: int) -> None:
+def _set_inertial(message: Message, sensors: Sensors, number: int) -> None:
+    """Set the covariances of an Imu from the noise of the sensors; -1 where a sensor is missing."""
     for covariance, column, variance in (
         (message.angular_velocity_covariance, s.RATES, variances.of_rates),
         (message.linear_acceleration_covariance, s.FORCE, variances.of_force),
@@ -131,15 +133,18 @@ def _of_inertial(message: Message, sensors: Sensors, number: int) -> None:
             covariance[0] = -1.0
 
 
-def _of_field(message: Message, sensors: Sensors, number: int) -> None:
+def _set_field(message: Message, sensors: Sensors, number: int) -> None:
+    """Set the covariance of a MagneticField."""
     message.magnetic_field_covariance[[0, 4, 8]] = variances.of_field(sensors(s.FIELD), number)
 
 
-def _of_pressure(message: Message, sensors: Sensors, number: int) -> None:
+def _set_pressure(message: Message, sensors: Sensors, number: int) -> None:
+    """Set the variance of a FluidPressure."""
     message.variance = variances.of_pressure(sensors(s.PRESSURE), number)
 
 
-def _of_range(message: Message, sensors: Sensors, number: int) -> None:
+def _set_range(message: Message, sensors: Sensors, number: int) -> None:
+    """Set the limits and the radiation type of a Range."""
     sensor = sensors(s.RANGE)
     message.radiation_type = _INFRARED
     message.min_range, message.max_range = 0.0, FARTHEST
@@ -148,7 +153,8 @@ def _of_range(message: Message, sensors: Sensors, number: int) -> None:
         message.max_range = variances.own(sensor.range_max, number)
 
 
-def _of_battery(message: Message, sensors: Sensors, number: int) -> None:
+def _set_battery(message: Message, sensors: Sensors, number: int) -> None:
+    """Set the constants of a BatteryState; quantities that are not measured are NaN."""
     # What is not measured is NaN (sensor_msgs/BatteryState).
     message.temperature = message.current = message.charge = message.capacity = message.design_capacity = NAN
     message.power_supply_status, message.power_supply_health = _DISCHARGING, _GOOD
@@ -156,10 +162,10 @@ def _of_battery(message: Message, sensors: Sensors, number: int) -> None:
 
 
 _CONSTANTS: dict[str, Callable[[Any, Sensors, int], None]] = {
-    t.FIX.topic: _of_fix,
-    t.IMU.topic: _of_inertial,
-    t.MAG.topic: _of_field,
-    t.BARO.topic: _of_pressure,
-    t.RANGE.topic: _of_range,
-    t.BATTERY.topic: _of_battery,
+    t.FIX.topic: _set_fix,
+    t.IMU.topic: _set_inertial,
+    t.MAG.topic: _set_field,
+    t.BARO.topic: _set_pressure,
+    t.RANGE.topic: _set_range,
+    t.BATTERY.topic: _set_battery,
 }

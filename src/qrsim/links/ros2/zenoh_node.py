@@ -86,7 +86,7 @@ class ZenohNode:
         profile = PROFILES[topic.quality]
         if topic.quality == "sensor" and self._resend:
             profile = Profile(reliable=True, depth=profile.depth)
-        key, token = self._key(topic), self._declare("MP", self._told(topic, profile))
+        key, token = self._key_expression(topic), self._declare("MP", self._token_fields(topic, profile))
         options: dict[str, object] = {"congestion_control": zenoh.CongestionControl.DROP}
         if profile.latched:
             cache = zenoh.ext.CacheConfig(profile.depth)
@@ -100,15 +100,18 @@ class ZenohNode:
 
     def reader(self, topic: Topic) -> ZenohReader:
         """Return a new reader of a topic."""
-        self._declare("MS", self._told(topic, PROFILES[topic.quality]))
+        self._declare("MS", self._token_fields(topic, PROFILES[topic.quality]))
         self._read.setdefault(topic.name, set()).add(dds_name(topic.type))
         channel = zenoh.handlers.RingChannel(_MOST_AT_ONCE)
         if PROFILES[topic.quality].latched:
             made = zenoh.ext.declare_advanced_subscriber(
-                self._session, self._key(topic), channel, history=zenoh.ext.HistoryConfig(detect_late_publishers=True)
+                self._session,
+                self._key_expression(topic),
+                channel,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
             )
         else:
-            made = self._session.declare_subscriber(self._key(topic), channel)
+            made = self._session.declare_subscriber(self._key_expression(topic), channel)
         self._kept.append(made)
         return ZenohReader(self._types, topic, made)
 
@@ -124,7 +127,7 @@ class ZenohNode:
         return ZenohService(self._types, kind, key, made)
 
     def announce(self) -> None:
-        """Do nothing: tokens have told of every topic."""
+        """Do nothing: liveliness tokens have announced every topic."""
 
     def remarks(self) -> list[str]:
         """Return a line for every topic that this node reads and another has begun to write as another type.
@@ -144,18 +147,20 @@ class ZenohNode:
         return found
 
     def close(self) -> None:
-        """Leave."""
+        """Undeclare everything and close the session."""
         self._session.close()
 
-    def _key(self, topic: Topic) -> str:
-        return f"{self._domain}/{topic.name.strip('/')}/{dds_name(topic.type)}/{self._hash(topic.type)}"
+    def _key_expression(self, topic: Topic) -> str:
+        """Return the key expression of a topic: domain, name, type and hash."""
+        return f"{self._domain}/{topic.name.strip('/')}/{dds_name(topic.type)}/{self._type_hash(topic.type)}"
 
-    def _hash(self, name: str) -> str:
+    def _type_hash(self, name: str) -> str:
+        """Return the hash of a type, or rmw_zenoh's text for a missing one."""
         return self._types.hash(name) or _NO_HASH
 
-    def _told(self, topic: Topic, profile: Profile) -> str:
-        """Return what a token says of a topic: name, type, hash and qualities of service."""
-        return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._hash(topic.type)}/{_qualities(profile)}"
+    def _token_fields(self, topic: Topic, profile: Profile) -> str:
+        """Return name, type, hash and QoS of the topic that a token announces."""
+        return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._type_hash(topic.type)}/{_qualities(profile)}"
 
     def _declare(self, what: str, told: str) -> str:
         """Declare a token of this node (NN), or of a publisher (MP) or subscriber (MS) of its, and return it."""
@@ -189,6 +194,7 @@ def _qualities(profile: Profile) -> str:
 
 
 def _mangled(name: str) -> str:
+    """Return a name with "/" replaced by "%", as in tokens."""
     return name.replace("/", "%")
 
 
@@ -200,7 +206,7 @@ class ZenohWriter:
     """
 
     def __init__(self, publisher: Any, gid: bytes):
-        self._publisher, self._gid = publisher, _text("source_gid") + bytes([len(gid)]) + gid
+        self._publisher, self._gid = publisher, _length_prefixed("source_gid") + bytes([len(gid)]) + gid
         self._number, self.lost = 0, 0
 
     def write(self, cdr: bytes) -> None:
@@ -220,7 +226,7 @@ class ZenohReader:
         self._types, self.topic, self._subscriber = types, topic, subscriber
 
     def take(self) -> list[Any]:
-        """Return what has come, oldest first."""
+        """Return the messages that have arrived, oldest first."""
         found = []
         for _ in range(_MOST_AT_ONCE):
             sample = self._subscriber.try_recv()
@@ -235,10 +241,10 @@ class ZenohService:
     """Answers requests; as ``participant.Service``."""
 
     def __init__(self, types: Types, kind: str, key: str, queryable: Any):
-        self._types, self._kind, self._key, self._queryable = types, kind, key, queryable
+        self._types, self._kind, self._key_expression, self._queryable = types, kind, key, queryable
 
     def take(self) -> list[tuple[Any, Any]]:
-        """Return the requests that have come, oldest first: the query, and the message."""
+        """Return the requests that have arrived, oldest first: the query, and the message."""
         found = []
         for _ in range(_MOST_AT_ONCE):
             query = self._queryable.try_recv()
@@ -252,15 +258,18 @@ class ZenohService:
     def reply(self, request: Message, response: Message) -> None:
         """Send the response to a request."""
         own = request.attachment
-        request.reply(self._key, self._types.encode(response), attachment=None if own is None else own.to_bytes())
+        request.reply(
+            self._key_expression, self._types.encode(response), attachment=None if own is None else own.to_bytes()
+        )
         request.drop()
 
 
-def _text(name: str) -> bytes:
+def _length_prefixed(name: str) -> bytes:
+    """Return a name as bytes with its length in front."""
     return bytes([len(name)]) + name.encode()
 
 
-_SEQUENCE, _TIME = _text("sequence_number"), _text("source_timestamp")
+_SEQUENCE, _TIME = _length_prefixed("sequence_number"), _length_prefixed("source_timestamp")
 
 
 def attachment(number: int, nanoseconds: int) -> bytes:

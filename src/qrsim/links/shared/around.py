@@ -57,6 +57,7 @@ class Around:
             self._rows += [(fleet, i, scan, neighbours, period) for i in range(fleet.size)]
 
     def _reading(self, fleet: Fleet, sensor: int) -> Any:
+        """Return the present reading of a fleet's sensor, selected by its number in the fleet."""
         return getattr(self._simulation.reading[fleet.name], fleet.sensor_names[sensor])
 
     def scan(self, row: int) -> tuple[Any, int, NumpyArray] | None:

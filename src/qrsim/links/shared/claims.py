@@ -20,16 +20,16 @@ class Claims:
         self._holders: dict[str, int] = {}
 
     def holder(self, vehicle: str) -> int:
-        """Return the number of who has claimed a vehicle, 0 where nobody has."""
+        """Return the number of the controller that has claimed a vehicle, 0 for a free vehicle."""
         return self._holders.get(vehicle, 0)
 
     def of(self, holder: int) -> tuple[str, ...]:
-        """Return the vehicles of a claimer, in their order in the world."""
+        """Return the names of a controller's vehicles, in their order in the world."""
         return tuple(name for name in self._names if self._holders.get(name) == holder)
 
     @property
     def holders(self) -> list[int]:
-        """All who have claimed a vehicle, in order."""
+        """Return the numbers of all controllers that have claimed a vehicle, sorted."""
         return sorted(set(self._holders.values()))
 
     def take(self, holder: int, wanted: Sequence[str]) -> tuple[str, ...]:
@@ -41,9 +41,9 @@ class Claims:
         if not wanted:
             wanted = [name for name in self._names if name not in self._holders and name not in self._deaf]
             if not wanted:
-                raise UsageError(f"CLAIM: no vehicle is free: {self._who()}")
+                raise UsageError(f"CLAIM: no vehicle is free: {self._describe_holders()}")
         for name in wanted:
-            self._check(name)
+            self._check_claimable(name)
             other = self.holder(name)
             if other not in (0, holder):
                 raise UsageError(f"CLAIM: '{name}' is flown by client {other}, which has to release it first")
@@ -52,7 +52,7 @@ class Claims:
         return found
 
     def give_back(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
-        """Release vehicles, without names all that one has, and return them.
+        """Release vehicles of a controller, by default all of them, and return their names.
 
         Raises:
             UsageError: one of them is not his.
@@ -70,21 +70,24 @@ class Claims:
         if other == holder:
             return
         if name not in self._names:
-            raise self._unknown(name, what)
+            raise self._unknown_vehicle(name, what)
         if other:
             raise UsageError(f"{what}: '{name}' is flown by client {other}")
         raise UsageError(f"{what}: '{name}' is not claimed; CLAIM it first")
 
-    def _check(self, name: str) -> None:
+    def _check_claimable(self, name: str) -> None:
+        """Check that a vehicle exists and takes orders; raises UsageError."""
         if name not in self._names:
-            raise self._unknown(name, "CLAIM")
+            raise self._unknown_vehicle(name, "CLAIM")
         if name in self._deaf:
             raise UsageError(f"CLAIM: '{name}' takes no orders: its scenario sets its motion")
 
-    def _unknown(self, name: str, what: str) -> UsageError:
+    def _unknown_vehicle(self, name: str, what: str) -> UsageError:
+        """Return the error for a name that no vehicle has."""
         return UsageError(f"{what}: no vehicle is called '{name[:60]}'{did_you_mean(name[:60], self._names)}")
 
-    def _who(self) -> str:
+    def _describe_holders(self) -> str:
+        """Return a text with up to five claimed vehicles and the clients that fly them."""
         held = [f"'{name}' is flown by client {holder}" for name, holder in self._holders.items()]
         shown = "; ".join(held[:5])
         return f"{shown}; and {len(held) - 5} more" if len(held) > 5 else shown or "none of them takes orders"

@@ -15,7 +15,7 @@ from qrsim.world.sensing import estimate_of
 def failsafe(
     does: OnSilence, vehicle: str, believed: NumpyArray, home_ned: NumpyArray, kinds: Collection[str]
 ) -> Order | None:
-    """Return the order of a vehicle without its controller, by what it believes of itself; None: by its guidance.
+    """Return the order that a failsafe gives a silent vehicle, from its estimate; None: its guidance flies on.
 
     Args:
         does: what is wanted of it.
@@ -34,7 +34,7 @@ def failsafe(
 
 
 def believed_of(simulation: Simulation) -> NumpyArray:
-    """Return the positions NED [m] and headings [rad] (n, 4) that the controllers of all vehicles believe in.
+    """Return the estimated positions NED [m] and headings [rad] (n, 4) of all vehicles.
 
     Where the sensors say nothing now, it is what was believed last, and before that the truth.
     """

@@ -12,7 +12,7 @@ from qrsim.world.state import World
 
 
 def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> None:
-    """Give vehicles of fleets the height of the ground below their place, with their feet on it.
+    """Set the starts of vehicles in a scenario's fleets to the height of the ground under them, standing on it.
 
     Args:
         content: of a scenario, which is changed.
@@ -31,7 +31,7 @@ def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> 
 
 
 def standing(fleet: dict[str, Any], has_ground: bool) -> None:
-    """Take away where the vehicles of a fleet (its content) go by themselves, and let them stand.
+    """Remove the guidance from a fleet's content, so that its vehicles stand still.
 
     Args:
         fleet: content, which is changed.

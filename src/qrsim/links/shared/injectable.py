@@ -23,7 +23,7 @@ DELAY_MAX = 0.5
 
 
 def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
-    """Have parts of all fleets of a scenario's content fail where clients ask for it, in place.
+    """Declare parts of all fleets of a scenario's content as injectable, in place.
 
     Args:
         content: of the scenario.
@@ -37,7 +37,7 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
     for name in names:
         if name not in known:
             raise UsageError(f"--injectable {name}: there is no such sensor{did_you_mean(name, sorted(known))}")
-        if name in WITHOUT and not any(_has(content, fleet, name) for fleet in fleets):
+        if name in WITHOUT and not any(_has_part(content, fleet, name) for fleet in fleets):
             raise UsageError(f"--injectable {name}: {WITHOUT[name]}")
     for fleet in fleets:
         if "all" in names:
@@ -52,13 +52,13 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
         more |= {
             part: "all" if part == "rotors" else True
             for part in WITHOUT
-            if part in names and _has(content, fleet, part)
+            if part in names and _has_part(content, fleet, part)
         }
         fleet["injectable"] = spec | more
 
 
-def _has(content: dict[str, Any], fleet: dict[str, Any], part: str) -> bool:
-    """Return whether a fleet of a scenario's content has a part that is no sensor."""
+def _has_part(content: dict[str, Any], fleet: dict[str, Any], part: str) -> bool:
+    """Return whether a fleet of a scenario's content has a part, such as a battery, that is no sensor."""
     if part == "rotors":
         return issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor)
     if part == "battery":
@@ -69,7 +69,7 @@ def _has(content: dict[str, Any], fleet: dict[str, Any], part: str) -> bool:
 
 
 def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
-    """Return a scenario whose parts clients may let fail; the same one where nothing is named.
+    """Return a scenario in which clients may inject faults into the named parts; without names, the scenario itself.
 
     Raises:
         UsageError: see ``may_fail``.
@@ -82,12 +82,12 @@ def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
 
 
 def of_those(scenario: Scenario, names: Sequence[str]) -> list[str]:
-    """Return those of some names that a scenario has: its sensors, and parts of vehicles."""
+    """Return those of the names that are sensors or parts of vehicles in a scenario."""
     content = scenario.spec.model_dump(mode="json")
     fleets = content["fleets"].values()
     return [
         name
         for name in names
         if name == "all"
-        or any(_has(content, fleet, name) if name in WITHOUT else name in fleet["sensors"] for fleet in fleets)
+        or any(_has_part(content, fleet, name) if name in WITHOUT else name in fleet["sensors"] for fleet in fleets)
     ]

@@ -67,11 +67,12 @@ def kinds_of(fleet: Fleet) -> dict[str, tuple[Field, ...]]:
         for kind, fields in FIELDS.items()
         if SETPOINTS[kind] in fleet.controller.setpoints
     }
-    units = _units(command)
+    units = _units_by_field(command)
     return {**taken, CONTROL: tuple(Field(name, units[name], *span) for name, span in limits.items())}
 
 
-def _units(command: type) -> dict[str, str]:
+def _units_by_field(command: type) -> dict[str, str]:
+    """Return field -> unit of a command; "1" for numbers without a unit."""
     return {field.name: field_info(field).unit or "1" for field in dataclasses.fields(command)}
 
 

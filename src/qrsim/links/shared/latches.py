@@ -46,13 +46,13 @@ class Latches:
             first += fleet.size
 
     def row(self, vehicle: str) -> int:
-        """Return the number of a vehicle; raises UsageError where none is called so."""
+        """Return the index of a vehicle in the world; raises UsageError for an unknown name."""
         if vehicle not in self._rows:
             raise UsageError(f"no vehicle is called '{vehicle[:60]}'{did_you_mean(vehicle[:60], self.names)}")
         return self._rows[vehicle]
 
     def kinds(self, vehicle: str) -> Mapping[str, tuple[Field, ...]]:
-        """Return what a vehicle takes; raises UsageError where none is called so."""
+        """Return the kinds of orders that a vehicle takes; raises UsageError for an unknown name."""
         return self._kinds[self.names[self.row(vehicle)]]
 
     def checked(self, order: Order) -> Order:
@@ -60,14 +60,14 @@ class Latches:
         return checked(order, self.kinds(order.vehicle), self._dtype)
 
     def put(self, order: Order) -> None:
-        """Have a vehicle fly by an order that has been checked."""
+        """Make a checked order the one that its vehicle flies by."""
         row = self.row(order.vehicle)
         self.codes[row] = NAMES.index(order.kind) + 1
         self.numbers[row] = np.nan
         self.numbers[row, : len(order.numbers)] = order.numbers
 
     def clear(self, vehicle: str) -> None:
-        """Have a vehicle fly by the guidance of its scenario."""
+        """Return a vehicle to the guidance of its scenario."""
         row = self.row(vehicle)
         self.codes[row] = 0
         self.numbers[row] = np.nan
@@ -94,7 +94,7 @@ class _FleetParts:
         self._some = Some(tuple(parts))
 
     def filled(self, codes: NumpyArray, numbers: NumpyArray) -> Some:
-        """Return the action of the fleet for orders of all vehicles (n,), (n, W)."""
+        """Return the fleet's action from the codes (n,) and numbers (n, W) of all vehicles' orders."""
         codes, numbers = codes[self._own], numbers[self._own]
         for code, which, columns in self._parts:
             np.equal(codes, code, out=which)

@@ -94,11 +94,11 @@ class Plant:
         self.restart()
 
     def keep_pace(self, factor: float) -> None:
-        """Take simulated seconds per second of the wall clock, by which silence is measured; 0: unknown."""
+        """Set the simulated seconds per second of the wall clock, by which silence is measured; 0: unknown."""
         self._stretch = max(1.0, factor)
 
     def restart(self) -> None:
-        """Begin with an episode of the simulation: all fly by their guidance, and claims stay."""
+        """Begin an episode of the simulation: all vehicles fly by their guidance, and claims stay."""
         before = self.controlled
         self.controlled = {name: Controlled() for name in self.latches.names}
         for name, now in self.controlled.items():
@@ -111,7 +111,7 @@ class Plant:
         self.now = self.simulation.tick
         # Of all vehicles at a tick, where somebody has to know it.
         self._believed: NumpyArray | None = None
-        self._remember()
+        self._store_flown()
 
     # ---- what controllers ask ----
 
@@ -146,7 +146,7 @@ class Plant:
         return found
 
     def lose(self, holder: int) -> tuple[str, ...]:
-        """Free the vehicles of a controller that has gone, and return them; they do what they do in silence."""
+        """Free the vehicles of a controller that has left, and return them; they follow their silence behaviour."""
         found = self.claims.give_back(holder)
         for name in found:
             now = self.controlled[name]
@@ -171,7 +171,7 @@ class Plant:
             now.heard = max(now.heard, self.now)
 
     def say(self, holder: int, words: Sequence[Words]) -> None:
-        """Take messages of a controller's vehicles, all or none; the next ``begin`` hands them to their radios.
+        """Queue radio messages of a controller's vehicles, all or none; the next ``begin`` transmits them.
 
         Raises:
             UsageError: one is of a vehicle that it has not claimed, or cannot be said.
@@ -186,31 +186,32 @@ class Plant:
             self.spoken.waiting[sender] = numbers, receiver
 
     def heard_until(self, holder: int, tick: int) -> None:
-        """Note that nothing more is to be heard of a controller before a tick."""
+        """Note that a controller sends nothing more before a tick."""
         for name in self.claims.of(holder):
             self.controlled[name].heard = max(self.controlled[name].heard, tick)
 
     def missed(self, holder: int) -> None:
-        """Count that the world went on without a controller."""
+        """Count a tick that was flown without waiting for a controller."""
         for name in self.claims.of(holder):
             self.controlled[name].misses += 1
 
     # ---- ticks ----
 
     def begin(self) -> dict[str, Some]:
-        """Latch what has arrived, let failsafes take over, and return what the next ticks fly by."""
+        """Apply the orders that have arrived and the failsafes, and return the actions for the next ticks."""
         self.now, self._believed = self.simulation.tick, None
         if self.spoken is not None:
             self.spoken.hand_over(self.simulation)
         for name, now in self.controlled.items():
             if now.waiting is not None:
-                self._obey(name, now, now.waiting)
+                self._apply_order(name, now, now.waiting)
             elif now.lost or self.claims.holder(name):
-                self._listen(name, now)
-        self._remember()
+                self._check_silence(name, now)
+        self._store_flown()
         return self.latches.actions()
 
-    def _remember(self) -> None:
+    def _store_flown(self) -> None:
+        """Store in ``flown`` each vehicle's present order, its source and its controller, for the recording."""
         controlled, latches = self.controlled.values(), self.latches
         self.flown = {
             "kind": latches.codes.copy(),
@@ -223,7 +224,8 @@ class Plant:
         if self.spoken is not None:
             self.flown |= self.spoken.columns()
 
-    def _obey(self, name: str, now: Controlled, order: Order) -> None:
+    def _apply_order(self, name: str, now: Controlled, order: Order) -> None:
+        """Make an order the one that its vehicle flies by, and end the vehicle's silence."""
         self.latches.put(order)
         now.flies, now.waiting = "command", None
         if now.silent_since is not None:
@@ -231,8 +233,8 @@ class Plant:
             self._note("controller_back", name, f"commanded again, after silence since {since:.10g} s")
             now.silent_since = None
 
-    def _listen(self, name: str, now: Controlled) -> None:
-        """Let a vehicle do without its controller what it is to do, where nothing is heard for too long."""
+    def _check_silence(self, name: str, now: Controlled) -> None:
+        """Start the silence behaviour of a vehicle whose controller has been silent for too long."""
         lost, now.lost = now.lost, False
         silent, after = self.simulation.tick - now.heard, now.silence.after
         limit = math.ceil((after or SAID_AFTER_S) * self._stretch / self._dt - 1e-9)
@@ -259,6 +261,7 @@ class Plant:
 
     @property
     def _dt(self) -> float:
+        """Return the time step of the world [s]."""
         return self.simulation.world.time_step
 
     def age(self, vehicle: str) -> float | None:

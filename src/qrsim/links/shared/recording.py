@@ -83,36 +83,36 @@ class Recording:
             columns=self._columns | {STREAM: self._orders},
         )
         self._log = RequestLog(simulation, self._writer.note_injection, self._writer.append_event)
-        self._keeping.submit(self._keep, self._world, beginning, [self._flown()])
+        self._keeping.submit(self._write_ticks, self._world, beginning, [self._flown()])
 
     def restarted(self, row: int) -> None:
-        """Note that a vehicle, by its number, was put back to its start at the present tick, before its requests."""
+        """Note that a vehicle, selected by its index, was reset at the present tick, before its requests."""
         self._restarted[row] = self._simulation.tick
 
     def said(self, messages: Sequence[tuple[int, Any, int]]) -> None:
-        """Note messages that were given to radios at the present tick: sender, numbers (D,), receiver or -1."""
+        """Note messages that were passed to radios at the present tick: sender, numbers (D,), receiver or -1."""
         assert self._spoken is not None
         for sender, numbers, receiver in messages:
             self._spoken.tick[sender], self._spoken.to[sender] = self._simulation.tick, receiver
             self._spoken.numbers[sender] = numbers
 
     def keep(self) -> None:
-        """Keep the tick that was flown, by the present orders."""
+        """Store the present tick with its orders."""
         simulation = self._simulation
         requests = len(simulation.requests)
         if requests != self._requests:
             # The ticks before these requests were flown in the world before them.
-            self._hand_over()
+            self._submit_ticks()
             self._requests, self._world = requests, simulation.world
             self._keeping.submit(self._write_requests)
         _, state = simulation.packed
         self._ticks.append((simulation.tick, [np.array(part) for part in state], self._flown()))
         if len(self._ticks) >= KEPT_TICKS:
-            self._hand_over()
+            self._submit_ticks()
 
     def end(self) -> None:
         """End the run folder of an episode, before the simulation is reset."""
-        self._hand_over()
+        self._submit_ticks()
         self._keeping.submit(self._write_requests)
         self._keeping.submit(self._close_writer).result()
 
@@ -122,49 +122,54 @@ class Recording:
         self._keeping.shutdown()
 
     def _flown(self) -> Flown:
+        """Return column -> values (n,) of the orders that the present tick was flown by."""
         latches = self._latches
-        found = {
+        columns = {
             "kind": latches.codes.copy(),
             "numbers": latches.numbers.copy(),
             RESTARTED.name: self._restarted.copy(),
         }
-        return found if self._spoken is None else found | self._spoken.columns()
+        return columns if self._spoken is None else columns | self._spoken.columns()
 
-    def _hand_over(self) -> None:
+    def _submit_ticks(self) -> None:
+        """Submit the stored ticks to the writing thread."""
         if self._ticks:
             layout, _ = self._simulation.packed
             numbers, states, flown = zip(*self._ticks, strict=True)
             floats, integers = (np.stack(parts) for parts in zip(*states, strict=True))
             history = History(np.array(numbers), self._world.time_step, layout, (floats, integers))
-            self._keeping.submit(self._keep, self._world, history, list(flown))
+            self._keeping.submit(self._write_ticks, self._world, history, list(flown))
             self._ticks = []
 
     # ---- in the thread that writes ----
 
-    def _keep(self, world: World, history: History, flown: list[Flown]) -> None:
+    def _write_ticks(self, world: World, history: History, flown: list[Flown]) -> None:
+        """Write a stretch of ticks, their orders and their events; runs in the writing thread."""
         if self._writer is None:
             return
         try:
-            found = self._finder.find(history)
+            events = self._finder.find(history)
             arrays = values(world, history, self._columns) | {STREAM: stacked(self._orders, flown)}
             with self._writer.together():
                 for stream, of_stream in arrays.items():
                     self._writer.append(stream, history.ticks, history.time, of_stream)
-                for event in found:
+                for event in events:
                     self._writer.append_event(**event)
         except Exception as error:
             # Nobody waits for the result.
-            self._give_up(error)
+            self._stop_recording(error)
 
     def _write_requests(self) -> None:
+        """Write the requests that were made since the last call."""
         if self._writer is None:
             return
         try:
             self._log.write_new()
         except RunError as error:
-            self._give_up(error)
+            self._stop_recording(error)
 
     def _close_writer(self) -> None:
+        """Close the run folder as finished."""
         try:
             if self._writer is not None:
                 self._writer.close("finished")
@@ -172,7 +177,8 @@ class Recording:
             warn_user(str(error))
         self._writer = None
 
-    def _give_up(self, error: Exception) -> None:
+    def _stop_recording(self, error: Exception) -> None:
+        """Warn the user of an error, and record nothing more."""
         why = f"{error}" if isinstance(error, RunError) else f"{type(error).__name__}: {error}"
         warn_user(f"nothing more is recorded: {why}")
         self._writer = None

@@ -92,38 +92,38 @@ class Sight:
             codes.append(np.arange(code.start, code.stop))
             self._receivers.append(_receiver(fleet))
             self._sensors.append(own)
-            self.behind += [0.0 if _believes(fleet, state) else simulation.world.time_step] * fleet.size
+            self.behind += [0.0 if _has_estimator(fleet, state) else simulation.world.time_step] * fleet.size
             first += fleet.size
         self._sources, self._targets = np.concatenate(sources), np.concatenate(targets)
         self.codes = np.concatenate(codes)
-        typed, placed = (self._has(column) for column in (FIX_TYPE, FIX_POSITION))
+        typed, placed = (self._available(column) for column in (FIX_TYPE, FIX_POSITION))
         self._plain = placed & ~typed
         self._voltage_at = -math.inf
         self.look()
 
     def has(self, column: int, row: int) -> bool:
-        """Return whether a vehicle has a number in a column."""
-        return bool(self._has(column)[row])
+        """Return whether a column has a value for a vehicle."""
+        return bool(self._available(column)[row])
 
-    def _has(self, column: int) -> NumpyArray:
-        """Return which vehicles (n,) have a number of the packed state in a column."""
+    def _available(self, column: int) -> NumpyArray:
+        """Return for which vehicles (n,) bool a column has a value."""
         found = np.zeros(len(self.values), bool)
         found[self._targets[self._targets % WIDTH == column] // WIDTH] = True
         return found
 
     def look(self) -> None:
-        """Read the present state."""
+        """Read all columns from the present state."""
         simulation, values = self._simulation, self.values
         floats, _ = (np.asarray(part) for part in simulation.packed[1])
         values.reshape(-1)[self._targets] = floats[self._sources]
         complete(values, simulation.site, self._plain)
-        self._look_for_fixes()
+        self._update_fixes()
         if simulation.time - self._voltage_at >= _VOLTAGE_EVERY_S or simulation.time < self._voltage_at:
             self._voltage_at = simulation.time
             self._measure_voltage()
 
-    def _look_for_fixes(self) -> None:
-        """Find whose fix has arrived at this tick, and when it was true."""
+    def _update_fixes(self) -> None:
+        """Update which vehicles have received a GNSS fix at this tick, and the times of these fixes."""
         self.fresh: list[bool] = []
         self.fix_time: list[float] = []
         for fleet, number in zip(self._simulation.world.fleets, self._receivers, strict=True):
@@ -132,7 +132,7 @@ class Sight:
             self.fix_time += times
 
     def news(self, column: int) -> tuple[list[bool], list[float]]:
-        """Return of each vehicle whether a column's sensor has delivered at this tick, and when that was true [s]."""
+        """Return for each vehicle whether the sensor of a column delivered at this tick, and the reading's time [s]."""
         fresh: list[bool] = []
         times: list[float] = []
         for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
@@ -142,11 +142,12 @@ class Sight:
         return fresh, times
 
     def sensor(self, fleet: int, column: int) -> Any:
-        """Return the sensor of a fleet, by its number, that a column is of; None where there is none."""
+        """Return the sensor of a fleet that fills a column, the sensor being selected by number; None without one."""
         number = self._sensors[fleet].get(column)
         return None if number is None else self._simulation.world.fleets[fleet].sensors[number]
 
     def _measure_voltage(self) -> None:
+        """Write the present battery voltages [V] of fleets with draining batteries into their column."""
         first = 0
         for fleet, state in zip(self._simulation.world.fleets, self._simulation.state.fleets, strict=True):
             if fleet.battery.drains:
@@ -158,7 +159,7 @@ class Sight:
 
 
 def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
-    """Compute the columns that follow from others: places on the Earth, quaternions, types of fixes.
+    """Compute the derived columns: geodetic positions, quaternions, types of fixes.
 
     Args:
         values: (R, WIDTH) rows.
@@ -182,7 +183,7 @@ def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
 
 
 def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
-    """Return of a fleet's vehicles whether a sensor, by its number, delivers now, and when that was true [s]."""
+    """Return for a fleet's vehicles whether a sensor delivers now, and the time of its reading [s]."""
     if number is None:
         return [False] * fleet.size, [0.0] * fleet.size
     fitting = fleet.fitting(number)
@@ -196,25 +197,25 @@ def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[
 
 
 def leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield the column and the leaf of all that is known of the vehicles of a fleet, and whose reading it is."""
-    for column, leaf in _known(fleet, state):
+    """Yield (column, leaf of the state, sensor number) for everything known on board a fleet's vehicles."""
+    for column, leaf in _unsensed_leaves(fleet, state):
         yield column, leaf, None
     taken: set[int] = set()
     for number, reading in enumerate(state.readings):
-        for column, leaf in list(_of_reading(reading)):
+        for column, leaf in list(_reading_leaves(reading)):
             if column not in taken:
                 taken.add(column)
                 yield column, leaf, number
 
 
-def _believes(fleet: Fleet, state: Any) -> bool:
-    """Return whether the controllers of a fleet fly by an estimator."""
+def _has_estimator(fleet: Fleet, state: Any) -> bool:
+    """Return whether the controllers of a fleet use the estimate of a filter."""
     return state.belief is not None and fleet.controller.feed != "truth"
 
 
-def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
-    """Yield the column and the leaf of what no sensor reads."""
-    own = _believes(fleet, state)
+def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
+    """Yield (column, leaf) of the quantities that no sensor measures."""
+    own = _has_estimator(fleet, state)
     estimate = state.belief.estimate if own else state.estimate
     yield from _axes(POSITION, estimate.position_ned)
     yield from _axes(VELOCITY, estimate.velocity_ned)
@@ -230,7 +231,8 @@ def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
         yield CHARGE, state.battery.charge
 
 
-def _of_reading(reading: object) -> Iterator[tuple[int, Any]]:
+def _reading_leaves(reading: object) -> Iterator[tuple[int, Any]]:
+    """Yield (column, leaf) of the fields of a sensor's reading."""
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():
@@ -247,13 +249,15 @@ def _of_reading(reading: object) -> Iterator[tuple[int, Any]]:
 
 
 def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
+    """Yield (column, leaf) of the three components of a vector, in columns that follow each other."""
     return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
 
 
 def _angles(column: int, angles: Any) -> Iterator[tuple[int, Any]]:
+    """Yield (column, leaf) of roll, pitch and yaw, in columns that follow each other."""
     return zip(range(column, column + 3), (angles.roll, angles.pitch, angles.yaw), strict=True)
 
 
 def _receiver(fleet: Fleet) -> int | None:
-    """Return the number of the GNSS receiver among a fleet's sensors."""
+    """Return the index of the GNSS receiver among a fleet's sensors."""
     return next((number for number, sensor in enumerate(fleet.sensors) if "gnss" in type(sensor).__module__), None)

@@ -30,20 +30,20 @@ class Spoken:
         self.numbers = np.zeros((simulation.size, simulation.world.radio.size))
 
     def hand_over(self, simulation: Simulation) -> None:
-        """Hand what waits to the radios."""
+        """Pass the waiting messages to the vehicles' radios."""
         for vehicle, (numbers, to) in self.waiting.items():
             self.tick[vehicle], self.to[vehicle], self.numbers[vehicle] = simulation.tick, to, numbers
         self.waiting = {}
         self.say_again(simulation)
 
     def say_again(self, simulation: Simulation) -> None:
-        """Hand those messages to the radios that were said at the present tick."""
+        """Pass the recorded messages of the present tick to the vehicles' radios."""
         now = np.flatnonzero(self.tick == simulation.tick).tolist()
         if now:
             simulation.send_all(list(zip(now, self.numbers[now], self.to[now].tolist(), strict=True)))
 
     def columns(self) -> dict[str, NumpyArray]:
-        """Return what is recorded, (n,) each."""
+        """Return column -> values (n,) of the messages sent at this tick, for the recording."""
         numbers = {name: column.copy() for name, column in zip(self.names(), self.numbers.T, strict=True)}
         return {TICK: self.tick.copy(), TO: self.to.copy()} | numbers
 
@@ -52,7 +52,7 @@ class Spoken:
         return [f"said_{i}" for i in range(self.numbers.shape[1])]
 
     def described(self) -> list[Column]:
-        """Return the columns of a recording that describe the messages sent."""
+        """Return the descriptions of the columns of messages in a recording."""
         return [
             Column(TICK, "", "at which its controller's last message was handed to its radio; -1: none", "int64"),
             Column(TO, "", "number of the vehicle that alone was to hear it; -1: all", "int32"),
@@ -60,7 +60,7 @@ class Spoken:
         ]
 
     def read(self, arrays: Any, row: int) -> None:
-        """Take what a row of a recording says."""
+        """Load the messages of one row of a recording."""
         self.tick[...], self.to[...] = arrays[TICK][row], arrays[TO][row]
         for i, name in enumerate(self.names()):
             self.numbers[:, i] = arrays[name][row]

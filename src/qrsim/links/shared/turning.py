@@ -8,12 +8,12 @@ from qrsim.core.arrays import NumpyArray
 
 
 def turned(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
-    """Return vectors of a body in the axes that its attitude (x, y, z, w) is of."""
+    """Rotate body-frame vectors to the reference frame of an attitude quaternion (x, y, z, w)."""
     axis, w = np.asarray(quaternion)[..., :3], np.asarray(quaternion)[..., 3:]
     across = 2.0 * np.cross(axis, vector)
     return np.asarray(vector + w * across + np.cross(axis, across))
 
 
 def turned_back(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
-    """Return in axes of a body vectors of the axes that its attitude (x, y, z, w) is of."""
+    """Rotate vectors from the reference frame of an attitude quaternion (x, y, z, w) to the body frame."""
     return turned(np.asarray(quaternion) * (-1.0, -1.0, -1.0, 1.0), vector)

@@ -44,6 +44,7 @@ def write_stream(run: Run, stream: str, path: Path, every: int) -> Written:
 
 
 def _thinned(table: pa.Table, every: int) -> pa.Table:
+    """Return the rows of a table at every n-th tick."""
     ticks = table["tick"].to_numpy()
     return table.filter(pa.array(ticks % every == 0))
 

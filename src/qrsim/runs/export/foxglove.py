@@ -12,51 +12,54 @@ Schema = dict[str, Any]
 NUMBER, INTEGER, TEXT = {"type": "number"}, {"type": "integer"}, {"type": "string"}
 
 
-def _object(doc: str = "", **properties: Schema) -> Schema:
+def _object_schema(doc: str = "", **properties: Schema) -> Schema:
+    """Return the JSON schema of an object with properties."""
     return {"type": "object", **({"description": doc} if doc else {}), "properties": properties}
 
 
-def _vector(doc: str = "", **extra: object) -> Schema:
-    return {**_object(doc, x=NUMBER, y=NUMBER, z=NUMBER), **extra}
+def _vector_schema(doc: str = "", **extra: object) -> Schema:
+    """Return the JSON schema of a vector."""
+    return {**_object_schema(doc, x=NUMBER, y=NUMBER, z=NUMBER), **extra}
 
 
-TIME = {"title": "time", **_object("UTC since 1970", sec=INTEGER, nsec=INTEGER)}
-QUATERNION = _object(x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
-BODY = _object(position=_vector(), orientation=QUATERNION)
-COLOUR = _object(r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
+TIME = {"title": "time", **_object_schema("UTC since 1970", sec=INTEGER, nsec=INTEGER)}
+QUATERNION = _object_schema(x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
+BODY = _object_schema(position=_vector_schema(), orientation=QUATERNION)
+COLOUR = _object_schema(r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
 
 
-def _list(items: Schema) -> Schema:
+def _list_schema(items: Schema) -> Schema:
+    """Return the JSON schema of a list."""
     return {"type": "array", "items": items}
 
 
-_SOLID: dict[str, Any] = {"pose": BODY, "size": _vector(), "color": COLOUR}
-_ENTITY = _object(
+_SOLID: dict[str, Any] = {"pose": BODY, "size": _vector_schema(), "color": COLOUR}
+_ENTITY = _object_schema(
     timestamp=TIME,
     frame_id=TEXT,
     id=TEXT,
-    lifetime={"title": "duration", **_object("0: for ever", sec=INTEGER, nsec=INTEGER)},
+    lifetime={"title": "duration", **_object_schema("0: for ever", sec=INTEGER, nsec=INTEGER)},
     frame_locked={"type": "boolean"},
-    metadata=_list(_object(key=TEXT, value=TEXT)),
-    arrows=_list(_object()),
-    cubes=_list(_object(**_SOLID)),
-    spheres=_list(_object(**_SOLID)),
-    cylinders=_list(_object(**_SOLID, bottom_scale=NUMBER, top_scale=NUMBER)),
-    lines=_list(
-        _object(
+    metadata=_list_schema(_object_schema(key=TEXT, value=TEXT)),
+    arrows=_list_schema(_object_schema()),
+    cubes=_list_schema(_object_schema(**_SOLID)),
+    spheres=_list_schema(_object_schema(**_SOLID)),
+    cylinders=_list_schema(_object_schema(**_SOLID, bottom_scale=NUMBER, top_scale=NUMBER)),
+    lines=_list_schema(
+        _object_schema(
             type={**INTEGER, "description": "0: a strip, 1: a loop"},
             pose=BODY,
             thickness=NUMBER,
             scale_invariant={"type": "boolean"},
-            points=_list(_vector()),
+            points=_list_schema(_vector_schema()),
             color=COLOUR,
-            colors=_list(COLOUR),
-            indices=_list(INTEGER),
+            colors=_list_schema(COLOUR),
+            indices=_list_schema(INTEGER),
         )
     ),
-    triangles=_list(_object()),
-    texts=_list(_object()),
-    models=_list(_object()),
+    triangles=_list_schema(_object_schema()),
+    texts=_list_schema(_object_schema()),
+    models=_list_schema(_object_schema()),
 )
 
 POSE, FRAME, FIX, WIND, LOG, SCENE, POSES = (
@@ -69,33 +72,33 @@ POSE, FRAME, FIX, WIND, LOG, SCENE, POSES = (
     "foxglove.PosesInFrame",
 )
 SCHEMAS: dict[str, Schema] = {
-    SCENE: _object(
+    SCENE: _object_schema(
         "Area, obstacles, waypoints, persons, sources of a plume and places of a task, east, north, up [m].",
         timestamp=TIME,
-        deletions=_list(_object(timestamp=TIME, type=INTEGER, id=TEXT)),
-        entities=_list(_ENTITY),
+        deletions=_list_schema(_object_schema(timestamp=TIME, type=INTEGER, id=TEXT)),
+        entities=_list_schema(_ENTITY),
     ),
-    POSES: _object(
+    POSES: _object_schema(
         "Waypoints of a vehicle in their order, east, north, up [m].",
         timestamp=TIME,
         frame_id=TEXT,
-        poses=_list(BODY),
+        poses=_list_schema(BODY),
     ),
-    POSE: _object(
+    POSE: _object_schema(
         "True pose of the vehicle's axes (forward, left, up) [m], in the frame of frame_id.",
         timestamp=TIME,
         frame_id=TEXT,
-        pose=_object(position=_vector(), orientation=QUATERNION),
+        pose=_object_schema(position=_vector_schema(), orientation=QUATERNION),
     ),
-    FRAME: _object(
+    FRAME: _object_schema(
         "True pose of the vehicle's axes (forward, left, up) [m], as a frame that panels can follow.",
         timestamp=TIME,
         parent_frame_id=TEXT,
         child_frame_id=TEXT,
-        translation=_vector(),
+        translation=_vector_schema(),
         rotation=QUATERNION,
     ),
-    FIX: _object(
+    FIX: _object_schema(
         "Latitude and longitude [deg], height above the WGS-84 ellipsoid [m].",
         timestamp=TIME,
         frame_id=TEXT,
@@ -105,13 +108,13 @@ SCHEMAS: dict[str, Schema] = {
         position_covariance={"type": "array", "items": NUMBER, "minItems": 9, "maxItems": 9},
         position_covariance_type={**INTEGER, "description": "0: unknown, 1: approximated"},
     ),
-    WIND: _object(
+    WIND: _object_schema(
         "Velocity of the air at the vehicle, where it blows to: x north, y east, z down [m/s].",
         timestamp=TIME,
-        mean_ned=_vector("mean wind", unit="m/s"),
-        gust_ned=_vector("turbulence and gusts, to be added to the mean", unit="m/s"),
+        mean_ned=_vector_schema("mean wind", unit="m/s"),
+        gust_ned=_vector_schema("turbulence and gusts, to be added to the mean", unit="m/s"),
     ),
-    LOG: _object(
+    LOG: _object_schema(
         "Event of the run; from tick on, what qrsim adds.",
         timestamp=TIME,
         level={**INTEGER, "description": "0 unknown, 1 debug, 2 information, 3 warning, 4 error, 5 fatal"},

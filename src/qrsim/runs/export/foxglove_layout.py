@@ -58,8 +58,8 @@ def layout(run: Run) -> dict[str, object]:
     panels = {
         "3D!space": space,
         "map!place": {"center": {"lat": 0, "lon": 0}, "zoomLevel": 16, "disabledTopics": [], "followTopic": ""},
-        "Plot!height": _plot("height [m]", [f"{topic}/pose.pose.position.z" for topic in shown]),
-        "Plot!wind": _plot("gust north [m/s]", [f"{topic}/wind.gust_ned.x" for topic in shown]),
+        "Plot!height": _plot_panel("height [m]", [f"{topic}/pose.pose.position.z" for topic in shown]),
+        "Plot!wind": _plot_panel("gust north [m/s]", [f"{topic}/wind.gust_ned.x" for topic in shown]),
         "RosOut!events": {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/events"},
     }
     below = {"direction": "column", "first": "Plot!height", "second": "Plot!wind", "splitPercentage": 50}
@@ -74,6 +74,7 @@ def layout(run: Run) -> dict[str, object]:
     }
 
 
-def _plot(title: str, paths: list[str]) -> dict[str, object]:
+def _plot_panel(title: str, paths: list[str]) -> dict[str, object]:
+    """Return the configuration of a plot of some message paths."""
     lines = [{"value": path, "enabled": True, "timestampMethod": "headerStamp"} for path in paths]
     return {"title": title, "paths": lines, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}

@@ -34,14 +34,16 @@ def write(content: Tracks, path: Path) -> Written:
 
 
 def _features(content: Tracks) -> Iterator[dict[str, Any]]:
+    """Yield the GeoJSON features of all tracks and events."""
     for track in content.tracks:
         for number, segment in enumerate(track.segments):
-            yield _piece(track, number, segment)
+            yield _segment_feature(track, number, segment)
     for mark in content.marks:
-        yield _event(mark)
+        yield _event_feature(mark)
 
 
-def _piece(track: Track, number: int, segment: Segment) -> dict[str, object]:
+def _segment_feature(track: Track, number: int, segment: Segment) -> dict[str, object]:
+    """Return a segment of a track as a feature."""
     line = [_coordinates(place) for place in segment.geodetic]
     geometry: dict[str, object] = {"type": "LineString", "coordinates": line}
     if len(line) == 1:  # a LineString has two positions or more
@@ -59,7 +61,8 @@ def _piece(track: Track, number: int, segment: Segment) -> dict[str, object]:
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-def _event(mark: Mark) -> dict[str, object]:
+def _event_feature(mark: Mark) -> dict[str, object]:
+    """Return an event as a feature."""
     point = None if mark.geodetic is None else {"type": "Point", "coordinates": _coordinates(mark.geodetic)}
     event = asdict(mark.event)
     seconds, name = event.pop("time"), event.pop("vehicle")
@@ -70,5 +73,6 @@ def _event(mark: Mark) -> dict[str, object]:
 
 
 def _coordinates(geodetic: Floats) -> list[float]:
+    """Return longitude, latitude [degrees] and height [m], rounded."""
     latitude, longitude, height = geodetic.tolist()
     return [round(longitude, 9), round(latitude, 9), round(height, 4)]

@@ -30,7 +30,7 @@ def write(content: Tracks, path: Path) -> Written:
     document = GPX()
     document.creator, document.name = "qrsim", said_in_xml(content.name)
     for mark, geodetic in placed:
-        point = GPXWaypoint(*_place(above_sea(geodetic)), time=_time(mark.utc), name=said_in_xml(mark.title))
+        point = GPXWaypoint(*_place(above_sea(geodetic)), time=_parsed_time(mark.utc), name=said_in_xml(mark.title))
         point.description, point.type = said_in_xml(mark.event.message), said_in_xml(mark.event.kind)
         document.waypoints.append(point)
     for track in content.tracks:
@@ -39,7 +39,7 @@ def write(content: Tracks, path: Path) -> Written:
         document.tracks.append(found)
         for segment in track.segments:
             points = zip(above_sea(segment.geodetic).tolist(), segment.utc, strict=True)
-            piece = [GPXTrackPoint(*_place(geodetic), time=_time(utc)) for geodetic, utc in points]
+            piece = [GPXTrackPoint(*_place(geodetic), time=_parsed_time(utc)) for geodetic, utc in points]
             found.segments.append(GPXTrackSegment(piece))
     with replacing(path) as file:
         file.write(document.to_xml("1.1").encode())
@@ -52,5 +52,6 @@ def _place(geodetic: NumpyArray) -> tuple[float, float, float]:
     return round(latitude, 9), round(longitude, 9), round(height, 4)
 
 
-def _time(utc: str) -> datetime:
+def _parsed_time(utc: str) -> datetime:
+    """Return a UTC text as a datetime."""
     return datetime.fromisoformat(utc)

@@ -44,12 +44,12 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
         own = list(tracks)
         # A document, because simplekml keeps shared styles there, where KML wants them.
         folder = document.newdocument(name=said_in_xml(own[0].vehicle))
-        styles = {kind: _style(simplekml, own[0].number, kind) for kind in {track.kind: None for track in own}}
+        styles = {kind: _track_style(simplekml, own[0].number, kind) for kind in {track.kind: None for track in own}}
         for track in own:
-            _track(folder, track, styles[track.kind], heights)
+            _add_track(folder, track, styles[track.kind], heights)
     events = document.newfolder(name="events")
     for mark in content.marks:
-        _event(events, mark, heights)
+        _add_event(events, mark, heights)
     with replacing(path) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n')
         file.write(f"<!-- Heights are above {DATUMS[heights]}. -->\n".encode())
@@ -57,7 +57,8 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     return Written(path, content.counts)
 
 
-def _style(simplekml: Any, number: int, kind: str) -> object:
+def _track_style(simplekml: Any, number: int, kind: str) -> object:
+    """Return the line style of a vehicle's track."""
     red, green, blue = VEHICLES[number % len(VEHICLES)].tolist()
     style = simplekml.Style()
     style.iconstyle.scale = 0.6
@@ -66,7 +67,8 @@ def _style(simplekml: Any, number: int, kind: str) -> object:
     return style
 
 
-def _track(folder: Any, track: Track, style: object, heights: Heights) -> None:
+def _add_track(folder: Any, track: Track, style: object, heights: Heights) -> None:
+    """Add the segments of a vehicle's track to a folder."""
     found = folder.newgxmultitrack(name=said_in_xml(track.title), gxinterpolate=0)
     found.style = style
     for segment in track.segments:
@@ -75,7 +77,8 @@ def _track(folder: Any, track: Track, style: object, heights: Heights) -> None:
         piece.newgxcoord(_coordinates(segment.geodetic, segment.above_ground, heights))
 
 
-def _event(folder: Any, mark: Mark, heights: Heights) -> None:
+def _add_event(folder: Any, mark: Mark, heights: Heights) -> None:
+    """Add an event as a point to a folder."""
     said = {"name": said_in_xml(mark.title), "description": said_in_xml(mark.event.message)}
     # Without a place it has no geometry, which is not the same as one at 0, 0.
     found = folder.newmultigeometry(**said) if mark.geodetic is None else folder.newpoint(**said)

@@ -102,19 +102,21 @@ class _Channels:
 
 
 def _sources(run: Run, place: Place, every: int, groups: list[Group]) -> list[Iterator[Message]]:
+    """Return the iterators of messages of a run, one for each kind."""
     sources = [messages_of(run, place, every, group) for group in groups]
     sources.append(scene(run, place, surroundings_of(run), WORLD))
     sources += [_fixes(run, place, every, sensor) for sensor in position_sensors(run)]
     if is_readable(run, "truth"):
-        sources.insert(0, _poses(run, place, every))
+        sources.insert(0, _pose_messages(run, place, every))
     if is_readable(run, "wind"):
-        sources.append(_winds(run, place, every))
+        sources.append(_wind_messages(run, place, every))
     if is_readable(run, "events"):
-        sources.append(_events(run.events, place))
+        sources.append(_event_messages(run.events, place))
     return sources
 
 
-def _poses(run: Run, place: Place, every: int) -> Iterator[Message]:
+def _pose_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
+    """Yield pose and location of each vehicle."""
     columns = axes("position_ned") + [f"attitude.{angle}" for angle in ("roll", "pitch", "yaw")]
     topics = topics_of(run, "pose"), topics_of(run, "location")
     for samples in _finite(run, "truth", columns, every):
@@ -183,7 +185,8 @@ def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
     return np.flatnonzero(fresh)
 
 
-def _winds(run: Run, place: Place, every: int) -> Iterator[Message]:
+def _wind_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
+    """Yield mean wind and gust at each vehicle."""
     topics = topics_of(run, "wind")
     for samples in _finite(run, "wind", axes("mean_ned") + axes("gust_ned"), every):
         times, values = place.nanoseconds(samples.times).tolist(), samples.values.tolist()
@@ -192,7 +195,8 @@ def _winds(run: Run, place: Place, every: int) -> Iterator[Message]:
             yield Message(times[i], topics[vehicle], foxglove.WIND, {"mean_ned": mean, "gust_ned": gust})
 
 
-def _events(events: list[Event], place: Place) -> Iterator[Message]:
+def _event_messages(events: list[Event], place: Place) -> Iterator[Message]:
+    """Yield events as log messages."""
     for event in sorted(events, key=lambda event: event.time):
         level = 4 if event.kind not in NOT_A_STOP else 3 if event.kind in WARNINGS else 2
         content = {"level": level, "message": event.message or event.kind, "name": event.vehicle or "", "file": ""}
@@ -231,6 +235,7 @@ def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dic
 
 
 def _timestamp(time_ns: int) -> dict[str, int]:
+    """Return a time [ns] as seconds and nanoseconds."""
     seconds, rest = divmod(time_ns, 1_000_000_000)
     return {"sec": seconds, "nsec": rest}
 

@@ -69,17 +69,18 @@ def groups_of(run: Run) -> list[Group]:
     if is_readable(run, "commands"):
         columns = run.describe("commands")[len(INDEX) :]
         for name in (SETPOINT, ESTIMATE):
-            found.append(Group(name, "commands", f"{name}.", _with(columns, f"{name}.")))
+            found.append(Group(name, "commands", f"{name}.", _columns_with(columns, f"{name}.")))
         parts = {column.name for group in found for column in group.columns}
         found.append(Group("command", "commands", "", tuple(c for c in columns if c.name not in parts)))
     if is_readable(run, "measurements"):
         columns = run.describe("measurements")[len(INDEX) :]
         for sensor in dict.fromkeys(column.name.partition(".")[0] for column in columns):
-            found.append(Group(sensor, "measurements", f"{sensor}.", _with(columns, f"{sensor}.")))
+            found.append(Group(sensor, "measurements", f"{sensor}.", _columns_with(columns, f"{sensor}.")))
     return [group for group in found if group.columns]
 
 
-def _with(columns: Sequence[Column], prefix: str) -> tuple[Column, ...]:
+def _columns_with(columns: Sequence[Column], prefix: str) -> tuple[Column, ...]:
+    """Return the columns with a prefix."""
     return tuple(column for column in columns if column.name.startswith(prefix))
 
 

@@ -26,21 +26,25 @@ def scene(run: Run, place: Place, around: Surroundings, frame: str) -> Iterator[
     """Yield the scene at the start, the waypoints of every vehicle, and each person once more when it is found."""
     begin = int(place.nanoseconds(0.0))
     routes = waypoints(run)
-    entities = [*_area(around), *_obstacles(around), *_places(around), *_persons(around, -1.0)]
+    entities = [*_area_entities(around), *_obstacle_entities(around), *_place_entities(around), *_persons(around, -1.0)]
     entities += [
-        _entity(f"waypoints {name}", lines=[_line(route, STRIP, GREY)], spheres=[_sphere(p, 0.8, GREY) for p in route])
+        _scene_entity(
+            f"waypoints {name}",
+            lines=[_line_primitive(route, STRIP, GREY)],
+            spheres=[_sphere_primitive(p, 0.8, GREY) for p in route],
+        )
         for name, route in zip(run.vehicles, routes, strict=True)
         if len(route)
     ]
     if entities:
-        yield Message(begin, SCENE, foxglove.SCENE, _update(entities, frame, begin))
+        yield Message(begin, SCENE, foxglove.SCENE, _scene_update(entities, frame, begin))
     for topic, route in zip(topics_of(run, WAYPOINTS), routes, strict=True):
         if len(route):
-            poses = [{"position": _point(point), "orientation": STILL} for point in route]
+            poses = [{"position": _enu_point(point), "orientation": STILL} for point in route]
             yield Message(begin, topic, foxglove.POSES, {"frame_id": frame, "poses": poses})
     for time in sorted(set(around.found[np.isfinite(around.found)].tolist())):
         now = int(place.nanoseconds(time))
-        yield Message(now, SCENE, foxglove.SCENE, _update(_persons(around, time), frame, now))
+        yield Message(now, SCENE, foxglove.SCENE, _scene_update(_persons(around, time), frame, now))
 
 
 def waypoints(run: Run) -> list[Floats]:
@@ -54,34 +58,39 @@ def waypoints(run: Run) -> list[Floats]:
     return routes if len(routes) == len(run.vehicles) else [np.zeros((0, 3))] * len(run.vehicles)
 
 
-def _update(entities: Sequence[Content], frame: str, now: int) -> Content:
+def _scene_update(entities: Sequence[Content], frame: str, now: int) -> Content:
+    """Return a SceneUpdate with entities at a time [ns]."""
     seconds, rest = divmod(now, 1_000_000_000)
     about = {"timestamp": {"sec": seconds, "nsec": rest}, "frame_id": frame, "lifetime": {"sec": 0, "nsec": 0}}
     return {"deletions": [], "entities": [{**about, **entity} for entity in entities]}
 
 
-def _entity(name: str, **parts: object) -> Content:
+def _scene_entity(name: str, **parts: object) -> Content:
+    """Return an entity with some primitives, the other lists empty."""
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {"id": name, "frame_locked": False, "metadata": [], **{kind: parts.get(kind, []) for kind in kinds}}
 
 
-def _point(ned: Any) -> Content:
+def _enu_point(ned: Any) -> Content:
+    """Return a position NED [m] as x, y, z in ENU."""
     north, east, down = (float(value) for value in ned)
     return {"x": east, "y": north, "z": -down}
 
 
-def _colour(colour: Colour, opacity: float = 1.0) -> Content:
+def _rgba(colour: Colour, opacity: float = 1.0) -> Content:
+    """Return a colour with opacity as r, g, b, a from 0 to 1."""
     return {**dict(zip("rgb", share(colour), strict=True)), "a": opacity}
 
 
-def _line(points: Any, kind: int, colour: Colour) -> Content:
+def _line_primitive(points: Any, kind: int, colour: Colour) -> Content:
+    """Return a line primitive through points NED (N, 3) [m]."""
     return {
         "type": kind,
         "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": STILL},
         "thickness": 2.0,
         "scale_invariant": True,
-        "points": [_point(point) for point in points],
-        "color": _colour(colour),
+        "points": [_enu_point(point) for point in points],
+        "color": _rgba(colour),
         "colors": [],
         "indices": [],
     }
@@ -91,55 +100,60 @@ def _solid(middle: object, size: tuple[float, float, float], colour: Colour, **m
     """Return a body by its middle, NED [m], and its sizes along east, north and up [m]."""
     extent = dict(zip("xyz", size, strict=True))
     return {
-        "pose": {"position": _point(middle), "orientation": STILL},
+        "pose": {"position": _enu_point(middle), "orientation": STILL},
         "size": extent,
-        "color": _colour(colour, 0.8),
+        "color": _rgba(colour, 0.8),
         **more,
     }
 
 
-def _sphere(middle: object, size: float, colour: Colour) -> Content:
+def _sphere_primitive(middle: object, size: float, colour: Colour) -> Content:
+    """Return a sphere primitive with a diameter [m] at a position."""
     return _solid(middle, (size, size, size), colour)
 
 
-def _area(around: Surroundings) -> list[Content]:
+def _area_entities(around: Surroundings) -> list[Content]:
+    """Return the zones, or the outline of the area as lines at its bottom and top."""
     if around.zones:
-        return [_zone(zone, *around.down) for zone in around.zones]
+        return [_zone_entity(zone, *around.down) for zone in around.zones]
     if not len(around.outline):
         return []
     top, bottom = around.down
     levels = [np.column_stack([around.outline, np.full(len(around.outline), down)]) for down in (bottom, top)]
-    lines = [_line(level, LOOP, GREY) for level in levels]
-    lines += [_line(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
-    return [_entity("area", lines=lines)]
+    lines = [_line_primitive(level, LOOP, GREY) for level in levels]
+    lines += [_line_primitive(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
+    return [_scene_entity("area", lines=lines)]
 
 
-def _zone(zone: Zone, top: float, bottom: float) -> Content:
+def _zone_entity(zone: Zone, top: float, bottom: float) -> Content:
     """Return the edges of a zone; heights above terrain are drawn above z = 0."""
     levels = (bottom if zone.floor <= 0.0 else -zone.floor, max(top, -zone.ceiling))
     colour, lines = (GREY if zone.keep else KEEP_OUT), []
     for ring in zone.rings or (zone.outline,):
         low, high = (np.column_stack([ring, np.full(len(ring), down)]) for down in levels)
-        lines += [_line(level, LOOP, colour) for level in (low, high)]
-        lines += [_line(pair, STRIP, colour) for pair in zip(low, high, strict=True)] if zone.rings else []
-    return _entity(f"{'stay in' if zone.keep else 'stay out'} {zone.name}", lines=lines)
+        lines += [_line_primitive(level, LOOP, colour) for level in (low, high)]
+        lines += [_line_primitive(pair, STRIP, colour) for pair in zip(low, high, strict=True)] if zone.rings else []
+    return _scene_entity(f"{'stay in' if zone.keep else 'stay out'} {zone.name}", lines=lines)
 
 
-def _obstacles(around: Surroundings) -> list[Content]:
+def _obstacle_entities(around: Surroundings) -> list[Content]:
+    """Return the entities of all obstacles."""
     found = []
     for number, item in enumerate(around.obstacles):
         middle, tall = 0.5 * (item["z_min"] + item["z_max"]), item["z_max"] - item["z_min"]
         if "corners_ned" in item:
-            found.append(_entity(f"obstacle {number}", lines=_prism(item)))
+            found.append(_scene_entity(f"obstacle {number}", lines=_prism(item)))
             continue
         if "radius" in item:
             wide = 2.0 * item["radius"]
             body = _solid((item["x"], item["y"], middle), (wide, wide, tall), GREY, bottom_scale=1.0, top_scale=1.0)
-            found.append(_entity(f"obstacle {number}", cylinders=[body]))
+            found.append(_scene_entity(f"obstacle {number}", cylinders=[body]))
             continue
         north, east = (0.5 * (item[f"{axis}_min"] + item[f"{axis}_max"]) for axis in "xy")
         deep, wide = (item[f"{axis}_max"] - item[f"{axis}_min"] for axis in "xy")
-        found.append(_entity(f"obstacle {number}", cubes=[_solid((north, east, middle), (wide, deep, tall), GREY)]))
+        found.append(
+            _scene_entity(f"obstacle {number}", cubes=[_solid((north, east, middle), (wide, deep, tall), GREY)])
+        )
     return found
 
 
@@ -149,22 +163,30 @@ def _prism(item: Any) -> list[Content]:
     for ring in (item["corners_ned"], *item.get("holes_ned", ())):
         corners = np.asarray(ring, float)
         levels = [np.column_stack([corners, np.full(len(corners), item[end])]) for end in ("z_max", "z_min")]
-        lines += [_line(level, LOOP, GREY) for level in levels]
-        lines += [_line(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
+        lines += [_line_primitive(level, LOOP, GREY) for level in levels]
+        lines += [_line_primitive(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
     return lines
 
 
-def _places(around: Surroundings) -> list[Content]:
-    found = [_entity(f"source {i}", spheres=[_sphere(place, 4.0, PLUME)]) for i, place in enumerate(around.sources)]
+def _place_entities(around: Surroundings) -> list[Content]:
+    """Return the entities of plume sources and requested locations."""
+    found = [
+        _scene_entity(f"source {i}", spheres=[_sphere_primitive(place, 4.0, PLUME)])
+        for i, place in enumerate(around.sources)
+    ]
     if len(around.locations):
-        found.append(_entity("asked for", cubes=[_sphere(place, 1.0, GREY) for place in around.locations]))
+        found.append(
+            _scene_entity("asked for", cubes=[_sphere_primitive(place, 1.0, GREY) for place in around.locations])
+        )
     return found
 
 
 def _persons(around: Surroundings, time: float) -> list[Content]:
     """Return the persons as they are at a time [s]; after the start only those that are found then."""
     return [
-        _entity(f"person {i}", spheres=[_sphere((*place, 0.0), 2.0, FOUND if found <= time else MISSING)])
+        _scene_entity(
+            f"person {i}", spheres=[_sphere_primitive((*place, 0.0), 2.0, FOUND if found <= time else MISSING)]
+        )
         for i, (place, found) in enumerate(zip(around.persons, around.found, strict=True))
         if time < 0.0 or found == time
     ]

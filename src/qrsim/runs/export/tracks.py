@@ -137,7 +137,7 @@ def read_tracks(run: Run, place: Place, every: int) -> Tracks:
             segments = _segments(own, place, every, ground, fresh_only=sensor is not None)
             if segments:
                 found.append(Track(vehicle, number, sensor, segments))
-    marks = _marks(run, place, ground)
+    marks = _event_marks(run, place, ground)
     if not found and not marks:
         raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
     return Tracks(run.info.scenario, sorted(found, key=lambda track: track.number), marks)
@@ -242,7 +242,8 @@ def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
     return np.concatenate([[False], steps > usual])
 
 
-def _marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
+def _event_marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
+    """Return the events of a run with the geodetic positions of their vehicles."""
     if not is_readable(run, "events"):
         return []
     events = run.events

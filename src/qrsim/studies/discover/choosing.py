@@ -46,7 +46,8 @@ class Choice:
 
 
 def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, mass: float, train: float) -> Choice:
-    """Choose the laws that fly best over seconds; constants and trims are fitted on the first share of rows.
+    """Select the laws that predict flights over seconds best; constants and trims are fitted on the first part of the
+    rows.
 
     Args:
         log: what was read.
@@ -124,7 +125,7 @@ def _choose_law(
     mass: float,
     independent: float,
 ) -> None:
-    """Put the law of a front into the choice that is the smallest of those that are as good as the best."""
+    """Add the smallest law of a front that is as good as the best one to the choice."""
     front = population.pareto()
     likely = [each for each in front if each.error <= HOPELESS * front[-1].error]
     tried = [refined(choice, law, proposal, fit, noise, mass) for proposal in likely]
@@ -156,6 +157,7 @@ def refined(
     count = len(proposal.constants)
 
     def residual(unknowns: Floats) -> Floats:
+        """Return the errors of flown windows and the scaled trims, for unknowns (K, B)."""
         own = dict(zip(names, unknowns[count:], strict=True))
         flown = errors(unknowns[:count], own).reshape(unknowns.shape[1], -1)
         return np.concatenate([flown, unknowns[count:].T / TRIM], axis=1)

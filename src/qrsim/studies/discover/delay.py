@@ -40,7 +40,7 @@ def rough_delay(log: FlightLog, train: float, given: Collection[str] = ()) -> fl
 
 
 def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
-    """Return the misfit of polynomials in the inputs of each law: the sum over samples of log(residual/variance).
+    """Return the misfit of polynomials in each law's inputs: the sum over samples of log(residual/variance).
 
     Drag has no part in it. Thrust is fitted in flight, because its rate of change is limited and would look like delay.
     Without enough rows the misfit is infinite.
@@ -52,7 +52,7 @@ def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
     total = 0.0
     for law in (name for name in flight.laws if name not in given):
         if law == "thrust":
-            total += flight.recorded[0].size * math.log(_left_of_thrust(flight))
+            total += flight.recorded[0].size * math.log(_thrust_misfit(flight))
         elif law != "drag":
             leaves, slope = slopes(flight, law)
             features = _features(leaves)
@@ -61,7 +61,8 @@ def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
     return total
 
 
-def _left_of_thrust(flight: Flight) -> float:
+def _thrust_misfit(flight: Flight) -> float:
+    """Return the mean square error of a quadratic thrust law fitted in flight."""
     tree = polynomial_tree([(0,), (1,), (2,)], "thrust")
     scale = np.std(flight.recorded, axis=(1, 2)) + 1e-9
     (throttle,), thrust = slopes(flight, "thrust")
@@ -102,6 +103,7 @@ def refined_delay(
     noise = left_by(Choice(dict(laws), {}), flight, mass)
 
     def misfit(delay: float) -> float:
+        """Return the mean square error of refitted laws at a delay [s], in units of the noise."""
         late, choice = long_windows(log.delayed(delay), 0.0, train, length), Choice(dict(laws), {})
         for law in (name for name in laws if name not in given):
             choice.laws[law], own = refined(choice, law, choice.laws[law], late, noise, mass)

@@ -138,12 +138,12 @@ def discover(
         best = choice.laws[name]
         front = [(p.size, p.error) for p in each.pareto()]
         laws[name] = Law(name, best, front, symbolic(best.tree, best.constants))
-    rest = _rest(log, train)
+    rest = _held_out(log, train)
     found = {name: (rule_of(law.tree, name), law.constants[:, None]) for name, law in choice.laws.items()}
     flights = {
         "recorded": rest.recorded[:, :, 0],
-        "published": _flown(rest, published(), mass, {}),
-        "discovered": _flown(rest, found, mass, choice.trims),
+        "published": _fly_laws(rest, published(), mass, {}),
+        "discovered": _fly_laws(rest, found, mass, choice.trims),
     }
     scores = {
         name: dict(
@@ -157,7 +157,7 @@ def discover(
 
 
 def not_shown(log: FlightLog, train: float) -> dict[str, str]:
-    """Return the laws that the first share ``train`` of a log does not excite, with the reason.
+    """Return the laws that the first fraction ``train`` of a log does not excite, each with the reason.
 
     Raises:
         LogError: it says nothing of any; its details are how much each signal moves.
@@ -187,7 +187,7 @@ def known_law(name: str) -> Proposal:
 def _rejected(
     log: FlightLog, laws: Mapping[str, Law], scores: Mapping[str, Mapping[str, float]], variance: Mapping[str, float]
 ) -> dict[str, str]:
-    """Return the laws that explain nothing of the rest of the log: not more than the mean of each channel does.
+    """Return the laws that predict the rest of the log no better than the mean of each channel.
 
     What counts is the geometric mean of the errors over the variances. A law that is better than the published one is
     kept all the same.
@@ -210,7 +210,7 @@ def _rejected(
     return found
 
 
-def _rest(log: FlightLog, train: float) -> Flight:
+def _held_out(log: FlightLog, train: float) -> Flight:
     """Return the rest of a log as one window, up to its first gap."""
     rows = len(log.time)
     most = rows - round(train * rows) - 2 - 8
@@ -222,7 +222,10 @@ def _rest(log: FlightLog, train: float) -> Flight:
     return windows_of(log, train, 1.0, STEPS, 1)
 
 
-def _flown(flight: Flight, laws: Mapping[str, tuple[Rule, Floats]], mass: float, trims: Mapping[str, float]) -> Floats:
+def _fly_laws(
+    flight: Flight, laws: Mapping[str, tuple[Rule, Floats]], mass: float, trims: Mapping[str, float]
+) -> Floats:
+    """Return the channels (C, H) of one window flown by some laws."""
     rules = {name: laws[name][0] for name in flight.laws}
     return fly(flight, rules, {name: laws[name][1] for name in flight.laws}, mass, trims)[:, :, 0, 0]
 

@@ -105,45 +105,54 @@ class Evolution:
         self.windows = flight.start.shape[1]
         # First what the channels move; later what the best partners leave.
         self.noise = np.std(flight.recorded - flight.recorded[:, :1], axis=(1, 2)) + 1e-9
-        self.rough = {each.law: slopes(flight, each.law) for each in self._all()}
+        self.rough = {each.law: slopes(flight, each.law) for each in self._evolving()}
         self.random = random.Random(seed)
 
     def run(self, generations: int, progress: Callable[[str], None] = lambda text: None) -> None:
-        """Evolve; the same seed gives the same laws."""
+        """Evolve the populations; the same seed gives the same laws."""
         before = random.getstate()
         # DEAP draws from the module's own generator.
         random.seed(self.random.random())
         try:
-            self._begin()
+            self._initialise()
             for number in range(generations):
                 self._generation()
                 if (number + 1) % SIMPLIFIED_EVERY == 0 or number + 1 == generations:
                     self._simplify()
-                told = ", ".join(f"{p.law} {p.partner.error:.4g} ({p.partner.size})" for p in self._all() if p.partner)
+                told = ", ".join(
+                    f"{p.law} {p.partner.error:.4g} ({p.partner.size})" for p in self._evolving() if p.partner
+                )
                 progress(f"generation {number + 1}: error (nodes) {told}")
         finally:
             random.setstate(before)
 
-    def _all(self) -> list[Population]:
+    def _evolving(self) -> list[Population]:
+        """Return the populations of the laws that are not given."""
         return [each for each in self.populations.values() if not each.given]
 
-    def _begin(self) -> None:
-        for population in self._all():
-            population.members = [self._rough(made(population.law), population.law) for _ in range(self.size)]
+    def _initialise(self) -> None:
+        """Fill the populations with random laws, and choose the first partners."""
+        for population in self._evolving():
+            population.members = [
+                self._proposal_from_record(made(population.law), population.law) for _ in range(self.size)
+            ]
             population.partner = min(population.members, key=lambda each: each.error)
-        for population in self._all():
+        for population in self._evolving():
             self._judge(population, population.members)
 
     def _generation(self) -> None:
+        """Breed, judge and select one generation of every population."""
         tools = extras.load("identify", "discovering laws", "deap.tools")
-        for population in self._all():
+        for population in self._evolving():
             parents = [*population.members, *population.pareto()]
             children = []
             for _ in range(self.size):
                 first, second = (min(random.sample(parents, 3), key=lambda each: each.error) for _ in range(2))
                 if random.random() < 0.3:
                     first = random.choice(population.pareto())
-                children.append(self._rough(varied(first.tree, second.tree, population.law), population.law))
+                children.append(
+                    self._proposal_from_record(varied(first.tree, second.tree, population.law), population.law)
+                )
             self._judge(population, children)
             together = {text_of(each.tree): each for each in (*population.members, *children, *population.pareto())}
             population.members = tools.selNSGA2(list(together.values()), min(self.size, len(together)))
@@ -151,7 +160,7 @@ class Evolution:
 
     def _simplify(self) -> None:
         """Multiply out each law's best trees and try them with one term less, as long as that is better."""
-        for population in self._all():
+        for population in self._evolving():
             tried: set[str] = set()
             while True:
                 best = population.chosen(self.windows)
@@ -170,14 +179,15 @@ class Evolution:
                 population.members += simpler
             population.partner = population.chosen(self.windows)
 
-    def _rough(self, tree: object, law: str) -> Proposal:
-        """Return a proposal whose constants fit the slopes seen in the record: a start for the fit in flight."""
+    def _proposal_from_record(self, tree: object, law: str) -> Proposal:
+        """Return a proposal with constants fitted to the slopes in the record, as a start for the fit in flight."""
         text = text_of(tree)
         known = self.populations[law].known
         if text not in known:
             rule, (leaves, slope) = rule_of(tree, law), self.rough[law]
 
             def residual(constants: Floats) -> Floats:
+                """Return the law minus the recorded slope, for constants (K, B)."""
                 with np.errstate(all="ignore"):
                     return np.broadcast_to(
                         rule(*(c[:, None] for c in constants), *leaves) - slope, (constants.shape[1], len(slope))
@@ -188,7 +198,7 @@ class Evolution:
         return known[text]
 
     def _judge(self, population: Population, proposals: Sequence[Proposal]) -> None:
-        """Fly proposals with the best partners, and with others drawn at random; the better of the two counts."""
+        """Fly proposals with the best partners and with random ones; the better of the two errors counts."""
         fitness = extras.load("identify", "discovering laws", "deap.base").Fitness
         weights = type("Smaller", (fitness,), {"weights": (-1.0, -1.0)})
         for proposal in proposals:
@@ -197,21 +207,22 @@ class Evolution:
                 best = {law: self.populations[law].partner for law in together}
                 drawn = {law: random.choice(self.populations[law].pareto() or [p]) for law, p in sorted(best.items())}
                 if any(drawn[law] is not best[law] for law in drawn):
-                    other = self._error(population.law, proposal, drawn, refine=False)
+                    other = self._flight_error(population.law, proposal, drawn, refine=False)
                 else:
                     other = FAILED
-                proposal.error = min(self._error(population.law, proposal, best, refine=True), other)
+                proposal.error = min(self._flight_error(population.law, proposal, best, refine=True), other)
                 proposal.fitness = weights()
                 proposal.fitness.values = (proposal.error, float(proposal.size))
             kept = population.front.get(proposal.size)
             if proposal.error < FAILED and (kept is None or proposal.error < kept.error):
                 population.front[proposal.size] = proposal
 
-    def _error(self, law: str, proposal: Proposal, partners: dict[str, Any], refine: bool) -> float:
+    def _flight_error(self, law: str, proposal: Proposal, partners: dict[str, Any], refine: bool) -> float:
         """Return the mean squared error in flight; ``refine`` fits the proposal's constants to it."""
         errors = errors_of(law, proposal, partners, self.flight, self.noise, self.mass, {})
 
         def residual(constants: Floats) -> Floats:
+            """Return the errors in flight (B, ...) for constants (K, B)."""
             return errors(constants, {}).reshape(constants.shape[1], -1)
 
         constants, error = fitted(residual, proposal.constants, REFINEMENTS if refine else 0)
@@ -242,11 +253,14 @@ def errors_of(
     rules: dict[str, Rule] = {name: rule_of(each.tree, name) for name, each in partners.items()}
     rules[law] = rule_of(proposal.tree, law)
     others = {name: each.constants[:, None] for name, each in partners.items()}
-    seen = flight if "drag" in rules else _part(flight, law)
+    seen = flight if "drag" in rules else _relevant_part(flight, law)
     own = [i for i, name in enumerate(seen.names) if name in SHOWS[law]]
     scale = noise[[flight.names.index(seen.names[i]) for i in own]]
 
     def errors(constants: Floats, tried: Mapping[str, Floats]) -> Floats:
+        """Return the errors (B, C, H, n) of the law's channels for constants (K, B) and trims (B,), in units of their
+        noise.
+        """
         found = fly(seen, rules, others | {law: constants}, mass, {**trims, **tried})
         if found.shape[2] != constants.shape[1]:
             found = np.broadcast_to(found, (*found.shape[:2], constants.shape[1], found.shape[3]))
@@ -255,8 +269,8 @@ def errors_of(
     return errors
 
 
-def _part(flight: Flight, law: str) -> Flight:
-    """Return a flight without what a law does not act on: nothing but rotation, or nothing but thrust."""
+def _relevant_part(flight: Flight, law: str) -> Flight:
+    """Return a flight with only the channels that a law affects: rotation alone, or thrust alone."""
     wanted = ("thrust",) if law == "thrust" else ANGULAR
     rows = [i for i, name in enumerate(flight.names) if name in wanted]
     names = tuple(flight.names[i] for i in rows)
@@ -264,7 +278,7 @@ def _part(flight: Flight, law: str) -> Flight:
 
 
 def partners_of(law: str, laws: Iterable[str]) -> set[str]:
-    """Return the laws that fly with a law."""
+    """Return the laws that are flown together with a law."""
     together = TOGETHER[law] & set(laws)
     return set() if law == "thrust" and "drag" not in together else together
 
@@ -322,6 +336,7 @@ def fitted(residual: Callable[[Floats], Floats], start: Floats, steps: int) -> t
 
 
 def _mean_square(values: Floats) -> float:
+    """Return the mean square of values, at most FAILED."""
     with np.errstate(all="ignore"):
         error = float(np.mean(np.square(values)))
     return min(error, FAILED) if math.isfinite(error) else FAILED
@@ -333,9 +348,11 @@ def slopes(flight: Flight, law: str) -> tuple[list[Floats], Floats]:
     middle = slice(2, -2)
 
     def seen(name: str) -> Floats:
+        """Return the record of a channel by name."""
         return flight.recorded[place[name]]
 
     def slope(values: Floats) -> Floats:
+        """Return the derivative of a record by central differences over four rows."""
         return (values[4:] - values[:-4]) / (4 * flight.dt)
 
     pitch, roll, throttle, yaw = flight.commands

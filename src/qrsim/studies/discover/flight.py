@@ -115,7 +115,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
 
 
 def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: int) -> Floats:
-    """Return the (10, n) states at rows: the middle of a parabola through the rows around."""
+    """Return the states (10, n) at rows, from parabolas through the rows around them."""
     start = np.zeros((10, len(rows)))
     offsets = np.arange(-margin, margin + 1)
     # The first row of the pseudo-inverse gives a parabola's value in the middle.
@@ -131,7 +131,7 @@ def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: in
 
 
 def _turned(angles: NumpyArray, vector: NumpyArray, to_body: bool) -> NumpyArray:
-    """Return a vector (3, ...) turned from NED into body axes by Euler angles (3, ...), or back."""
+    """Rotate vectors (3, ...) from NED into body axes by Euler angles (3, ...), or back."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
     rows = (
         (cp * cy, cp * sy, -sp),
@@ -172,7 +172,8 @@ def fly(
             asked = [row + trim for row, trim in zip(flight.commands[:, step], offset, strict=True)]
 
             def slope(now: Floats, asked: list[Floats] = asked) -> Floats:
-                return _slope(now, asked, rules, fixed, flight.dt, mass, moving, vehicle)
+                """Return the derivative of the state under a row of commands."""
+                return _state_rate(now, asked, rules, fixed, flight.dt, mass, moving, vehicle)
 
             first = slope(state)
             state = state + 0.5 * flight.dt * (first + slope(state + flight.dt * first))
@@ -180,7 +181,7 @@ def fly(
     return np.stack(found, axis=1)
 
 
-def _slope(
+def _state_rate(
     now: Floats,
     asked: list[Floats],
     rules: Mapping[str, Rule],
@@ -190,6 +191,7 @@ def _slope(
     moving: bool,
     vehicle: Quadrotor,
 ) -> Floats:
+    """Return the derivative (10, ...) of the state under the laws and commands."""
     change = np.zeros_like(now)
     roll, pitch, _, p, q, r, u, v, w, thrust = now
     if "tilt" in rules:
@@ -213,6 +215,7 @@ def _slope(
 
 
 def _channels(state: Floats, names: tuple[str, ...]) -> Floats:
+    """Return the measured channels (C, ...) of a state."""
     parts = []
     if "roll" in names:
         parts.append(state[:6])

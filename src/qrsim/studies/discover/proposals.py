@@ -19,7 +19,7 @@ _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def gp() -> Any:
-    """Import DEAP's genetic programming."""
+    """Import and return DEAP's module of genetic programming."""
     return extras.load("identify", "discovering laws", "deap.gp")
 
 
@@ -65,6 +65,7 @@ def count_constants(tree: Any) -> int:
 
 @functools.lru_cache(maxsize=20_000)
 def _compiled(text: str, constants: int, law: str) -> Rule:
+    """Compile an expression in constants and leaves to a function."""
     arguments = ", ".join([*(f"c{i}" for i in range(constants)), *LEAVES[law]])
     # The text is made above from a tree: brackets, four signs, and names of this file.
     rule: Rule = eval(f"lambda {arguments}: {text}", {"__builtins__": {}})
@@ -77,13 +78,13 @@ def rule_of(tree: object, law: str) -> Rule:
 
 
 def made(law: str) -> Any:
-    """Make a random tree."""
+    """Return a random tree for a law."""
     library = gp()
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 
 
 def varied(first: object, second: object, law: str) -> object:
-    """Make a child of two trees by crossover and mutation, within the size limit."""
+    """Return a child of two trees by crossover and mutation, within the size limit."""
     library = gp()
     known = primitives(law)
     for _ in range(8):
@@ -132,6 +133,7 @@ def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> object:
     add, times = known.mapping["add"], known.mapping["mul"]
 
     def term(each: tuple[int, ...]) -> list[object]:
+        """Return the nodes of a constant times powers of the leaves."""
         factors = [known.mapping[leaf] for leaf, power in zip(LEAVES[law], each, strict=True) for _ in range(power)]
         nodes = [known.mapping[CONSTANT]]
         for factor in factors:
@@ -145,11 +147,11 @@ def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> object:
 
 
 def shown(expression: Any, digits: int = 6) -> str:
-    """Format an expression with rounded numbers."""
+    """Return an expression as text with rounded numbers."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return str(expression.xreplace({n: sympy.Float(n, digits) for n in expression.atoms(sympy.Float)}))
 
 
 def randomly(count: int) -> Floats:
-    """Draw random initial constants for a fit."""
+    """Return random initial constants for a fit."""
     return np.array([random.uniform(-1.0, 1.0) for _ in range(count)])

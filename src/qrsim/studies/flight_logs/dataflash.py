@@ -84,7 +84,7 @@ def read_dataflash(path: Path, boot: int | None = None) -> FlightLog:
 
 @contextlib.contextmanager
 def _no_standard_error() -> Iterator[None]:
-    """Let nothing of this process reach its standard error, whatever writes it."""
+    """Return a context that discards everything written to the process's standard error."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
@@ -116,10 +116,10 @@ class _Messages:
         self.times.append(stamp)
 
     def tracks(self, path: Path, boot: int | None) -> tuple[dict[str, Track], list[str]]:
-        """Return the signals of one boot in SI, each of one instance, and notes on what was chosen."""
+        """Return the signals of one boot in SI, each of one sensor instance, and notes on the choice."""
         times: Floats = np.array(self.times)
         notes: list[str] = []
-        first, last = _chosen(path, times, boot, notes)
+        first, last = _boot_range(path, times, boot, notes)
         there: dict[str, dict[int, tuple[Floats, Floats]]] = {}
         for (kind, instance), (numbers, values) in self.rows.items():
             begin, end = np.searchsorted(numbers, (first, last))
@@ -128,7 +128,7 @@ class _Messages:
                 there.setdefault(kind, {})[instance] = times[numbers[begin:end]], table
         tracks = {}
         for kind, instances in there.items():
-            number = _fullest({each: table for each, (_, table) in instances.items()})
+            number = _best_instance({each: table for each, (_, table) in instances.items()})
             if len(instances) > 1 or number:
                 notes.append(
                     f"{kind}: instance {number} is read, of {', '.join(map(str, sorted(instances)))} in the log"
@@ -141,8 +141,8 @@ class _Messages:
         return tracks, notes
 
 
-def _chosen(path: Path, times: Floats, boot: int | None, notes: list[str]) -> tuple[int, int]:
-    """Return the first message of the wanted boot, or of the one with the most messages, and the one after its last."""
+def _boot_range(path: Path, times: Floats, boot: int | None, notes: list[str]) -> tuple[int, int]:
+    """Return the range of messages (begin, end) of the wanted boot, or of the one with the most messages."""
     starts = [0]
     for i in np.flatnonzero(np.diff(times) < -_BACK_S) + 1:
         before, after = times[max(starts[-1], i - _MEDIAN_OF) : i], times[i : i + _MEDIAN_OF]
@@ -160,8 +160,8 @@ def _chosen(path: Path, times: Floats, boot: int | None, notes: list[str]) -> tu
     return starts[which], ends[which]
 
 
-def _fullest(instances: dict[int, Floats]) -> int:
-    """Return the lowest instance that has nearly as many usable messages as any; zeros only are no measurement."""
+def _best_instance(instances: dict[int, Floats]) -> int:
+    """Return the lowest instance with nearly the most usable messages; messages of zeros do not count."""
     usable = {
         number: int((np.isfinite(table) & (table != 0.0)).any(axis=1).sum()) for number, table in instances.items()
     }

@@ -139,7 +139,7 @@ def measure(log: FlightLog, rows: Rows) -> Excitation:
     }
     lacking, silent = {}, [name for name, each in movements.items() if each.frozen and not SIGNALS[name].command]
     for name in ASPECTS:
-        why, deaf = _why_not(name, movements, follows, part, log.dt)
+        why, deaf = _missing_excitation(name, movements, follows, part, log.dt)
         if why:
             lacking[name] = why
         if deaf:
@@ -159,6 +159,7 @@ def measure(log: FlightLog, rows: Rows) -> Excitation:
 
 
 def _movement(name: str, values: Floats, rate_hz: float) -> Movement:
+    """Return the standard deviation, noise and rate of a signal (T,)."""
     good = values[np.isfinite(values)]
     if len(good) < 2 or np.ptp(good) == 0.0:
         return Movement(0.0, FLOORS[name], rate_hz)
@@ -174,7 +175,7 @@ def noise_of(values: Floats) -> float:
 
 
 def follow(command: Floats, measured: Floats, dt: float) -> float:
-    """Return the largest correlation of a measurement (T,) with its command up to LONGEST_DELAY_S before."""
+    """Return the largest correlation of a measurement (T,) with its command, up to LONGEST_DELAY_S earlier."""
     kernel = np.ones(SMOOTHED_ROWS) / SMOOTHED_ROWS
     # A gap spreads to the rows beside it, which then count for nothing.
     asked, found = np.convolve(command, kernel, "same"), np.convolve(measured, kernel, "same")
@@ -194,7 +195,7 @@ def correlation(first: Floats, second: Floats) -> float:
     return float(a @ b) / scale if scale > 0.0 else 0.0
 
 
-def _why_not(
+def _missing_excitation(
     name: str, movements: Mapping[str, Movement], follows: Mapping[str, float], part: Mapping[str, Floats], dt: float
 ) -> tuple[str, bool]:
     """Return why an aspect is not shown, "" if it is, and whether no fit can use its channels."""
@@ -225,11 +226,11 @@ def _why_not(
             f"correlation of {aspect.channels[-1 if name == 'yaw' else 0]} with {aspect.command} is"
             f" {follows[name]:.2f}, at least {FOLLOWS:g} is needed: does not follow its command"
         ), True
-    return _lift(part, movements, dt) if name == "heave" else ("", False)
+    return _lift_objection(part, movements, dt) if name == "heave" else ("", False)
 
 
-def _lift(part: Mapping[str, Floats], movements: Mapping[str, Movement], dt: float) -> tuple[str, bool]:
-    """Return why throttle and vertical velocity are not those of a vehicle in flight, "" if they may be."""
+def _lift_objection(part: Mapping[str, Floats], movements: Mapping[str, Movement], dt: float) -> tuple[str, bool]:
+    """Return why throttle and vertical velocity cannot be those of a flight, "" if they can."""
     rows = max(1, round(LIFT_S / dt))
     down, throttle = part["velocity_down"], part["throttle"]
     lift = float(np.nanstd((down[rows:] - down[:-rows]) / (rows * dt)))
@@ -244,7 +245,7 @@ def _lift(part: Mapping[str, Floats], movements: Mapping[str, Movement], dt: flo
 
 
 def told(name: str, movement: Movement) -> str:
-    """Describe how much a signal moves, in words."""
+    """Return in words how much a signal moves."""
     if movement.frozen:
         return f"{name} is constant"
     unit = "" if SIGNALS[name].unit == "1" else f" {SIGNALS[name].unit}"
@@ -252,7 +253,7 @@ def told(name: str, movement: Movement) -> str:
 
 
 def described(logs: Sequence[FlightLog], excitations: Sequence[Excitation]) -> tuple[str, list[str]]:
-    """Explain in one line why unexcited logs are refused; also return the movement of each signal, line by line."""
+    """Return the line that refuses unexcited logs, and a line about the movement of each signal."""
     natures: dict[str, list[str]] = {}
     details = []
     for log, each in zip(logs, excitations, strict=True):
@@ -264,7 +265,7 @@ def described(logs: Sequence[FlightLog], excitations: Sequence[Excitation]) -> t
 
 
 def nature(excitation: Excitation) -> str:
-    """Describe the kind of an unexcited log, in words."""
+    """Return in words the kind of an unexcited log."""
     moving = [name for name in TURNING if name in excitation.movements and excitation.movements[name].moves]
     asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
     if excitation.still >= ON_THE_GROUND or not moving:
@@ -277,7 +278,7 @@ def nature(excitation: Excitation) -> str:
 
 
 def without_ground(log: FlightLog) -> FlightLog:
-    """Remove the time on the ground from a log, unless that is all of it.
+    """Return a log without the time on the ground; all of it if it never leaves the ground.
 
     No law of flight describes it. It is cut off at both ends, so that shares of the rows are shares of the flight; in
     between there are gaps. How long it is stands in the notes.
@@ -295,7 +296,7 @@ def without_ground(log: FlightLog) -> FlightLog:
 
 
 def without_frozen(log: FlightLog) -> FlightLog:
-    """Remove the rows in which a signal that moves elsewhere is frozen to the last digit.
+    """Return a log without the rows in which a signal that moves elsewhere is frozen to the last digit.
 
     No sensor of motion does so for FROZEN_S: its driver or the logger hung. What was left out is in the notes. A thrust
     may be 0 for long.

@@ -59,27 +59,29 @@ def read_inertial(path: Path) -> Readings:
         raise UsageError(f"{path}: no such file{did_you_mean_file(path)}") from None
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
-    time, columns = _of_ulog(path) if beginning == _ULOG else _of_table(path)
-    return _even(path, time, columns)
+    time, columns = _read_ulog(path) if beginning == _ULOG else _read_csv(path)
+    return _uniform(path, time, columns)
 
 
-def _of_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
+def _read_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
+    """Return times (T,) [s] and the columns of a ULog's sensor_combined; raises LogError."""
     log, _ = open_ulog(path, ["sensor_combined"])
-    found = next((each.data for each in log.data_list if each.name == "sensor_combined"), None)
+    topic = next((each.data for each in log.data_list if each.name == "sensor_combined"), None)
     fields = {"gyroscope": "gyro_rad", "accelerometer": "accelerometer_m_s2"}
     names = {f"{kind}_{axis}": f"{field}[{i}]" for kind, field in fields.items() for i, axis in enumerate("xyz")}
-    if found is None or not {"timestamp", *names.values()} <= set(found):
+    if topic is None or not {"timestamp", *names.values()} <= set(topic):
         raise LogError(f"{path}: no topic sensor_combined with timestamp, gyro_rad and accelerometer_m_s2")
-    columns = {name: np.asarray(found[field], np.float64) for name, field in names.items()}
-    return np.asarray(found["timestamp"], np.float64) * 1e-6, columns
+    columns = {name: np.asarray(topic[field], np.float64) for name, field in names.items()}
+    return np.asarray(topic["timestamp"], np.float64) * 1e-6, columns
 
 
-def _of_table(path: Path) -> tuple[Floats, dict[str, Floats]]:
+def _read_csv(path: Path) -> tuple[Floats, dict[str, Floats]]:
+    """Return times (T,) [s] and the columns of a CSV in SI; raises LogError."""
     with open_text(path, errors="replace") as stream:
         try:
             rows = CsvRows(stream, strict=False)
-            wanted = _wanted(path, rows.header)
-            values = [_row(path, rows.line_num, row, wanted) for row in rows if row]
+            wanted = _columns_of(path, rows.header)
+            values = [_parsed_row(path, rows.line_num, row, wanted) for row in rows if row]
         except csv.Error as error:
             raise LogError(f"{path}: not CSV: {error}") from None
     table = np.array(values, np.float64).reshape(len(values), len(wanted))
@@ -87,8 +89,8 @@ def _of_table(path: Path) -> tuple[Floats, dict[str, Floats]]:
     return columns.pop("time"), columns
 
 
-def _wanted(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
-    """Return place and factor to SI of each column by its name."""
+def _columns_of(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
+    """Return (column index, factor to SI) by signal name; raises LogError for missing ones."""
     found: dict[str, tuple[int, float]] = {}
     for place, text in enumerate(header):
         name, unit = name_and_unit(text)
@@ -111,15 +113,16 @@ def _wanted(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
     return {name: found[name] for name in expected}
 
 
-def _row(path: Path, line: int, row: list[str], wanted: dict[str, tuple[int, float]]) -> list[float]:
+def _parsed_row(path: Path, line: int, row: list[str], wanted: dict[str, tuple[int, float]]) -> list[float]:
+    """Return the wanted numbers of a row; raises LogError that names the line."""
     try:
         return [float(row[place]) for place, _ in wanted.values()]
     except (ValueError, IndexError):
         raise LogError(f"{path}: line {line}: expected a number in each of {', '.join(wanted)}") from None
 
 
-def _even(path: Path, time: Floats, columns: dict[str, Floats]) -> Readings:
-    """Return readings at one rate.
+def _uniform(path: Path, time: Floats, columns: dict[str, Floats]) -> Readings:
+    """Return readings resampled at a uniform rate.
 
     Raises:
         LogError: too few, not finite, or at no one rate.

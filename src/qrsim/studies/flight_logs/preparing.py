@@ -29,7 +29,7 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
     if not tracks:
         raise LogError(f"{path}: no signal of a vehicle in this {kind}; known: {', '.join(SIGNALS)}")
     notes = list(notes)
-    clean = {name: _clean(path, name, track, notes) for name, track in tracks.items()}
+    clean = {name: _cleaned(path, name, track, notes) for name, track in tracks.items()}
     for name, track in clean.items():
         _check_unit(path, name, track.values)
     first = max(track.time[0] for track in clean.values())
@@ -41,7 +41,7 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
             f" are needed; {spans}"
         )
     if last - first > LONGEST_S:
-        raise LogError(f"{path}: {_jump(clean, first, last)}")
+        raise LogError(f"{path}: {_describe_jump(clean, first, last)}")
     grid = first + dt * np.arange(int((last - first) / dt + 1e-6) + 1)
     signals = {name: _sampled(name, track, grid, notes) for name, track in clean.items()}
     rates = {name: 1.0 / float(np.median(np.diff(track.time))) for name, track in clean.items()}
@@ -49,11 +49,11 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
     notes.append(
         f"{len(grid)} rows of {dt:g} s, {grid[-1] - grid[0]:.2f} s, from signals logged at {', '.join(different)} Hz"
     )
-    return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, _together(notes, list(signals)), rates)
+    return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, _merged_notes(notes, list(signals)), rates)
 
 
-def _jump(tracks: Mapping[str, Track], first: float, last: float) -> str:
-    """Say where the time of a log that is too long jumps."""
+def _describe_jump(tracks: Mapping[str, Track], first: float, last: float) -> str:
+    """Return in words where the time of a log jumps, for logs that are too long."""
     steps = {each: float(np.max(np.diff(other.time))) for each, other in tracks.items()}
     name = max(steps, key=lambda each: steps[each])
     at = int(np.argmax(np.diff(tracks[name].time)))
@@ -64,8 +64,8 @@ def _jump(tracks: Mapping[str, Track], first: float, last: float) -> str:
     )
 
 
-def _together(notes: list[str], names: list[str]) -> list[str]:
-    """Return notes, each in one line, and those that say the same of several signals as one."""
+def _merged_notes(notes: list[str], names: list[str]) -> list[str]:
+    """Return one note per line, merging equal notes on several signals."""
     whom: dict[str, list[str]] = {}
     for note in map(visible, notes):
         name, _, what = note.partition(": ")
@@ -79,8 +79,8 @@ def _together(notes: list[str], names: list[str]) -> list[str]:
     ]
 
 
-def _clean(path: Path, name: str, track: Track, notes: list[str]) -> Track:
-    """Drop what is no number and what comes twice; sort what is out of order."""
+def _cleaned(path: Path, name: str, track: Track, notes: list[str]) -> Track:
+    """Return a track without NaN and repeated times, in order."""
     time, values = track.time, track.values
     good = np.isfinite(time) & np.isfinite(values)
     if not good.all():
@@ -114,7 +114,7 @@ def _clean(path: Path, name: str, track: Track, notes: list[str]) -> Track:
 
 
 def _check_unit(path: Path, name: str, values: Floats) -> None:
-    """Refuse a signal whose size says that it is in another unit."""
+    """Raise a LogError for a signal with values that only another unit would explain."""
     signal = SIGNALS[name]
     size = float(np.quantile(np.abs(values if name != "yaw" else values - values[0]), 0.99))
     guess = {"rad": "degrees", "rad/s": "degrees per second", "1": "per cent", "V": "millivolts", "m/s": "cm/s"}
@@ -127,7 +127,7 @@ def _check_unit(path: Path, name: str, values: Floats) -> None:
 
 
 def _sampled(name: str, track: Track, grid: Floats, notes: list[str]) -> Floats:
-    """Return a track on the grid, NaN where its samples are too far apart."""
+    """Return a track on the grid, NaN in gaps between its samples."""
     time, values = track.time, track.values
     before = np.clip(np.searchsorted(time, grid + 1e-9, side="right") - 1, 0, len(time) - 2)
     command = SIGNALS[name].command

@@ -51,14 +51,17 @@ class Samples:
 
 
 def _quaternion(given: Any) -> tuple[float, ...]:
+    """Return x, y, z, w of a message."""
     return given.x, given.y, given.z, given.w
 
 
 def _vector(given: Any) -> tuple[float, ...]:
+    """Return x, y, z of a message."""
     return given.x, given.y, given.z
 
 
-def _odometry(message: Any) -> tuple[float, ...]:
+def _odometry_values(message: Any) -> tuple[float, ...]:
+    """Return attitude, velocity and rates of an Odometry; NaN for unknown rates."""
     motion = message.twist.twist
     # A variance of -1 says that the rates are not known.
     known = message.twist.covariance[21] != -1.0
@@ -66,15 +69,16 @@ def _odometry(message: Any) -> tuple[float, ...]:
     return (*_quaternion(message.pose.pose.orientation), *_vector(motion.linear), *rates)
 
 
-def _imu(message: Any) -> tuple[float, ...]:
+def _imu_values(message: Any) -> tuple[float, ...]:
+    """Return attitude and rates of an Imu; NaN for an unknown attitude."""
     # By sensor_msgs/Imu -1 there says that the orientation is not known.
     known = message.orientation_covariance[0] != -1.0
     orientation = _quaternion(message.orientation) if known else (math.nan,) * 4
     return (*orientation, *_vector(message.angular_velocity))
 
 
-def _target(message: Any) -> tuple[float, ...]:
-    """Return attitude, yaw rate and thrust of a set-point of mavros, NaN for what it says is to be ignored."""
+def _target_values(message: Any) -> tuple[float, ...]:
+    """Return attitude, yaw rate and thrust of a mavros set-point; NaN for fields to be ignored."""
     ignored = message.type_mask
     attitude = (math.nan,) * 4 if ignored & _ATTITUDE else _quaternion(message.orientation)
     rate = math.nan if ignored & _YAW_RATE else message.body_rate.z
@@ -103,12 +107,12 @@ _AIM = "mavros_msgs/msg/AttitudeTarget"
 SOURCES = tuple(
     Source(topic, types, numbers)
     for topics, types, numbers in (
-        (("odom", "local_position/odom"), ("nav_msgs/msg/Odometry",), _odometry),
-        (("imu/data",), ("sensor_msgs/msg/Imu",), _imu),
+        (("odom", "local_position/odom"), ("nav_msgs/msg/Odometry",), _odometry_values),
+        (("imu/data",), ("sensor_msgs/msg/Imu",), _imu_values),
         (("pose", "local_position/pose"), (_POSE,), lambda message: _quaternion(message.pose.orientation)),
         (("velocity", "local_position/velocity_local"), (_TWIST,), lambda message: _vector(message.twist.linear)),
         (("battery",), ("sensor_msgs/msg/BatteryState",), lambda message: (message.voltage,)),
-        (("setpoint_raw/target_attitude", "setpoint_raw/attitude"), (_AIM,), _target),
+        (("setpoint_raw/target_attitude", "setpoint_raw/attitude"), (_AIM,), _target_values),
         (("setpoint_attitude/attitude",), (_POSE,), lambda message: _quaternion(message.pose.orientation)),
         (("setpoint_attitude/cmd_vel",), (_TWIST,), lambda message: (message.twist.angular.z,)),
         (("setpoint_attitude/thrust",), (_PLAIN,), lambda message: (message.data,)),
@@ -142,11 +146,11 @@ def read_bag(path: Path, vehicle: str | None = None) -> FlightLog:
     extras.require("ros2", "reading a bag of ROS 2", "rosbags")
     from rosbags.highlevel import AnyReader
 
-    _refuse_what_is_no_bag(path)
+    _check_is_bag(path)
     try:
-        with AnyReader([path], default_typestore=_types()) as reader:
+        with AnyReader([path], default_typestore=_default_types()) as reader:
             topics = {each.topic: each.msgtype for each in reader.connections}
-            namespace = _chosen(path, topics, vehicle)
+            namespace = _chosen_namespace(path, topics, vehicle)
             sources = {
                 topic: source for topic, kind in topics.items() if (source := _source_of(topic, kind, namespace))
             }
@@ -156,7 +160,7 @@ def read_bag(path: Path, vehicle: str | None = None) -> FlightLog:
                 message, source = reader.deserialize(raw, connection.msgtype), sources[connection.topic]
                 samples = found.setdefault(source.topic, Samples())
                 samples.received.append(nanoseconds * 1e-9)
-                samples.stamped.append(_stamp(message))
+                samples.stamped.append(_stamp_s(message))
                 samples.rows.append(source.numbers(message))
     except UsageError:
         raise
@@ -167,7 +171,8 @@ def read_bag(path: Path, vehicle: str | None = None) -> FlightLog:
     return prepare(path, "bag of ROS 2", tracks, notes)
 
 
-def _refuse_what_is_no_bag(path: Path) -> None:
+def _check_is_bag(path: Path) -> None:
+    """Raise an error for a folder without metadata.yaml, with the fix for it."""
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return
     if (path / "run.json").is_file():
@@ -178,7 +183,7 @@ def _refuse_what_is_no_bag(path: Path) -> None:
     )
 
 
-def _types() -> Any:
+def _default_types() -> Any:
     """Return the message types of bags that do not describe them."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -188,13 +193,15 @@ def _types() -> Any:
     return store
 
 
-def _stamp(message: Any) -> float:
+def _stamp_s(message: Any) -> float:
+    """Return the stamp of a message [s], NaN for types without one."""
     if message.__msgtype__ == _PLAIN:
         return math.nan
     return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
 def _source_of(topic: str, kind: str, namespace: str) -> Source | None:
+    """Return the source of a topic in a namespace, None for others."""
     prefix = f"/{namespace}/" if namespace else "/"
     if not topic.startswith(prefix):
         return None
@@ -202,8 +209,8 @@ def _source_of(topic: str, kind: str, namespace: str) -> Source | None:
     return next((each for each in SOURCES if each.topic == rest and kind in each.types), None)
 
 
-def _namespaces(topics: Mapping[str, str]) -> dict[str, set[str]]:
-    """Return by namespace the topics that are read."""
+def _topics_by_namespace(topics: Mapping[str, str]) -> dict[str, set[str]]:
+    """Return namespace -> topics that can be read."""
     found: dict[str, set[str]] = {}
     for topic, kind in topics.items():
         for source in SOURCES:
@@ -212,48 +219,56 @@ def _namespaces(topics: Mapping[str, str]) -> dict[str, set[str]]:
     return found
 
 
-def _chosen(path: Path, topics: Mapping[str, str], vehicle: str | None) -> str:
-    """Return the namespace that is read."""
-    there = _namespaces(topics)
-    whole = [name for name, own in there.items() if not _lacking(own)]
+def _chosen_namespace(path: Path, topics: Mapping[str, str], vehicle: str | None) -> str:
+    """Return the namespace to read; raises an error if it is ambiguous."""
+    there = _topics_by_namespace(topics)
+    whole = [name for name, own in there.items() if not _missing_signals(own)]
     if vehicle is not None:
         name = vehicle.strip("/")
         if name not in there:
             raise UsageError(f"{path}: no vehicle '{vehicle}'{did_you_mean(name, there)}")
         if name not in whole:
-            raise UsageError(f"{path}: vehicle '{vehicle}' has no topic of its {_needed(_lacking(there[name]))}")
+            raise UsageError(
+                f"{path}: vehicle '{vehicle}' has no topic of its {_describe_needed(_missing_signals(there[name]))}"
+            )
         return name
     if len(whole) > 1:
-        raise UsageError(f"{path}: a bag of several vehicles, {_listed(sorted(whole))}; --namespace NAME chooses one")
+        raise UsageError(
+            f"{path}: a bag of several vehicles, {_short_list(sorted(whole))}; --namespace NAME chooses one"
+        )
     if not whole:
-        lacking = min((_lacking(own) for own in there.values()), key=len, default=list(NEEDED))
-        shown = _listed([f"{topic} ({kind})" for topic, kind in sorted(topics.items())]) or "none"
-        raise LogError(f"{path}: no topic of a vehicle's {_needed(lacking)}; there: {shown}")
+        lacking = min((_missing_signals(own) for own in there.values()), key=len, default=list(NEEDED))
+        shown = _short_list([f"{topic} ({kind})" for topic, kind in sorted(topics.items())]) or "none"
+        raise LogError(f"{path}: no topic of a vehicle's {_describe_needed(lacking)}; there: {shown}")
     return whole[0]
 
 
-def _lacking(own: set[str]) -> list[str]:
+def _missing_signals(own: set[str]) -> list[str]:
+    """Return the needed signals that no topic has."""
     return [what for what, topics in NEEDED.items() if not own & set(topics)]
 
 
-def _needed(lacking: list[str]) -> str:
+def _describe_needed(lacking: list[str]) -> str:
+    """Return in words the topics that could provide the missing signals."""
     return "; ".join(f"{what}, one of {', '.join(NEEDED[what])}" for what in lacking)
 
 
-def _listed(names: list[str]) -> str:
+def _short_list(names: list[str]) -> str:
+    """Return up to MOST_SHOWN names, and the number of the others."""
     more = len(names) - MOST_SHOWN
     return ", ".join(names[:MOST_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _tracks(found: Mapping[str, Samples], notes: list[str]) -> dict[str, Track]:
-    """Return the signals; of several topics for the same one the first of SOURCES that has numbers."""
-    late = _late(found)
+    """Return the signals, each from the first topic of SOURCES that has numbers for it."""
+    late = _recording_delay(found)
     tracks: dict[str, Track] = {}
 
     def add(names: tuple[str, ...], topic: str, columns: Floats) -> None:
+        """Add the columns of a topic as tracks, if at least two rows are finite."""
         # Of a topic that says nothing of it, nothing.
         if np.isfinite(columns).all(axis=1).sum() >= 2:
-            times = _times(found[topic], late)
+            times = _sample_times(found[topic], late)
             for name, column in zip(names, columns.T, strict=True):
                 tracks.setdefault(name, Track(times, column))
 
@@ -293,8 +308,8 @@ def _tracks(found: Mapping[str, Samples], notes: list[str]) -> dict[str, Track]:
     return tracks
 
 
-def _late(found: Mapping[str, Samples]) -> float:
-    """Return how much later than their stamps messages were recorded [s], which for simulated time is anything."""
+def _recording_delay(found: Mapping[str, Samples]) -> float:
+    """Return how much later than their stamps messages were recorded [s]; any value for simulated time."""
     gaps = [
         np.median(np.array(samples.received) - np.array(samples.stamped))
         for samples in found.values()
@@ -303,7 +318,8 @@ def _late(found: Mapping[str, Samples]) -> float:
     return float(np.median(gaps)) if gaps else 0.0
 
 
-def _times(samples: Samples, late: float) -> Floats:
+def _sample_times(samples: Samples, late: float) -> Floats:
+    """Return the times (T,) [s] of samples: stamps, or times of recording minus the delay."""
     stamped = np.array(samples.stamped)
     return stamped if np.isfinite(stamped).all() and stamped.any() else np.array(samples.received) - late
 

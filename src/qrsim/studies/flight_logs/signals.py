@@ -84,7 +84,7 @@ class FlightLog:
     rates: dict[str, float] = field(default_factory=dict)
 
     def require(self, names: Iterable[str], purpose: str) -> None:
-        """Refuse a log that lacks a signal.
+        """Raise a LogError for a log that lacks a signal.
 
         Raises:
             LogError: names what is missing and lists what is there.

@@ -46,8 +46,8 @@ def read_table(path: Path) -> FlightLog:
         reader: CsvRows | None = None
         try:
             reader = CsvRows(stream, strict=False)
-            wanted, ignored = _columns(path, reader.header)
-            values = _numbers(path, reader, wanted)
+            wanted, ignored = _parsed_header(path, reader.header)
+            values = _parsed_columns(path, reader, wanted)
         except csv.Error as error:
             raise LogError(f"{path}: line {reader.line_num if reader else 1}: not CSV: {error}") from None
     time = values.pop("time")
@@ -55,8 +55,8 @@ def read_table(path: Path) -> FlightLog:
     return prepare(path, "CSV", {name: Track(time, column) for name, column in values.items()}, notes)
 
 
-def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]], list[str]]:
-    """Return by signal its place and its factor to SI, and the names of the other columns."""
+def _parsed_header(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]], list[str]]:
+    """Return (column index, factor to SI) by signal, and the names of the other columns."""
     wanted: dict[str, tuple[int, float]] = {}
     ignored: list[str] = []
     known = ["time", *SIGNALS]
@@ -85,7 +85,7 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
     return wanted, ignored
 
 
-def _numbers(path: Path, reader: CsvRows, wanted: dict[str, tuple[int, float]]) -> dict[str, Floats]:
+def _parsed_columns(path: Path, reader: CsvRows, wanted: dict[str, tuple[int, float]]) -> dict[str, Floats]:
     """Return the columns in SI; an empty field and 'nan' are NaN."""
     header = reader.header
     table = {name: array.array("d") for name in wanted}

@@ -56,9 +56,11 @@ def read_ulog(path: Path) -> FlightLog:
 
 
 def _tracks(topics: dict[str, Any], notes: list[str]) -> dict[str, Track]:
+    """Return the signals of the topics in SI, adding notes on choices."""
     tracks: dict[str, Track] = {}
 
     def add(name: str, topic: str, values: Floats) -> None:
+        """Add the values of a topic as a track."""
         tracks[name] = Track(topics[topic]["timestamp"] * 1e-6, np.asarray(values, np.float64))
 
     attitude = topics.get("vehicle_attitude")

@@ -30,7 +30,7 @@ _DEEPEST = 20
 
 
 def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
-    """Return pyulog's view of some topics of a log, and notes about what is damaged.
+    """Open some topics of a log with pyulog; return its object, and notes on damage.
 
     Raises:
         LogError: it cannot be read.
@@ -57,7 +57,7 @@ def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
     begins where the log was cut; here it follows the last whole message, and the flags have no offsets.
     """
     kept, place, lost, damaged, defining = [content[:_HEADER]], _HEADER, 0, False, True
-    for end in (*_appended(content), len(content)):
+    for end in (*_appended_offsets(content), len(content)):
         while place + _HEAD <= end:
             following = place + _HEAD + int.from_bytes(content[place : place + 2], "little")
             kind = content[place + 2]
@@ -84,8 +84,8 @@ def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
     return kept, notes
 
 
-def _appended(content: bytes) -> list[int]:
-    """Return where appended data begins, in ascending order."""
+def _appended_offsets(content: bytes) -> list[int]:
+    """Return the offsets of appended data, in ascending order."""
     end = _HEADER + _OFFSETS_AT + _OFFSETS.size
     if len(content) < end or content[_HEADER + 2] != ord("B"):
         return []
@@ -93,12 +93,13 @@ def _appended(content: bytes) -> list[int]:
 
 
 def _without_offsets(flags: bytes) -> bytes:
+    """Return the flag bits of a log with the offsets of appended data set to zero."""
     after = _OFFSETS_AT + _OFFSETS.size
     return flags[:_OFFSETS_AT] + bytes(len(flags[_OFFSETS_AT:after])) + flags[after:]
 
 
 def _check_fields(messages: list[bytes], form: Any) -> None:
-    """Refuse topics with so many fields that pyulog would take hours to list them.
+    """Raise a ValueError for topics with so many nested fields that pyulog would take hours.
 
     Raises:
         ValueError: too many, or formats nested too deeply or in themselves.
@@ -107,6 +108,7 @@ def _check_fields(messages: list[bytes], form: Any) -> None:
     counts: dict[str, int] = {}
 
     def count(name: str, depth: int) -> int:
+        """Return the number of fields of a format, those of nested formats included."""
         if depth > _DEEPEST:
             raise ValueError(f"its formats are nested more than {_DEEPEST} deep")
         if name not in formats:

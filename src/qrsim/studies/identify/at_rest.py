@@ -41,7 +41,7 @@ class Term:
 
     @property
     def seen(self) -> bool:
-        """Whether the interval keeps away from nothing."""
+        """Whether the interval excludes zero."""
         return self.low > 0.0
 
 
@@ -94,6 +94,7 @@ def noise_of(values: Floats, period: float) -> Noise:
     basis, weight = shapes(windows), np.sqrt(freedom / 2.0)
 
     def fit(measured: Floats) -> Floats:
+        """Return the squared noise terms that fit measured Allan variances, by non-negative least squares."""
         scale = weight / measured
         found, _ = scipy.optimize.nnls(basis * scale[:, None], measured * scale)
         return np.asarray(found)
@@ -106,7 +107,7 @@ def noise_of(values: Floats, period: float) -> Noise:
         normal = rng.standard_normal(octave[-1] + 1)[octave]
         drawn.append(fit(basis @ squares * np.maximum(1.0 + normal * np.sqrt(2.0 / freedom), 0.05)))
     low, high = np.quantile(np.sqrt(drawn), [0.025, 0.975], axis=0)
-    found = {name: _term(*row) for name, *row in zip(TERMS, np.sqrt(squares), low, high, strict=True)}
+    found = {name: _noise_term(*row) for name, *row in zip(TERMS, np.sqrt(squares), low, high, strict=True)}
     return Noise(windows, variance, basis @ squares, found, values.mean(axis=0))
 
 
@@ -120,8 +121,8 @@ def _freedom(count: int, lengths: NumpyArray) -> Floats:
     return np.asarray((n - 2.0) / m * squares / np.square(n - 3.0))
 
 
-def _term(value: float, low: float, high: float) -> Term:
-    """Return a term whose estimates, were it the truth, lie between two numbers in 95 of 100 logs."""
+def _noise_term(value: float, low: float, high: float) -> Term:
+    """Return a noise term with its 95 % interval."""
     if low <= 0.0:
         return Term(float(value), 0.0, float(high))
     # What is as far from the truth by a factor as estimates are from it.
@@ -129,7 +130,7 @@ def _term(value: float, low: float, high: float) -> Term:
 
 
 def at_rest(readings: Readings, source: str) -> tuple[Readings, tuple[float, float]]:
-    """Return the longest part of a log in which the sensor stands still, and from when to when [s] that is.
+    """Return the longest part of a log at rest, and its begin and end [s].
 
     Raises:
         LogError: it does so for no minute, or a channel never changes.
@@ -163,7 +164,9 @@ def at_rest(readings: Readings, source: str) -> tuple[Readings, tuple[float, flo
 
 
 def sensor_of(found: Mapping[str, Noise], preset: str) -> dict[str, object]:
-    """Return the sensor ``imu`` of a scenario with the noise that was seen; what was not is that of the preset."""
+    """Return the sensor ``imu`` of a scenario with the estimated noise; terms that were not seen keep the preset's
+    value.
+    """
     numbers = {
         f"{kind}_{name}": float(f"{term.value:.4g}")
         for kind, noise in found.items()

@@ -129,7 +129,7 @@ def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
 
 
 def check_names(names: Iterable[str], separate: bool) -> None:
-    """Refuse names that are not constants.
+    """Raise a UsageError for names that are not constants.
 
     Raises:
         UsageError: names the nearest one.

@@ -118,6 +118,7 @@ class _Sum:
             shooting.robust = robust
 
     def _is_given(self, name: str) -> bool:
+        """Return whether the user has given a value, so that it is not estimated."""
         return name == "delay" and self.question.delay is not None
 
     def bounds(self) -> tuple[Floats, Floats]:
@@ -132,11 +133,11 @@ class _Sum:
         return low / self.scale, high / self.scale
 
     def first(self) -> Floats:
-        """Return the scaled unknowns to begin with."""
+        """Return the scaled unknowns at the start of the fit."""
         return np.array([self.question.start.get(name, 0.0) for name in self.names]) / self.scale
 
     def of_log(self, unknowns: Floats, i: int) -> dict[str, float]:
-        """Return all values to simulate a log: the constants and its own nuisances, those held and given too.
+        """Return all values that simulate a log: the constants and its nuisances, those held or given included.
 
         What is held is among them, so that the compiled simulation is the same whatever is.
         """
@@ -155,9 +156,10 @@ class _Sum:
         for i, shooting in enumerate(self.shootings):
             misfit = shooting.misfit(values := self.of_log(unknowns, i), noise[i])
             place = {name: k for k, name in enumerate(values)}
-            own = [place.get(name if "@" not in name else self._own(name, i), -1) for name in self.names]
+            own = [place.get(name if "@" not in name else self._name_in_log(name, i), -1) for name in self.names]
 
             def spread(by_value: Floats, own: list[int] = own) -> Floats:
+                """Return derivatives by a log's values as derivatives by all scaled unknowns."""
                 padded = np.concatenate([by_value, np.zeros((*by_value.shape[:-1], 1))], axis=-1)
                 return padded[..., own] * self.scale
 
@@ -170,8 +172,8 @@ class _Sum:
         self._last = now, misfits
         return misfits
 
-    def _own(self, name: str, i: int) -> str:
-        """Return a nuisance's name in its own log, elsewhere one that is not there."""
+    def _name_in_log(self, name: str, i: int) -> str:
+        """Return a nuisance's name in its own log, and in other logs a name that does not occur."""
         base, _, log = name.partition("@")
         return base if int(log) == i else ""
 
@@ -210,7 +212,7 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
     unknowns, noise = total.first(), [_first_noise(piece, question.ignored) for piece in pieces]
     if question.delay is None:
         unknowns = _search_delays(total, unknowns, noise)
-    unknowns, noise = _rounds(total, unknowns, noise, progress)
+    unknowns, noise = _alternate(total, unknowns, noise, progress)
     answer = _answer(total, unknowns, noise)
     # Constants whose intervals are wide are told as such; only a log that nothing shows in is refused.
     if not (answer.covariance.information[: len(total.constants)] > 0.0).any():
@@ -246,17 +248,17 @@ def _search_delays(total: _Sum, unknowns: Floats, noise: list[dict[str, float]])
     return unknowns
 
 
-def _rounds(
+def _alternate(
     total: _Sum, unknowns: Floats, noise: list[dict[str, float]], progress: Progress
 ) -> tuple[Floats, list[dict[str, float]]]:
-    """Alternate between the unknowns and the noise of each channel until the noise stays."""
+    """Alternate between estimating the unknowns and the noise of each channel until the noise converges."""
     low, high = total.bounds()
     for number in range(ROUNDS):
         # At first plain squares: far from the optimum the robust loss would take for outliers what tells most.
         total.be_robust(total.question.robust and number > 0)
         unknowns = _least_squares(total, np.clip(unknowns, low, high), noise, 1e-4 if number == 0 else 1e-7)
         before = noise
-        noise = _noise(total, unknowns, noise)
+        noise = _channel_noise(total, unknowns, noise)
         for shooting in total.shootings:
             shooting.learn_gust()
         change = max(abs(math.log(b[n] / a[n])) for a, b in zip(before, noise, strict=True) for n in a)
@@ -272,6 +274,7 @@ def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], to
     last: dict[str, Any] = {}
 
     def both(unknowns: Floats) -> tuple[Floats, Floats]:
+        """Return residuals and their Jacobian, cached for the last unknowns."""
         if "at" not in last or not np.array_equal(last["at"], unknowns):
             misfits = total.evaluate(unknowns, noise)
             prior, matrix = total.prior(unknowns)
@@ -299,8 +302,8 @@ def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], to
     ).x
 
 
-def _noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Return the standard deviation that each channel's residual has, in the sense of the robust loss."""
+def _channel_noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Return the standard deviation of each channel's residuals under the robust loss."""
     misfits = total.evaluate(unknowns, noise)
     result = []
     for misfit, scale, shooting in zip(misfits, noise, total.shootings, strict=True):
@@ -313,10 +316,13 @@ def _noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list
     return result
 
 
-def _covariance(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> tuple[Covariance, list[Floats]]:
+def _unknowns_covariance(
+    total: _Sum, unknowns: Floats, noise: list[dict[str, float]]
+) -> tuple[Covariance, list[Floats]]:
+    """Return the covariance of the unknowns at the solution, and the residuals of each log."""
     misfits = total.evaluate(unknowns, noise)
     lengths = [len(shooting.piece.windows) * shooting.piece.log.dt for shooting in total.shootings]
-    found = covariance(
+    matrix = covariance(
         total.names,
         unknowns * total.scale,
         total.scale,
@@ -325,7 +331,7 @@ def _covariance(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) ->
         total.prior(unknowns)[1],
         total.question.robust,
     )
-    return found, [each.residual for each in misfits]
+    return matrix, [each.residual for each in misfits]
 
 
 def _undetermined(total: _Sum, found: Covariance) -> dict[str, str]:
@@ -342,13 +348,13 @@ def _undetermined(total: _Sum, found: Covariance) -> dict[str, str]:
         elif half > LARGEST_HALF_WIDTH * width_of(name, total.question):
             left[name] = (
                 f"its 95 % interval is +-{half:.3g}, against {width_of(name, total.question):.3g} of its prior: "
-                + (_partners(total, found, k) or "too little excitation")
+                + (_name_partners(total, found, k) or "too little excitation")
             )
     return left
 
 
-def _partners(total: _Sum, found: Covariance, k: int) -> str:
-    """Return the constants from which one is not to be told, in words; "" if there are none."""
+def _name_partners(total: _Sum, found: Covariance, k: int) -> str:
+    """Return in words the constants that one cannot be separated from; "" if there are none."""
     others = [(abs(found.correlation[k, i]), name) for i, name in enumerate(total.constants) if i != k]
     near = [name for size, name in sorted(others, reverse=True)[:2] if size > COMBINED]
     return f"not to be told from {' and '.join(near)}" if near else ""
@@ -356,7 +362,7 @@ def _partners(total: _Sum, found: Covariance, k: int) -> str:
 
 def _answer(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Answer:
     """Return the constants and their covariance at the solution ``unknowns``, which is scaled by ``total.scale``."""
-    found, residuals = _covariance(total, unknowns, noise)
+    found, residuals = _unknowns_covariance(total, unknowns, noise)
     left = _undetermined(total, found)
     real = dict(zip(total.names, (unknowns * total.scale).tolist(), strict=True))
     low, high = total.bounds()

@@ -38,7 +38,7 @@ def identify(
     train: float = TRAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Result:
-    """Fit the first share ``train`` of each log and score the rest, which can only reject constants.
+    """Fit the first fraction ``train`` of each log and score the rest, which can only reject constants.
 
     Args:
         logs: what was read.
@@ -53,11 +53,11 @@ def identify(
         RunError: no fit predicts the held-out parts better than the start does.
     """
     begun = time.perf_counter()
-    logs = [_flown(log, question, progress) for log in logs]
+    logs = [_flight_rows(log, question, progress) for log in logs]
     for log in logs:
         cut(log, math.inf, train, 1.0)  # refuses at once a log with nothing to score
-    pieces = _pieces(logs, horizon, train, progress)
-    question = replace(question, constants=_constants(question, pieces))
+    pieces = _training_pieces(logs, horizon, train, progress)
+    question = replace(question, constants=_selected_constants(question, pieces))
     excitations = [measure(piece.log, piece.rows) for piece in pieces]
     pieces = [
         replace(piece, silent=tuple(name for name in each.silent if name in piece.channels))
@@ -70,8 +70,8 @@ def identify(
         progress(f"{name}: held at its start: {why}")
     while True:
         question = replace(question, held=tuple(held))
-        answer = _solved(question, pieces, progress)
-        scores = _scores(question, answer, logs, train)
+        answer = _solve(question, pieces, progress)
+        scores = _held_out_scores(question, answer, logs, train)
         hold, doubtful = worse(answer, question, excitations, scores)
         found = objections(answer, question) or hold
         if not found:
@@ -95,7 +95,7 @@ def identify(
     )
 
 
-def _constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
+def _selected_constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
     """Return the requested constants, or all that the signals of the logs depend on."""
     shown = {name: None for piece in pieces for name in constants_in(piece.channels, question.separate)}
     if not question.constants:
@@ -111,8 +111,8 @@ def _constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
     return question.constants
 
 
-def _flown(log: FlightLog, question: Question, progress: Callable[[str], None]) -> FlightLog:
-    """Return a log without the rows in which it stands on the ground or a sensor hangs.
+def _flight_rows(log: FlightLog, question: Question, progress: Callable[[str], None]) -> FlightLog:
+    """Return a log without the rows on the ground or with a frozen sensor.
 
     Raises:
         LogError: it stands there nearly all the time.
@@ -127,8 +127,10 @@ def _flown(log: FlightLog, question: Question, progress: Callable[[str], None]) 
     return flown
 
 
-def _pieces(logs: Sequence[FlightLog], horizon: float, train: float, progress: Callable[[str], None]) -> list[Piece]:
-    """Return the training part of each log; windows are shorter where there would be too few to compare."""
+def _training_pieces(
+    logs: Sequence[FlightLog], horizon: float, train: float, progress: Callable[[str], None]
+) -> list[Piece]:
+    """Return the training part of each log; windows are shorter if there would be too few to compare."""
     pieces = [cut(log, horizon, 0.0, train) for log in logs]
     if sum(piece.windows.shape[1] for piece in pieces) >= FEWEST_WINDOWS:
         return pieces
@@ -140,7 +142,8 @@ def _pieces(logs: Sequence[FlightLog], horizon: float, train: float, progress: C
     return [cut(log, shorter, 0.0, train) for log in logs]
 
 
-def _solved(question: Question, pieces: Sequence[Piece], progress: Callable[[str], None]) -> Answer:
+def _solve(question: Question, pieces: Sequence[Piece], progress: Callable[[str], None]) -> Answer:
+    """Solve the fit; raises RunError that names the logs if the equations have no solution."""
     try:
         return solve(question, pieces, progress)
     except (np.linalg.LinAlgError, FloatingPointError) as error:
@@ -148,7 +151,10 @@ def _solved(question: Question, pieces: Sequence[Piece], progress: Callable[[str
         raise RunError(f"{named}: the equations of the fit have no solution ({error}); nothing is written") from None
 
 
-def _scores(question: Question, answer: Answer, logs: Sequence[FlightLog], train: float) -> list[dict[str, object]]:
+def _held_out_scores(
+    question: Question, answer: Answer, logs: Sequence[FlightLog], train: float
+) -> list[dict[str, object]]:
+    """Return the scores of the constants on the held-out part of each log."""
     return [
         score(log, (train, 1.0), question.start, answer.values, answer.nuisances[i], question.separate)
         for i, log in enumerate(logs)

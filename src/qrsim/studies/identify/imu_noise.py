@@ -17,7 +17,7 @@ PRESET = "icm42688p"
 
 
 def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool, as_json: bool) -> None:
-    """Fit, write the sensor and the picture beside it, and print what was found.
+    """Fit the noise, write the sensor and its picture, and print the result.
 
     Raises:
         UsageError: no such file, or nothing between ``begin`` and ``end`` [s].
@@ -52,7 +52,7 @@ def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool,
         "picture": str(picture),
         "at_rest_s": list(span),
         "rate_hz": 1.0 / still.period,
-        "noise": {kind: _terms(kind, noise) for kind, noise in found.items()},
+        "noise": {kind: _terms_content(kind, noise) for kind, noise in found.items()},
         "mean": {kind: noise.mean.tolist() for kind, noise in found.items()},
     }
     if as_json:
@@ -60,10 +60,11 @@ def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool,
 
         print(json.dumps(content, indent=2))
     else:
-        _print(found, content, quiet=quiet)
+        _print_terms(found, content, quiet=quiet)
 
 
-def _terms(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
+def _terms_content(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
+    """Return the noise terms of a sensor kind as plain values with units."""
     from qrsim.studies.identify.at_rest import UNITS
 
     return {
@@ -72,7 +73,8 @@ def _terms(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
     }
 
 
-def _print(found: Mapping[str, Noise], content: Content, *, quiet: bool) -> None:
+def _print_terms(found: Mapping[str, Noise], content: Content, *, quiet: bool) -> None:
+    """Print the noise terms with their intervals, and the files that were written."""
     first, last = content["at_rest_s"]
     if not quiet:
         print(f"at rest from {first:.0f} to {last:.0f} s, {content['rate_hz']:.4g} readings a second")
@@ -110,7 +112,7 @@ def draw(found: Mapping[str, Noise]) -> Any:
 
 
 def checked_imu(logs: list[Path], out: Path, default: Path, *, overwrite: bool) -> Path:
-    """Return the file to write.
+    """Check the path of the file to write, and return it; raises UsageError.
 
     Raises:
         UsageError: not one log, a name of another kind, or a file that exists.

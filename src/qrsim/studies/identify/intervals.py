@@ -157,7 +157,7 @@ def _blocks(misfits: Sequence[Misfit], window_s: Sequence[float], robust: bool) 
 
 
 def _freedom(curvatures: Floats, without: Floats, inverse: Floats) -> Floats:
-    """Return the degrees of freedom (K,) that the sum of squared moves of each unknown has, were residuals white.
+    """Return the degrees of freedom (K,) of the sum of squared moves of each unknown, for white residuals.
 
     Satterthwaite: tr(S)^2/tr(S^2), with S (B, B) the covariance of the moves of the blocks.
     """

@@ -41,11 +41,13 @@ def thrust(values: Values, throttle: float) -> float:
     return values["cth0"] + raw * (values["cth1"] + raw * values["cth2"])
 
 
-def _weights(values: Values, throttle: float) -> float:
+def _thrust_to_weight(values: Values, throttle: float) -> float:
+    """Return the ratio of steady thrust to weight at a throttle (0 to 1)."""
     return thrust(values, throttle) / (GRAVITY * values["mass"])
 
 
-def _tilt(axis: str, names: tuple[str, ...]) -> Iterator[Meaning]:
+def _tilt_meanings(axis: str, names: tuple[str, ...]) -> Iterator[Meaning]:
+    """Yield the quantities that the constants of pitch or roll mean: gain, natural frequency, damping ratio."""
     gain, stiffness, damping = names
     yield Meaning(
         (gain,), f"{axis} per angle asked for [rad/rad]", 0.3, 3.0, lambda v: v[gain] / PITCH_ROLL_RAD_PER_RAW
@@ -63,8 +65,8 @@ def _tilt(axis: str, names: tuple[str, ...]) -> Iterator[Meaning]:
 
 
 MEANINGS: tuple[Meaning, ...] = (
-    *_tilt("roll", ROLL),
-    *_tilt("pitch", PITCH),
+    *_tilt_meanings("roll", ROLL),
+    *_tilt_meanings("pitch", PITCH),
     Meaning(("kr1",), "time constant of the yaw rate [s]", 0.02, 5.0, lambda v: 1.0 / max(-v["kr1"], 1e-12)),
     Meaning(
         ("kr0", "kr1"),
@@ -75,16 +77,20 @@ MEANINGS: tuple[Meaning, ...] = (
     ),
     Meaning(("kuv",), "time constant of drag along x and y [s]", 0.2, 200.0, lambda v: 1.0 / max(-v["kuv"], 1e-12)),
     Meaning(("kw",), "time constant of drag along z [s]", 0.1, 200.0, lambda v: 1.0 / max(-v["kw"], 1e-12)),
-    Meaning(("cth0",), "thrust without throttle over the weight [1]", -0.5, 0.5, lambda v: _weights(v, 0.0)),
+    Meaning(("cth0",), "thrust without throttle over the weight [1]", -0.5, 0.5, lambda v: _thrust_to_weight(v, 0.0)),
     Meaning(
-        ("cth0", "cth1", "cth2"), "thrust at full throttle over the weight [1]", 1.05, 15.0, lambda v: _weights(v, 1.0)
+        ("cth0", "cth1", "cth2"),
+        "thrust at full throttle over the weight [1]",
+        1.05,
+        15.0,
+        lambda v: _thrust_to_weight(v, 1.0),
     ),
     Meaning(
         ("cth1", "cth2"),
         "thrust that the upper half of the throttle adds, over the weight [1]",
         0.1,
         15.0,
-        lambda v: _weights(v, 1.0) - _weights(v, 0.5),
+        lambda v: _thrust_to_weight(v, 1.0) - _thrust_to_weight(v, 0.5),
     ),
     Meaning(("tau0",), "response of thrust below the least throttle [1/s]", 0.05, 100.0, lambda v: v["tau0"]),
     Meaning(

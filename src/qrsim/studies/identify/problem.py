@@ -78,12 +78,12 @@ class Piece:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """Indices of the measured channels among all."""
+        """Indices of the measured channels among all channels."""
         return tuple(PLACE[name] for name in self.channels)
 
     @property
     def gusts(self) -> tuple[int, ...]:
-        """Places of the gust and its drift in a window's start; none where no velocity is measured."""
+        """Columns of the gust and its drift in a window's start; none if no velocity is measured."""
         return (*GUST, *DRIFT) if "velocity_north" in self.channels else ()
 
     @property
@@ -139,7 +139,7 @@ def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, w
 
 
 def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
-    """Return (T, 5) commands in the order of Command, gaps held, and which rows have a gap."""
+    """Return commands (T, 5) in the order of Command with gaps filled, and which rows have a gap."""
     rows = len(log.time)
     columns, missing = [], np.zeros(rows, bool)
     names = (TILT_COMMANDS[1], TILT_COMMANDS[0], "throttle", TILT_COMMANDS[2], "battery")
@@ -154,7 +154,7 @@ def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
 
 
 def _runs(good: NumpyArray) -> list[tuple[int, int]]:
-    """Return (begin, end) of each run of True."""
+    """Return (begin, end) of each run of True in a row of booleans."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -235,6 +235,7 @@ class Shooting:
             self.gust = np.maximum(np.sqrt(np.stack([across, across, down], axis=1).ravel()), SMALLEST_GUST)
 
     def _gusts(self) -> Floats:
+        """Return the gusts and drifts of each window's start."""
         return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:
@@ -243,6 +244,7 @@ class Shooting:
             return np.asarray(predict(self.piece.places, **self._arguments(values)))
 
     def _arguments(self, values: Mapping[str, float]) -> dict[str, object]:
+        """Return the arguments that every simulation of the windows needs."""
         piece = self.piece
         return {
             "names": tuple(values),
@@ -256,7 +258,7 @@ class Shooting:
         }
 
     def _sums(self, residual: Floats, by_value: Floats, by_start: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return, of each window, the weighted J'J of the starts, that with the unknowns, and J'r."""
+        """Return for each window the weighted J'J of the starts, J'J with the unknowns, and J'r."""
         weighted = by_start * weights(residual, self.robust)[..., None]
         normal = np.einsum("wncd,wnce->nde", weighted, by_start)
         # A start that a window does not show (a rate at its last row) stays where it is.

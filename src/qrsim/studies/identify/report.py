@@ -131,6 +131,7 @@ def page(result: Result) -> str:
 
 
 def _log_section(result: Result, i: int) -> list[str]:
+    """Return the lines of Markdown about one log."""
     content = result.to_json()["logs"][i]
     lines = [
         f"## {Path(content['file']).name} ({content['kind']})",

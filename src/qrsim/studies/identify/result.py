@@ -58,7 +58,7 @@ class Result:
         return found
 
     def effective(self) -> dict[str, list[str]]:
-        """Return the identified constants whose residuals are not white, each with the channels where they are not.
+        """Return the identified constants with coloured residuals, each with the channels that show this.
 
         These have motion that the equations leave out: the constants are those with which the equations come nearest
         to such flights, and their intervals are of that, not of what the vehicle has.
@@ -109,7 +109,7 @@ class Result:
                     "file": str(piece.log.source),
                     "kind": piece.log.kind,
                     "notes": piece.log.notes,
-                    "nuisances": self._nuisances(i),
+                    "nuisances": self._nuisance_values(i),
                     "channels": self.channels(i),
                     "standing_still_share": self.excitations[i].still,
                     "noise": self.answer.noise[i],
@@ -146,14 +146,15 @@ class Result:
                 found[name]["identified"] = name in known
         return found
 
-    def _nuisances(self, i: int) -> dict[str, Content]:
-        found: dict[str, Content] = {}
+    def _nuisance_values(self, i: int) -> dict[str, Content]:
+        """Return the nuisance parameters of a log with units and intervals."""
+        content: dict[str, Content] = {}
         for name, value in self.answer.nuisances[i].items():
-            found[name] = {"value": value, "unit": unit_of(name)}
+            content[name] = {"value": value, "unit": unit_of(name)}
             names = self.answer.covariance.names
             if f"{name}@{i}" in names and not self.answer.covariance.lost[names.index(f"{name}@{i}")]:
-                found[name]["low"], found[name]["high"] = self.answer.covariance.interval(f"{name}@{i}")
-        return found
+                content[name]["low"], content[name]["high"] = self.answer.covariance.interval(f"{name}@{i}")
+        return content
 
     def vehicle(self) -> Content:
         """Return the vehicle in the form of scenario files."""

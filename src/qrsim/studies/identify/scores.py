@@ -64,7 +64,7 @@ def score(
     }
     result["lower_percent"] = lower(result["start"], result["identified"])
     if set(VELOCITY) <= set(piece.channels):
-        result["velocity_5_s"] = _horizon(log, share, cases, separate)
+        result["velocity_5_s"] = _velocity_error(log, share, cases, separate)
     return result
 
 
@@ -74,7 +74,7 @@ def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, 
     return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
 
 
-def _horizon(
+def _velocity_error(
     log: FlightLog, share: tuple[float, float], cases: Mapping[str, tuple[Any, Any]], separate: bool
 ) -> Content:
     """Return the mean squared error of the horizontal velocity [(m/s)^2] within 5 s of starts from the record."""

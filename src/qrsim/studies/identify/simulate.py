@@ -43,7 +43,10 @@ def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: A
         first = jnp.minimum(vehicle.wanted_thrust(throttle[0]), vehicle.cvb0 + vehicle.cvb1 * battery[0])
 
     def tick(thrust: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Advance the thrust by one row; return it before the row too."""
+
         def slope(now: Array) -> tuple[Array, Array]:
+            """Return the rate of the thrust [N/s], twice as ``heun`` needs."""
             rate = vehicle.thrust_rate(now, row[0], row[1], dt)
             return rate, rate
 
@@ -71,6 +74,7 @@ def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, drift
     noise = ProcessNoise(zero, zero)
 
     def tick(state: QuadrotorState, now: tuple[Array, Array]) -> tuple[QuadrotorState, Array]:
+        """Advance the state by one row; return it and the channels before."""
         row, part = now
         wind = wind_ned + drift_ned * part
         over_ground = rotation(state.attitude).to_ned(state.velocity_body)
@@ -141,6 +145,7 @@ def linearised(
     """
 
     def moved(both: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Return the channels for shifted unknowns and starts, twice for ``jacfwd`` with its value."""
         theta, shift = both
         shifted = starts.at[:, jnp.array(free)].add(jnp.broadcast_to(shift, (starts.shape[0], len(free))))
         found = channels(unknowns=theta, starts=shifted, **rest)[:, :, jnp.array(places)]

@@ -70,7 +70,7 @@ def coloured_channels(
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:
-    """Return the constants that no log excites, with the reason."""
+    """Return the constants that no log excites, each with the reason."""
     held = {}
     for name in names:
         aspects = aspects_of(name, separate)
@@ -84,7 +84,7 @@ def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excita
 
 
 def objections(answer: Answer, question: Question) -> dict[str, str]:
-    """Return the fitted constants whose values cannot be written, with the reason."""
+    """Return the fitted constants that are not fit to be written, each with the reason."""
     fitted = tuple(name for name in question.constants if name not in question.held)
     found = implausible(answer.values, fitted)
     for name in fitted:
@@ -109,7 +109,7 @@ def worse(
     excitations: Sequence[Excitation],
     scores: Sequence[Content],
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the fitted constants of aspects with a held-out channel predicted no better than by the start.
+    """Return the fitted constants that predict a held-out channel no better than their start.
 
     Returns:
         Those to hold, and those of aspects that are better in the mean while the worst channel is hardly worse: such
@@ -126,7 +126,7 @@ def worse(
                 if all(ratio < 1.0 for ratio in ratios.values()):
                     continue
                 harmless = max(ratios.values()) <= 1.0 + HARDLY_WORSE and math.prod(ratios.values()) < 1.0
-                (keep if harmless else hold)[name] = _no_better(ratios)
+                (keep if harmless else hold)[name] = _describe_losses(ratios)
     return hold, {name: why for name, why in keep.items() if name not in hold}
 
 
@@ -141,8 +141,8 @@ def _ratios(aspect: str, score: Content) -> dict[str, float]:
     return found
 
 
-def _no_better(ratios: Mapping[str, float]) -> str:
-    """Return in words where the held-out error is not below the start's."""
+def _describe_losses(ratios: Mapping[str, float]) -> str:
+    """Return in words the channels whose held-out error is not below the start's."""
     failed = ", ".join(
         f"{channel} {100.0 * (ratio - 1.0):.3g} % above" if math.isfinite(ratio) else f"{channel} not predicted"
         for channel, ratio in ratios.items()
@@ -175,7 +175,7 @@ def verdicts_of(
 
 
 def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation], held: Mapping[str, str]) -> None:
-    """Refuse logs that excite no constant.
+    """Raise a LogError for logs that excite no constant.
 
     Raises:
         LogError: says for each log whether it stood on the ground; its details are how much each signal moves.
@@ -188,7 +188,7 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
-    """Refuse a fit with no usable constant.
+    """Raise a RunError for a fit with no usable constant.
 
     Raises:
         RunError: with the reason for each constant.

@@ -68,13 +68,13 @@ def measure_between(position_ned: Floats, seed: int, std: float = BETWEEN_STD) -
 
 
 def no_ranges(vehicles: int, states: int) -> Between:
-    """Return that N vehicles have not ranged to each other at T + 1 states."""
+    """Return an empty set of ranges between N vehicles with T + 1 states."""
     pairs = pairs_of(vehicles)
     return Between(pairs, np.full((states, len(pairs)), np.nan), np.zeros((states, len(pairs))), BETWEEN_STD)
 
 
 def checked_between(between: Between, vehicles: int, states: int) -> Between:
-    """Return ranges that fit N vehicles with T + 1 states.
+    """Check that ranges fit N vehicles with T + 1 states, and return them; raises UsageError.
 
     Raises:
         UsageError: pairs or a shape of others, an infinite or negative range, or a deviation that is not positive.

@@ -154,7 +154,7 @@ def estimate_together(
         RunError: no vehicle has a fix, or the problem does not fit into memory.
     """
     check_options("gnss", states, prior, damping, iterations)
-    _check_share(common_share, bias_time_constant, own_time_constant)
+    _check_error_model(common_share, bias_time_constant, own_time_constant)
     _check_flights(flights, rangings)
     vehicles, count = len(flights), len(flights[0].truth)
     checked_between(between, vehicles, count)
@@ -176,7 +176,7 @@ def estimate_together(
         decay = math.exp(-flights[0].ticks * flights[0].time_step / bias_time_constant)
         common = Common(math.sqrt(common_share) * float(np.sqrt(np.mean(np.square(stds)))), decay)
     joint = JointGraph(tuple(graph for graph, _ in made), between, common)
-    return _solved(
+    return _solve(
         joint, joint.joined([x for _, x in made]), flights, rangings, ranging, active > 0, iterations, damping
     )
 
@@ -218,7 +218,7 @@ def graph_of(
         return replace(graph, fix_weight=jnp.where(graph.fix_weight > 0.0, 1.0 / white, 0.0)), x
 
 
-def _solved(
+def _solve(
     joint: JointGraph,
     x: Floats,
     flights: Sequence[Flight],
@@ -228,7 +228,10 @@ def _solved(
     iterations: int,
     damping: str,
 ) -> CooperativeSlam:
+    """Solve the joint problem, and return the result with errors, covariances and reflections."""
+
     def places(point: Point) -> Floats:
+        """Return the positions (N (T + 1), 3) of all vehicles at a point."""
         return joint.positions(point.x).reshape(-1, 3)
 
     use_compilation_cache()
@@ -269,7 +272,8 @@ def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]
     return [flight.fix_std if len(flight.fix_error) else others for flight in flights]
 
 
-def _check_share(share: float, bias_time_constant: float | None, own_time_constant: float | None) -> None:
+def _check_error_model(share: float, bias_time_constant: float | None, own_time_constant: float | None) -> None:
+    """Check the share and the time constants of the fixes' errors; raises UsageError."""
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"common_share: {share!r} is not a number from 0 to 1")
     if share > 0.0 and bias_time_constant is None:
@@ -282,6 +286,7 @@ def _check_share(share: float, bias_time_constant: float | None, own_time_consta
 
 
 def _check_flights(flights: Sequence[Flight], rangings: Sequence[Ranging]) -> None:
+    """Check that flights and rangings have the same states and landmarks; raises UsageError."""
     if not flights:
         raise UsageError("flights: none; cooperative SLAM is of at least one vehicle")
     if len(rangings) != len(flights):

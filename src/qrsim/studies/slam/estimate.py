@@ -120,6 +120,7 @@ class Slam:
 
 
 def _shaped_as(truth: Floats, values: npt.ArrayLike) -> Floats:
+    """Return values as an array; raises UsageError unless it has the shape of the truth."""
     array = np.asarray(values, np.float64)
     if array.shape != truth.shape:
         raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
@@ -255,7 +256,7 @@ def estimate(
     solution, reflected = solve_reflected(
         problem, x, ranging, lambda point: point.x[:, :3], iterations=iterations, damping=damping, keep=keep
     )
-    return _result(graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
+    return _slam_result(graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
 
 
 def solve_reflected(
@@ -268,7 +269,7 @@ def solve_reflected(
     damping: str,
     keep: tuple[int, ...] = (),
 ) -> tuple[Solution, Mirrors]:
-    """Solve, and again from the reflections of landmarks where they are to be preferred.
+    """Solve, and solve again from the reflections of landmarks if these have lower cost.
 
     Args:
         problem: the graph, of one vehicle or of several.
@@ -279,6 +280,7 @@ def solve_reflected(
     """
 
     def reflect(point: Point) -> Mirrors:
+        """Return the reflections of the landmarks of a solution."""
         return mirrors(Point(places(point), point.landmarks, point.cost), ranging)
 
     solution = solve(problem, x, ranging.guess_ned, iterations, keep, damping)
@@ -287,13 +289,13 @@ def solve_reflected(
         guess = np.where(reflected.better[:, None], reflected.places_ned, solution.point.landmarks)
         again = solve(problem, solution.point.x, guess, iterations, damping=damping)
         if again.converged and again.point.cost <= solution.point.cost + 0.5 * reflected.tolerance:
-            solution = _joined(solution, again)
+            solution = _with_history(solution, again)
             reflected = reflect(solution.point)
     return solution, reflected
 
 
 def check_options(graph: str, states: str, prior: str, damping: str, iterations: object) -> None:
-    """Refuse unknown options; raises UsageError."""
+    """Raise a UsageError for unknown options."""
     options = {
         "graph": (graph, GRAPHS),
         "states": (states, STATES),
@@ -307,17 +309,18 @@ def check_options(graph: str, states: str, prior: str, damping: str, iterations:
         raise UsageError(f"iterations: {iterations!r} is not a positive whole number")
 
 
-def _joined(first: Solution, again: Solution) -> Solution:
-    """Return the second solution with the first one's history."""
+def _with_history(first: Solution, again: Solution) -> Solution:
+    """Return the second solution with the first one's history in front."""
     return Solution(
         again.point, first.iterations + again.iterations, again.converged, [*first.costs, *again.costs], first.kept
     )
 
 
-def _result(
+def _slam_result(
     graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
     solution: Solution, reflected: Mirrors, problem: Graph,
 ) -> Slam:  # fmt: skip
+    """Return the result of a flight from its solution: states, landmarks, covariances."""
     point, base = solution.point, problem.base
     believed = covariance(problem, point)
     spread, determined = spread_of(believed.landmarks, ranging, enough)
@@ -353,7 +356,7 @@ def _ranging(
     limit: float,
     seed: int,
 ) -> Ranging:
-    """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
+    """Return the ranges of a run: those given, or simulated ones to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
     if ranges is not None:
         return given_ranges(ranges, flight.time, len(guess), std, guess, known)

@@ -58,7 +58,7 @@ class CorrelatedGnss(Sensor):
     ) -> tuple[tuple[Array, Array], GnssReading]:
         """Draw stationary initial errors, and report the first fix."""
         north, east = draw.normals(2)
-        return self._read((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
+        return self._reading((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
 
     def step(
         self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
@@ -69,17 +69,18 @@ class CorrelatedGnss(Sensor):
             ou_step(state[0], north, self.period, self.std_north, self.time_constant),
             ou_step(state[1], east, self.period, self.std_east, self.time_constant),
         )
-        return self._read(error, position_ned, velocity_ned)
+        return self._reading(error, position_ned, velocity_ned)
 
     @staticmethod
-    def _read(error: tuple[Array, Array], position: Vec3, velocity: Vec3) -> tuple[tuple[Array, Array], GnssReading]:
+    def _reading(error: tuple[Array, Array], position: Vec3, velocity: Vec3) -> tuple[tuple[Array, Array], GnssReading]:
+        """Return the errors and the reading of vehicles at a position (n,) with these errors."""
         zero = jnp.zeros_like(position.x)
         place = Vec3(position.x + error[0], position.y + error[1], position.z)
         return error, GnssReading(place, velocity, zero, zero, zero)
 
 
 def _record(state: State) -> dict[str, Array]:
-    """Return the arrays (k, n) of a Flight of each vehicle."""
+    """Return the arrays (k, n) that a Flight needs of each vehicle."""
     fleet = state.fleets[0]
     seen = measured_quantities(fleet.readings)
     velocity, attitude = seen["velocity_ned"], seen["attitude"]
@@ -109,7 +110,7 @@ def base_world(precision: str = "float32", gnss: str | None = None, **overrides:
 
 
 def with_receiver(preset: str) -> dict[str, object]:
-    """Return the scenario of the example with a receiver of type gnss; a base station is there for those that need it.
+    """Return the scenario of the example with a receiver of type gnss, and a base station if it needs one.
 
     Nothing of it is late, as in the example, and carrier phase is fixed.
     """
@@ -147,7 +148,7 @@ def world_of(base: World, seed: int, vehicles: Sequence[int] = (0,)) -> World:
 
 
 def height_of(vehicle: int) -> float:
-    """Return the height [m] of a vehicle's waypoints: 20, 19, 21, 18, 22, ... m, so that no two are on one level."""
+    """Return the height [m] of a vehicle's waypoints: 20, 19, 21, 18, 22, ... m, all different."""
     away = 0.5 * (vehicle + 1) if vehicle % 2 else -0.5 * vehicle
     return HEIGHT - away
 
@@ -193,14 +194,14 @@ def correlated_flights(
 def flown_alone(
     name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
 ) -> list[Flight]:
-    """Fly worlds of one vehicle each, of as many seeds."""
+    """Fly worlds of one vehicle each; return a flight for each seed."""
     return [flights[0] for flights in flown_together(name, worlds, seeds, duration, state_period)]
 
 
 def flown_together(
     name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
 ) -> list[list[Flight]]:
-    """Fly worlds of N vehicles each, of as many seeds; raises RunError where a vehicle stops."""
+    """Fly worlds of N vehicles each; return N flights for each seed; raises RunError if a vehicle stops."""
     first = worlds[0]
     ticks = ticks_between(state_period, first.time_step)
     flown = rollout(
@@ -213,14 +214,15 @@ def flown_together(
     found = list(flown.recorded.items())
     return [
         [
-            _flight(name, world, seed, {key: np.asarray(rows[i, ..., n], np.float64) for key, rows in found}, ticks)
+            _flight_of(name, world, seed, {key: np.asarray(rows[i, ..., n], np.float64) for key, rows in found}, ticks)
             for n in range(world.fleets[0].size)
         ]
         for i, (world, seed) in enumerate(zip(worlds, seeds, strict=True))
     ]
 
 
-def _flight(name: str, world: World, seed: int, recorded: dict[str, Floats], ticks: int) -> Flight:
+def _flight_of(name: str, world: World, seed: int, recorded: dict[str, Floats], ticks: int) -> Flight:
+    """Return the Flight of a vehicle from the recorded arrays of its world; raises RunError if it stopped."""
     stopped = recorded.pop("code")[:, 0] != 0.0
     if stopped.any():
         raise RunError(f"{name}, seed {seed}: the vehicle stopped at {np.argmax(stopped) * world.time_step:g} s")

@@ -33,12 +33,12 @@ def draw_run(solved: Slam) -> Figure:
     figure = new_figure(7.0, 6.6)
     axes = figure.subplots()
     known = solved.ranging.true_ned
-    _plan(axes, solved.flight, solved.position_ned, solved.landmarks_ned, known, solved.determined)
+    _draw_plan(axes, solved.flight, solved.position_ned, solved.landmarks_ned, known, solved.determined)
     every = max(1, len(solved.time) // ELLIPSES)
-    _ellipses(axes, solved.position_ned[::every], solved.position_covariance[::every], "tab:orange")
+    _draw_ellipses(axes, solved.position_ned[::every], solved.position_covariance[::every], "tab:orange")
     told = solved.determined
     label = f"{100 * CONFIDENCE:g} % ellipses of the estimate"
-    _ellipses(axes, solved.landmarks_ned[told], solved.landmarks_covariance[told], "tab:green", label)
+    _draw_ellipses(axes, solved.landmarks_ned[told], solved.landmarks_covariance[told], "tab:green", label)
     axes.set_title(f"{solved.flight.name}: graph {solved.graph}", fontsize=10)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
     return figure
@@ -57,8 +57,8 @@ def ellipse_of(covariance: Floats, confidence: float = CONFIDENCE) -> tuple[Floa
     return np.asarray(axes), float(np.arctan2(vectors[1, 1], vectors[0, 1]) % np.pi)
 
 
-def _ellipses(axes: Axes, places: Floats, covariances: Floats, colour: str, label: str | None = None) -> None:
-    """Draw the ellipses of places (N, 3) with covariances (N, 3, 3) in a plan view, north up."""
+def _draw_ellipses(axes: Axes, places: Floats, covariances: Floats, colour: str, label: str | None = None) -> None:
+    """Draw the ellipses of positions (N, 3) with covariances (N, 3, 3) in a plan view, north up."""
     for place, covariance in zip(places, covariances, strict=True):
         half, bearing = ellipse_of(covariance[:2, :2])
         axes.add_patch(
@@ -87,7 +87,7 @@ def draw_trajectories(study: Study, index: int = 0) -> Figure:
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, (noise, arm) in zip(panels, shown, strict=True):
         found = study.arms[noise, arm]
-        _plan(
+        _draw_plan(
             axes,
             study.flights[noise][index],
             found.position_ned[index],
@@ -105,10 +105,10 @@ def draw_trajectories(study: Study, index: int = 0) -> Figure:
     return figure
 
 
-def _plan(
+def _draw_plan(
     axes: Axes, flight: Flight, position: Floats, landmarks: Floats, truth: Floats | None, determined: NumpyArray
 ) -> None:
-    """Draw a plan view, north up."""
+    """Draw a plan view of trajectories and landmarks, north up."""
     axes.plot(flight.estimate[:, 1], flight.estimate[:, 0], ".", color="0.75", ms=1.5, label="the sensors' estimate")
     axes.plot(flight.truth[:, 1], flight.truth[:, 0], "-", color="black", lw=0.9, label="true trajectory")
     axes.plot(position[:, 1], position[:, 0], "-", color="tab:orange", lw=0.9, label="SLAM trajectory")

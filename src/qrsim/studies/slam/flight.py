@@ -156,7 +156,7 @@ def make_flight(
 
 
 def _filled(values: Floats, name: str) -> Floats:
-    """Return values (T, 3) with the last one known where a row is NaN, as a controller believes them."""
+    """Return values (T, 3) with NaN rows replaced by the last known row, as a controller would use them."""
     known = np.isfinite(values).all(axis=1)
     if not known.any():
         raise RunError(f"{name}: a sensor that the estimate needs never had a reading")
@@ -189,6 +189,7 @@ def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, norma
     """
 
     def tick(state: QuadrotorState, inputs: tuple[Array, Array, Array]) -> tuple[QuadrotorState, None]:
+        """Advance the state by one tick of the model."""
         command, air, normal = inputs
         noise = vehicle.draw_noise(Drawn(tuple(normal)), time_step)
         wind = Vec3.of(air)
@@ -200,8 +201,11 @@ def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, norma
 
 
 @partial(quick_jit, static_argnums=4)
-def _reckon(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, time_step: float) -> Array:
+def _propagate(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, time_step: float) -> Array:
+    """Return the states (T, 13) after each row of commands (T, K, 5), propagated by the model without noise."""
+
     def forward(x: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Advance by the K ticks of one row; return the state twice, as ``scan`` needs."""
         quiet = jnp.zeros((inputs[0].shape[0], vehicle.normals))
         after = advance(vehicle, x, *inputs, quiet, time_step)
         return after, after
@@ -212,5 +216,5 @@ def _reckon(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, t
 def dead_reckon(vehicle: Quadrotor, start: Floats, commands: Floats, air_ned: Floats, time_step: float) -> Floats:
     """Predict the states (T + 1, 13) from the commands (T, K, 5) by the model alone, without noise."""
     with jax.enable_x64(True):
-        after = _reckon(vehicle, jnp.asarray(start), jnp.asarray(commands), jnp.asarray(air_ned), time_step)
+        after = _propagate(vehicle, jnp.asarray(start), jnp.asarray(commands), jnp.asarray(air_ned), time_step)
         return np.concatenate([start[None], np.asarray(after)])

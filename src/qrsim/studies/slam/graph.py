@@ -118,7 +118,8 @@ def predict(graph: Graph, x: Array, commands: Array, air_ned: Array, nominal: Ar
     return jnp.concatenate([moved, graph.bias_decay * x[graph.base :]])
 
 
-def _quiet(graph: Graph) -> Array:
+def _zero_normals(graph: Graph) -> Array:
+    """Return zeros (K, normals) in place of the process noise of one motion."""
     return jnp.zeros((graph.commands.shape[1], graph.vehicle.normals))
 
 
@@ -126,7 +127,7 @@ def motion_residual(
     graph: Graph, x: Array, after: Array, commands: Array, air_ned: Array, nominal: Array, whiten: Array
 ) -> Array:
     """Return the whitened residual (D,) of one motion factor."""
-    return whiten @ (after - predict(graph, x, commands, air_ned, nominal, _quiet(graph)))
+    return whiten @ (after - predict(graph, x, commands, air_ned, nominal, _zero_normals(graph)))
 
 
 def range_residual(position: Array, landmark: Array, measured: Array, weight: Array) -> Array:
@@ -159,6 +160,7 @@ def _residuals(graph: Graph, x: Array, landmarks: Array) -> tuple[Array, Array, 
 
 
 def _half_squares(parts: tuple[Array, ...]) -> Array:
+    """Return half the sum of squares over all parts, ()."""
     return 0.5 * jnp.sum(jnp.stack([jnp.sum(part * part) for part in parts]))
 
 
@@ -180,7 +182,8 @@ class _Slopes:
 
 
 @quick_jit
-def _slopes(graph: Graph, x: Array, landmarks: Array) -> _Slopes:
+def _jacobians(graph: Graph, x: Array, landmarks: Array) -> _Slopes:
+    """Return all residuals with their derivatives by states and landmarks."""
     motion = jax.vmap(jax.jacfwd(partial(motion_residual, graph)))(
         x[:-1], x[1:], graph.commands, graph.air_ned, _pairs(graph.nominal), graph.whiten
     )
@@ -193,7 +196,8 @@ def _slopes(graph: Graph, x: Array, landmarks: Array) -> _Slopes:
 
 
 @quick_jit
-def _normal(graph: Graph, slopes: _Slopes) -> Normal:
+def _normal_equations(graph: Graph, slopes: _Slopes) -> Normal:
+    """Return the blocks of the normal equations from residuals and derivatives."""
     motion, prior, ranges, fixes = slopes.residuals
     from_x, to_x, from_p, from_a = slopes.motion, graph.whiten, slopes.range_position, slopes.range_landmark
     diagonal = jnp.einsum("tri,trj->tij", slopes.fix, slopes.fix)
@@ -223,18 +227,19 @@ def linearise(graph: Graph, x: Array, landmarks: Array) -> Normal:
 
     In two programs: in one, XLA computes the Jacobians anew inside each product that they are part of.
     """
-    return _normal(graph, _slopes(graph, x, landmarks))
+    return _normal_equations(graph, _jacobians(graph, x, landmarks))
 
 
 @quick_jit
-def _spread(graph: Graph, x: Array) -> Array:
+def _noise_jacobians(graph: Graph, x: Array) -> Array:
     """Return the derivatives (T, D, K * 6) of each motion's state by its process noise."""
 
     def after(normals: Array, x: Array, commands: Array, air_ned: Array, nominal: Array) -> Array:
+        """Return the state (D,) after a motion with the given process noise."""
         return predict(graph, x, commands, air_ned, nominal, normals)
 
     inputs = (x[:-1], graph.commands, graph.air_ned, _pairs(graph.nominal))
-    found = jax.vmap(jax.jacfwd(after), in_axes=(None, 0, 0, 0, 0))(_quiet(graph), *inputs)
+    found = jax.vmap(jax.jacfwd(after), in_axes=(None, 0, 0, 0, 0))(_zero_normals(graph), *inputs)
     return found.reshape(*found.shape[:2], -1)
 
 
@@ -251,7 +256,7 @@ def motion_covariance(graph: Graph, x: Floats, bias_std: float) -> Floats:
     floor = FLOOR**2 * interval
     vehicle = graph.vehicle
     if graph.states == "full":
-        spread = np.asarray(_spread(graph, jnp.asarray(x)))
+        spread = np.asarray(_noise_jacobians(graph, jnp.asarray(x)))
         covariance = spread @ spread.transpose(0, 2, 1)
         diagonal = floor
     else:

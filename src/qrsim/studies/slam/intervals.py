@@ -41,7 +41,7 @@ def paired(one: Floats, other: Floats) -> dict[str, float]:
 
 
 def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, float]:
-    """Return the share of the loss from white to coloured errors that the remedy recovers, of means over seeds.
+    """Return the fraction of the loss from white to coloured errors that the remedy recovers, from means over seeds.
 
     The interval is a percentile bootstrap over seeds.
     """
@@ -49,6 +49,7 @@ def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, fl
     rows = np.stack([white[both], coloured[both], remedied[both]], axis=1)
 
     def part(means: Floats) -> Floats:
+        """Return the recovered fraction for means over seeds."""
         return np.asarray((means[..., 1] - means[..., 2]) / (means[..., 1] - means[..., 0]))
 
     low, high = _bootstrapped(part(_resampled(rows).mean(axis=1)))
@@ -56,7 +57,7 @@ def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, fl
 
 
 def _resampled(rows: Floats) -> Floats:
-    """Return rows (S, K) drawn anew with replacement, (RESAMPLES, S, K)."""
+    """Return rows (S, K) resampled with replacement, (RESAMPLES, S, K)."""
     chosen = np.random.default_rng(RESAMPLE_SEED).integers(0, len(rows), (RESAMPLES, len(rows)))
     return np.asarray(rows[chosen])
 
@@ -99,6 +100,7 @@ def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
     centred = (abscissa - abscissa.mean()) / np.sum(np.square(abscissa - abscissa.mean()))
 
     def slope(pooled: Floats) -> Floats:
+        """Return the slope of a pooled Allan deviation in logarithms."""
         return np.asarray(0.5 * np.log(pooled[..., within]) @ centred)
 
     found = {"slope": float(slope(variances.mean(axis=0)))}

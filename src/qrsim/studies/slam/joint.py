@@ -64,7 +64,7 @@ class JointGraph:
         return len(self.graphs) * self.graphs[0].size + 2 * (self.common is not None)
 
     def columns(self, vehicle: int) -> npt.NDArray[np.int64]:
-        """Return where the unknowns (D,) of a vehicle are in a block."""
+        """Return the columns (D,) of a vehicle's unknowns within a block."""
         rest = self.graphs[0].size - 3
         places = 3 * vehicle + np.arange(3)
         others = 3 * len(self.graphs) + rest * vehicle + np.arange(rest)
@@ -87,21 +87,21 @@ class JointGraph:
         return x[:, : 3 * len(self.graphs)].reshape(len(x), -1, 3).transpose(1, 0, 2)
 
     def _alone(self, x: Floats) -> list[tuple[Graph, Floats]]:
-        """Return each vehicle's graph and states; what is known of the common error is taken from its fixes."""
+        """Return each vehicle's graph and states; the common error is subtracted from its fixes."""
         states, common = self.split(x)
         if common is None:
             return list(zip(self.graphs, states, strict=True))
         shift = jnp.asarray(common)
         return [(replace(g, fixes=g.fixes - shift), own) for g, own in zip(self.graphs, states, strict=True)]
 
-    def _between(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return weights [1/m] and residuals of the ranges between vehicles, (T + 1, P), 0 where there is none."""
+    def _range_residuals(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return weights [1/m] and residuals of the ranges between vehicles, (T + 1, P), 0 for missing ranges."""
         seen = np.isfinite(self.between.ranges)
         weight = np.where(seen, np.sqrt(self.between.counts) / self.between.std, 0.0)
         apart = distances(self.positions(x), self.between.pairs) - np.where(seen, self.between.ranges, 0.0)
         return weight, weight * apart
 
-    def _drift(self, x: Floats) -> tuple[Floats, Floats]:
+    def _common_residuals(self, x: Floats) -> tuple[Floats, Floats]:
         """Return the residuals of the common error: its first one (2,), its steps (T, 2)."""
         if self.common is None:
             return np.zeros(2), np.zeros((len(x) - 1, 2))
@@ -112,7 +112,9 @@ class JointGraph:
     def cost(self, x: Floats, landmarks: Floats) -> float:
         """Return half the sum of all squared residuals at blocks (T + 1, size) and landmarks (L, 3)."""
         alone = sum(float(cost(g, jnp.asarray(own), jnp.asarray(landmarks))) for g, own in self._alone(x))
-        return alone + 0.5 * sum(float(np.sum(part**2)) for part in (self._between(x)[1], *self._drift(x)))
+        return alone + 0.5 * sum(
+            float(np.sum(part**2)) for part in (self._range_residuals(x)[1], *self._common_residuals(x))
+        )
 
     def linearise(self, x: Floats, landmarks: Floats) -> Normal:
         """Return the normal equations at blocks (T + 1, size) and landmarks (L, 3)."""
@@ -144,7 +146,9 @@ class JointGraph:
     def _add_fixes(
         self, graph: Graph, columns: npt.NDArray[np.int64], own: Floats, diagonal: Floats, gradient: Floats
     ) -> None:
-        """Add what the fixes of a vehicle tell of the common error; ``graph``, ``own`` are as in ``_alone``."""
+        """Add the terms of a vehicle's fixes that depend on the common error; ``graph``, ``own`` are as in
+        ``_single_graphs``.
+        """
         weight = np.asarray(graph.fix_weight) ** 2
         at = self.size - 2 + np.arange(2)
         by = [columns[:2]] + ([columns[graph.base :]] if graph.bias else [])
@@ -157,7 +161,7 @@ class JointGraph:
 
     def _add_between(self, x: Floats, diagonal: Floats, gradient: Floats) -> float:
         """Add the ranges between vehicles; return half the sum of their squares."""
-        weight, residual = self._between(x)
+        weight, residual = self._range_residuals(x)
         position = self.positions(x)
         for p, (one, other) in enumerate(self.between.pairs):
             apart = position[one] - position[other]
@@ -176,7 +180,7 @@ class JointGraph:
     def _add_common(self, x: Floats, common: Common, diagonal: Floats, below: Floats, gradient: Floats) -> float:
         """Add the prior and the steps of the common error; return half the sum of their squares."""
         first, following = common.weights
-        start, steps = self._drift(x)
+        start, steps = self._common_residuals(x)
         at = self.size - 2 + np.arange(2)
         diagonal[0, at, at] += first**2
         diagonal[:-1, at, at] += (following * common.decay) ** 2

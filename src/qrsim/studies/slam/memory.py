@@ -43,7 +43,7 @@ def available_bytes() -> int:
 def check_memory(
     states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
 ) -> None:
-    """Refuse a problem that does not fit into memory beside the flights; raises RunError."""
+    """Raise a RunError if a problem does not fit into memory alongside the flights."""
     needed = bytes_needed(states, size, landmarks) + flights
     if needed > available:
         raise RunError(

@@ -49,7 +49,7 @@ def mirrors(point: Point, ranging: Ranging) -> Mirrors:
         centre = position.mean(axis=0)
         normal = np.linalg.svd(position - centre, full_matrices=False)[2][-1]
         reflected = landmark - 2.0 * normal * (normal @ (landmark - centre))
-        places[i], there = _fit(position, measured, weight, reflected)
+        places[i], there = _fit_landmark(position, measured, weight, reflected)
         excess[i] = there - _chi_squared(position, measured, weight, landmark)
         # Not where the fit slid back to the landmark itself.
         apart[i] = np.linalg.norm(places[i] - landmark) > 0.5 * np.linalg.norm(reflected - landmark)
@@ -60,12 +60,13 @@ def mirrors(point: Point, ranging: Ranging) -> Mirrors:
 
 
 def _chi_squared(position: Floats, measured: Floats, weight: Floats, landmark: Floats) -> float:
+    """Return the weighted sum of squared range errors of a landmark (3,), seen from positions (T, 3)."""
     distance = np.linalg.norm(position - landmark, axis=1)
     return float(np.sum(np.square(weight * (distance - measured))))
 
 
-def _fit(position: Floats, measured: Floats, weight: Floats, landmark: Floats) -> tuple[Floats, float]:
-    """Return where the ranges put a landmark that is looked for from ``landmark`` on, and chi^2 there."""
+def _fit_landmark(position: Floats, measured: Floats, weight: Floats, landmark: Floats) -> tuple[Floats, float]:
+    """Return the landmark (3,) that fits the ranges best, searched from ``landmark`` on, and its chi^2."""
     best, damping = _chi_squared(position, measured, weight, landmark), 1e-3
     for _ in range(STEPS):
         away = landmark - position

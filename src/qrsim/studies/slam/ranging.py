@@ -48,14 +48,14 @@ def generator(seed: int, purpose: int, *numbers: int) -> np.random.Generator:
     return np.random.default_rng((seed, purpose, *numbers))
 
 
-def _own(vehicle: int) -> tuple[int, ...]:
-    """Return what tells a vehicle's draws from those of others; the first one's are those of a flight alone."""
+def _vehicle_words(vehicle: int) -> tuple[int, ...]:
+    """Return the words that separate a vehicle's draws from those of others; none for the first vehicle."""
     return (vehicle,) if vehicle else ()
 
 
 def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float, vehicle: int = 0) -> Floats:
     """Draw positions (count, 3) on the ground, uniform over a square of ``side`` [m] about a centre (2,)."""
-    horizontal = centre + side * (generator(seed, purpose, *_own(vehicle)).random((count, 2)) - 0.5)
+    horizontal = centre + side * (generator(seed, purpose, *_vehicle_words(vehicle)).random((count, 2)) - 0.5)
     return np.concatenate([horizontal, np.zeros((count, 1))], axis=1)
 
 
@@ -72,7 +72,7 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
 def landmarks_given(
     north_east: Floats, true_ned: object, guess_ned: object, ranged: bool, seed: int
 ) -> tuple[Floats | None, Floats]:
-    """Return landmarks (L, 3), None where nobody knows them, and first guesses of them: given, or drawn for a seed.
+    """Return landmarks (L, 3), or None if unknown, and first guesses of them, given or drawn for a seed.
 
     Args:
         north_east: (T, 2) where was flown.
@@ -84,8 +84,8 @@ def landmarks_given(
         UsageError: places that are none, or guesses of more or fewer landmarks than there are.
     """
     centre = 0.5 * (north_east.min(axis=0) + north_east.max(axis=0))
-    known = None if true_ned is None else _places("landmarks_ned", true_ned)
-    guess = None if guess_ned is None else _places("landmarks_guess_ned", guess_ned)
+    known = None if true_ned is None else _checked_positions("landmarks_ned", true_ned)
+    guess = None if guess_ned is None else _checked_positions("landmarks_guess_ned", guess_ned)
     if not ranged and known is None:
         known = landmarks_of(seed, centre)
     if known is None and guess is None:
@@ -98,7 +98,8 @@ def landmarks_given(
     return known, guess
 
 
-def _places(name: str, values: object) -> Floats:
+def _checked_positions(name: str, values: object) -> Floats:
+    """Return values as finite positions (L, 3) [m]; raises UsageError."""
     array = np.asarray(values, np.float64)
     if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
         raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")
@@ -125,7 +126,7 @@ def measure_ranges(
     distance = np.linalg.norm(position_ned[:, None] - landmarks_ned[None], axis=-1)
     if alone and not (distance <= limit).any():
         raise UsageError(f"no landmark comes within {limit:g} m of the flight; the nearest {distance.min():.1f} m")
-    noise = std * generator(seed, NOISE, *_own(vehicle)).standard_normal(distance.shape)
+    noise = std * generator(seed, NOISE, *_vehicle_words(vehicle)).standard_normal(distance.shape)
     ranges = noisy_ranges(distance, noise, distance <= limit)
     return Ranging(ranges, np.isfinite(ranges).astype(np.float64), std, guess_ned, landmarks_ned)
 

@@ -43,11 +43,11 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
         UsageError: no such vehicle, or a period that does not fit.
         RunError: the run lacks something that is needed.
     """
-    index = _index(run, vehicle)
+    index = _vehicle_index(run, vehicle)
     ticks = ticks_between(state_period, run.info.time_step)
     world = run.built().world("float64")
-    fleet, number = _fleet(world.fleets, index)
-    count = _whole(run, "truth")
+    fleet, number = _fleet_at(world.fleets, index)
+    count = _tick_count(run, "truth")
     commands = _columns(run, "commands", COMMAND_FIELDS, index, count)
     truth = _columns(run, "truth", TRUE_STATE, index, count)
     flying = run["truth"]["valid"][:count, index].astype(bool)
@@ -55,12 +55,12 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
         count = int(np.argmin(flying))
         stopped = run["truth"].time[count]
         warn_user(f"{run.folder}: {run.vehicles[index]} stopped at {stopped:g} s; later data are left out")
-    believed, gnss = _believed(run, index, count, truth[:count])
+    believed, gnss = _read_estimate(run, index, count, truth[:count])
     model: Any = fleet.vehicle
     if process_noise is not None:
         model = replace(model, process_noise=np.float64(process_noise))
-    model = type(model)(**{name: _of(value, number) for name, value in vars(model).items()})
-    wind = _wind(run, index, count)
+    model = type(model)(**{name: _vehicle_value(value, number) for name, value in vars(model).items()})
+    wind = _mean_wind(run, index, count)
     places = believed.position_ned
     if isinstance(fleet.sensors[fleet.sensor_names.index(gnss)], Gnss):
         # A receiver of type gnss goes on for a while without satellites: where it then says to be is no fix.
@@ -71,7 +71,8 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
     return make_flight(name, run.info.time_step, ticks, model, truth[:count], believed, commands[:count], wind, fixes)
 
 
-def _index(run: Run, vehicle: str | None) -> int:
+def _vehicle_index(run: Run, vehicle: str | None) -> int:
+    """Return the index of a vehicle of a run by name; without a name, of the only one; raises UsageError."""
     if vehicle is None:
         if len(run.vehicles) > 1:
             raise UsageError(
@@ -83,7 +84,8 @@ def _index(run: Run, vehicle: str | None) -> int:
     return run.vehicles.index(vehicle)
 
 
-def _fleet(fleets: tuple[Fleet, ...], index: int) -> tuple[Fleet, int]:
+def _fleet_at(fleets: tuple[Fleet, ...], index: int) -> tuple[Fleet, int]:
+    """Return the fleet of the vehicle at an index of the world, and its index in the fleet."""
     for fleet in fleets:
         if index < fleet.size:
             return fleet, index
@@ -91,13 +93,13 @@ def _fleet(fleets: tuple[Fleet, ...], index: int) -> tuple[Fleet, int]:
     raise RunError("the scenario of the run has fewer vehicles than its log")
 
 
-def _of(value: Any, number: int) -> Any:
-    """Return one vehicle's own value of a parameter that may be given for each."""
+def _vehicle_value(value: Any, number: int) -> Any:
+    """Return one vehicle's value of a parameter that may be given for each vehicle."""
     return value[number] if np.ndim(value) else value
 
 
-def _whole(run: Run, stream: str) -> int:
-    """Return the number of ticks of a stream from the start, after a check that it has them all."""
+def _tick_count(run: Run, stream: str) -> int:
+    """Return the number of ticks of a stream, after a check that it has all ticks from the start."""
     if stream not in run or not len(run[stream].tick):
         known = ", ".join(name for name in run.streams)
         raise RunError(f"{run.folder}: there are no {stream} in it (it has {known}); slam needs those of every tick")
@@ -111,7 +113,7 @@ def _whole(run: Run, stream: str) -> int:
 
 def _columns(run: Run, stream: str, names: tuple[str, ...], index: int, count: int) -> Floats:
     """Return some columns (count, K) of a vehicle, in float64."""
-    if _whole(run, stream) < count:
+    if _tick_count(run, stream) < count:
         raise RunError(f"{run.folder}: {stream} end before truth does")
     for name in names:
         if name not in run[stream]:
@@ -121,20 +123,20 @@ def _columns(run: Run, stream: str, names: tuple[str, ...], index: int, count: i
     return np.stack([np.asarray(arrays[name][:count, index], np.float64) for name in names], axis=-1)
 
 
-def _sensor(stream: Stream, column: str) -> str | None:
-    """Return the name of the first sensor with a column."""
+def _sensor_with(stream: Stream, column: str) -> str | None:
+    """Return the name of the first sensor that has a column."""
     found = [name.removesuffix(f".{column}") for name in stream.columns() if name.endswith(f".{column}")]
     return found[0] if found else None
 
 
-def _believed(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed, str]:
+def _read_estimate(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed, str]:
     """Read the vehicle's own estimate from its sensors, and the name of its GNSS receiver."""
-    _whole(run, "measurements")
+    _tick_count(run, "measurements")
     stream = run["measurements"]
     parts = {}
     types = {"attitude": "attitude_estimator", "rates_body": "gyroscope or imu"}
     needed = {"position_ned.x": "xyz", "velocity_ned.x": "xyz", "attitude.roll": "", "rates_body.x": "xyz"}
-    sensors = {first: _sensor(stream, first) for first in needed}
+    sensors = {first: _sensor_with(stream, first) for first in needed}
     for first, sensor in sensors.items():
         if sensor is None:
             what = first.rpartition(".")[0]
@@ -143,7 +145,7 @@ def _believed(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed
         root = first.rpartition(".")[0]
         names = tuple(f"{sensor}.{root}.{axis}" for axis in (needed[first] or ("roll", "pitch", "yaw")))
         parts[root] = _columns(run, "measurements", names, index, count)
-    barometer = _sensor(stream, "height")
+    barometer = _sensor_with(stream, "height")
     if barometer is not None:
         names = (f"{barometer}.height", f"{barometer}.height_rate")
         height = _columns(run, "measurements", names, index, count)
@@ -152,8 +154,8 @@ def _believed(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed
     return believed, str(sensors["position_ned.x"])
 
 
-def _wind(run: Run, index: int, count: int) -> Floats:
-    """Return the mean wind (count, 3) [m/s], the last one logged at each tick; none where none was logged."""
+def _mean_wind(run: Run, index: int, count: int) -> Floats:
+    """Return the mean wind (count, 3) [m/s] at each tick, the last one logged; zeros if none was logged."""
     if "wind" not in run or not len(run["wind"].tick):
         return np.zeros((count, 3))
     stream = run["wind"]
@@ -163,7 +165,7 @@ def _wind(run: Run, index: int, count: int) -> Floats:
 
 
 def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: int) -> tuple[Any, Floats]:
-    """Return the ticks (F,) at which fixes were made and where they say the vehicle was, (F, 2) [m].
+    """Return the ticks (F,) of fixes, and their positions north and east (F, 2) [m].
 
     Raises:
         UsageError: fixes come between two states, or at times of their own.
@@ -178,7 +180,7 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
 def _epochs(
     fleet: Fleet, name: str, what: str, late: int, count: int, time_step: float, ticks: int
 ) -> tuple[npt.NDArray[np.int64], int]:
-    """Return the ticks (F,) at which a sensor reports, of ``count``, and how many ticks before that it measured.
+    """Return the ticks (F,) below ``count`` at which a sensor reports, and its latency in ticks.
 
     Args:
         fleet, name: of the sensor.
@@ -204,7 +206,7 @@ def _epochs(
 
 
 def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, states: int, std: float | None) -> Between:
-    """Read the ranges that vehicles of a run measured to each other; the means of both where both of a pair did.
+    """Read the ranges between vehicles of a run; the mean of both where both vehicles of a pair measured.
 
     Args:
         run: the run folder, with measurements of every tick.
@@ -218,18 +220,18 @@ def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, state
         RunError: no vehicle has a sensor ``ranging`` that ranges to vehicles.
     """
     world = run.built().world("float64")
-    ticks, measured = ticks_between(state_period, run.info.time_step), _whole(run, "measurements")
-    indices = [_index(run, name) for name in vehicles]
+    ticks, measured = ticks_between(state_period, run.info.time_step), _tick_count(run, "measurements")
+    indices = [_vehicle_index(run, name) for name in vehicles]
     pairs = pairs_of(len(vehicles))
     total, counts = np.zeros((states, len(pairs))), np.zeros((states, len(pairs)))
     noises = []
     for one, index in enumerate(indices):
-        fleet, number = _fleet(world.fleets, index)
+        fleet, number = _fleet_at(world.fleets, index)
         for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
             if not isinstance(sensor, RangingSensor | IdealRanging):
                 continue
             if isinstance(sensor, RangingSensor):
-                noises.append(float(_of(sensor.noise_std, number)))
+                noises.append(float(_vehicle_value(sensor.noise_std, number)))
             reported, delay = _epochs(fleet, name, "ranges", 0, measured, run.info.time_step, ticks)
             at = (reported - delay) // ticks
             for other, column in _partners(sensor, fleet.size, number, index, indices):
@@ -247,7 +249,7 @@ def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, state
 
 
 def _partners(sensor: Any, size: int, number: int, index: int, indices: list[int]) -> list[tuple[int, int]]:
-    """Return whom a vehicle ranges to, of ``indices`` in the world: the place there, and the number of its column.
+    """Return the vehicles, among ``indices``, that a vehicle ranges to: position in ``indices`` and column.
 
     Args:
         sensor: of type ranging or ideal_ranging.

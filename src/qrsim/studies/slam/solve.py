@@ -33,7 +33,7 @@ class Problem(Protocol):
         """Return half the sum of all squared residuals at states (T + 1, D) and landmarks (L, 3)."""
 
     def linearise(self, x: Floats, landmarks: Floats) -> Normal:
-        """Return the normal equations there."""
+        """Return the normal equations at states (T + 1, D) and landmarks (L, 3)."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Damping:
 
     @classmethod
     def of(cls, normal: Normal, kind: str, amount: float) -> Damping:
-        """Return an amount of damping of a kind in DAMPINGS."""
+        """Return the damping of a kind in DAMPINGS for an amount."""
         states, landmarks = np.zeros(normal.gradient.shape), np.ones(normal.gradient_landmarks.shape)
         states[:, : normal.places] = 1.0
         if kind == "diagonal":
@@ -165,8 +165,8 @@ def step(normal: Normal, damping: Damping) -> tuple[Floats, Floats]:
     return states.reshape(normal.gradient.shape), landmarks.reshape(-1, 3)
 
 
-def _promised(normal: Normal, dx: Floats, da: Floats, damping: Damping) -> float:
-    """Return by how much the quadratic model says that the cost falls."""
+def _predicted_decrease(normal: Normal, dx: Floats, da: Floats, damping: Damping) -> float:
+    """Return the decrease of the cost that the quadratic model predicts for a step."""
     damped = np.sum(damping.states * dx**2) + np.sum(damping.landmarks * da**2)
     slope = np.sum(dx * np.asarray(normal.gradient)) + np.sum(da * np.asarray(normal.gradient_landmarks))
     return float(0.5 * (damped - slope))
@@ -196,37 +196,38 @@ def solve(
 def _minimise(
     problem: Problem, x: Floats, landmarks: Floats, iterations: int, keep: tuple[int, ...], kind: str
 ) -> Solution:
+    """Run Levenberg-Marquardt from a point; return the last solution, with the points of some iterations."""
     normal = problem.linearise(x, landmarks)
     point = Point(x, landmarks, float(normal.cost))
-    found = Solution(point, 0, False, [point.cost], {0: point} if 0 in keep else {})
+    solution = Solution(point, 0, False, [point.cost], {0: point} if 0 in keep else {})
     amount, growth = DAMPINGS[kind], 2.0
-    while found.iterations < iterations and not found.converged and amount < MOST_DAMPING:
-        found.iterations += 1
+    while solution.iterations < iterations and not solution.converged and amount < MOST_DAMPING:
+        solution.iterations += 1
         damping = Damping.of(normal, kind, amount)
         try:
             dx, da = step(normal, damping)
             tried = Point(point.x + dx, point.landmarks + da, 0.0)
             reached = problem.cost(tried.x, tried.landmarks)
-            promised = _promised(normal, dx, da, damping)
+            promised = _predicted_decrease(normal, dx, da, damping)
             moved = max(np.abs(dx[:, : normal.places]).max(), np.abs(da).max())
-            found.converged = bool(moved < CONVERGED_M or promised < CONVERGED_COST)
+            solution.converged = bool(moved < CONVERGED_M or promised < CONVERGED_COST)
             ratio = (point.cost - reached) / max(promised, CONVERGED_COST)
         except LinAlgError:
             ratio, reached = -1.0, np.inf
-        if found.converged or (np.isfinite(reached) and ratio > 0.0):
+        if solution.converged or (np.isfinite(reached) and ratio > 0.0):
             if reached <= point.cost:
                 point = Point(tried.x, tried.landmarks, reached)
-            if not found.converged:
+            if not solution.converged:
                 normal = problem.linearise(point.x, point.landmarks)
             # Nielsen's rule: follow how well the quadratic model foretold the cost.
             amount = max(amount * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), LEAST_DAMPING)
             growth = 2.0
         else:
             amount, growth = amount * growth, 2.0 * growth
-        found.point = point
-        found.costs.append(point.cost)
-        if found.iterations in keep:
-            found.kept[found.iterations] = point
+        solution.point = point
+        solution.costs.append(point.cost)
+        if solution.iterations in keep:
+            solution.kept[solution.iterations] = point
     for number in keep:
-        found.kept.setdefault(number, point)
-    return found
+        solution.kept.setdefault(number, point)
+    return solution

@@ -117,7 +117,7 @@ class Study:
 def check_size(
     seeds: int, noises: int, duration: float, states: str, state_period: float = example.STATE_PERIOD
 ) -> None:
-    """Refuse a study that does not fit into memory, before anything is flown.
+    """Raise a RunError, before anything is flown, if a study does not fit into memory.
 
     Raises:
         UsageError: a duration that is no whole number of ticks.
@@ -181,7 +181,7 @@ def study(
         for noise, flown in flights.items():
             ranging = example.ranging_of(flown[i], seed)
             bias = bias_time_constant if noise != "white" else None
-            for arm, (position, places, solved) in _solved(
+            for arm, (position, places, solved) in _solve_arms(
                 flown[i], ranging, bias, graph=graph, states=states, prior=prior
             ).items():
                 arms.setdefault((noise, arm), Arm()).add(position, places, solved)
@@ -190,10 +190,10 @@ def study(
     return record_of(Study, graph, tuple(seeds), flights, landmarks, arms)
 
 
-def _solved(
+def _solve_arms(
     flight: Flight, ranging: Ranging, bias: float | None, **options: Any
 ) -> dict[str, tuple[Floats, Floats, Slam]]:
-    """Return places of the vehicle and of the landmarks in each arm, and the solution that they are of."""
+    """Return the positions of vehicle and landmarks in each arm, and their solution."""
     whole = estimate(flight, ranging, keep=(TEN,), **options)
     converged = (whole.position_ned, whole.landmarks_ned, whole)
     if options["graph"] == "paper":
@@ -230,13 +230,13 @@ def numbers(flown: Study) -> Content:
             if all(key in flown.arms for key in pair):
                 result["paired"][arm] = {name: paired(*(m(*key) for key in pair)) for name, m in measures.items()}
         if {("white", "plain"), ("coloured", "bias")} <= set(flown.arms):
-            result["remedy"] = _remedy(measures)
-    result["fixes"] = {noise: _of_fixes(flights) for noise, flights in flown.flights.items()}
+            result["remedy"] = _compare_bias(measures)
+    result["fixes"] = {noise: _fix_statistics(flights) for noise, flights in flown.flights.items()}
     return result
 
 
-def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> Content:
-    """Compare the error as a state with none, and return the share of the trajectory's loss that it recovers."""
+def _compare_bias(measures: Mapping[str, Callable[[str, str], Floats]]) -> Content:
+    """Compare the estimates with and without the error as a state; return the recovered fraction of the loss."""
     found: Content = {}
     for name, measure in measures.items():
         white, coloured, remedied = measure("white", "plain"), measure("coloured", "plain"), measure("coloured", "bias")
@@ -246,8 +246,8 @@ def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> Content:
     return found
 
 
-def _of_fixes(flown: list[Flight]) -> Content:
-    """Return how large the errors of the fixes are, and the slope of their Allan deviation."""
+def _fix_statistics(flown: list[Flight]) -> Content:
+    """Return the size of the fixes' errors [m], and the slope of their Allan deviation."""
     errors = [flight.fix_error for flight in flown]
     found: Content = {"rms_m": float(np.sqrt(np.mean([np.mean(np.square(error)) for error in errors])))}
     period = flown[0].fix_period

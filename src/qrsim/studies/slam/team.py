@@ -26,7 +26,7 @@ NEXT_WORLD = 2**40
 
 
 def check_vehicles(vehicles: int) -> None:
-    """Refuse a number of vehicles that the example has no room for; raises UsageError."""
+    """Raise a UsageError for more vehicles than the example has room for."""
     if not 1 <= vehicles <= MOST_VEHICLES:
         raise UsageError(f"vehicles: {vehicles}; expected a number from 1 to {MOST_VEHICLES}")
 
@@ -75,11 +75,11 @@ def own_flights(
     state_period: float = example.STATE_PERIOD,
     gnss: str | None = None,
 ) -> list[list[Flight]]:
-    """Fly N vehicles of each seed, each in a world and under a sky of its own; returns (S)(N) flights."""
+    """Fly N vehicles of each seed in separate worlds with separate skies; returns (S)(N) flights."""
     check_vehicles(vehicles)
     base = example.base_world(gnss=gnss)
     worlds = [example.world_of(base, seed, (i,)) for seed in seeds for i in range(vehicles)]
-    flown = example.flown_alone("own", worlds, _numbers(seeds, vehicles), duration, state_period)
+    flown = example.flown_alone("own", worlds, _world_seeds(seeds, vehicles), duration, state_period)
     return [flown[i : i + vehicles] for i in range(0, len(flown), vehicles)]
 
 
@@ -98,12 +98,12 @@ def white_flights(
         for seed, flights in zip(seeds, coloured, strict=True)
         for i, flight in enumerate(flights)
     ]
-    flown = example.flown_alone("white", worlds, _numbers(seeds, vehicles), duration, state_period)
+    flown = example.flown_alone("white", worlds, _world_seeds(seeds, vehicles), duration, state_period)
     return [flown[i : i + vehicles] for i in range(0, len(flown), vehicles)]
 
 
-def _numbers(seeds: Sequence[int], vehicles: int) -> list[int]:
-    """Return the seed of the world of each vehicle alone, that of vehicle 0 the given one."""
+def _world_seeds(seeds: Sequence[int], vehicles: int) -> list[int]:
+    """Return the seed of each vehicle's own world; vehicle 0 has the given one."""
     return [seed + i * NEXT_WORLD for seed in seeds for i in range(vehicles)]
 
 

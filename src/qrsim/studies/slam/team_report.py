@@ -23,7 +23,7 @@ MEANING = {
 
 
 def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]) -> None:
-    """Refuse what does not go with several vehicles.
+    """Raise a UsageError for options that do not work with several vehicles.
 
     Args:
         vehicles: how many.

@@ -98,7 +98,7 @@ def cooperative_from_run(
     found = estimate_together(
         flights,
         rangings,
-        _between(opened, names, flights, between, between_std, state_period, number),
+        _vehicle_ranges(opened, names, flights, between, between_std, state_period, number),
         states=states,
         prior=prior,
         fix_std=fix_std,
@@ -114,6 +114,7 @@ def cooperative_from_run(
 
 
 def _check_names(names: Sequence[str]) -> None:
+    """Check that there is a vehicle, and none twice; raises UsageError."""
     if not names:
         raise UsageError("vehicles: none; cooperative SLAM is of at least one")
     for name in names:
@@ -145,7 +146,7 @@ def _rangings(
     ]
 
 
-def _between(
+def _vehicle_ranges(
     run: Run,
     names: Sequence[str],
     flights: Sequence[Flight],
@@ -154,6 +155,7 @@ def _between(
     state_period: float,
     seed: int,
 ) -> Between:
+    """Return the ranges between vehicles: none, simulated, or those that a run recorded."""
     count = len(flights[0].truth)
     if kind == "none" or len(names) == 1:
         return no_ranges(len(names), count)

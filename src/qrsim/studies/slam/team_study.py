@@ -47,7 +47,7 @@ class TeamStudy:
         """Return errors [m] and tests over the seeds as plain dicts: of the first vehicle, and relative ones."""
         found: Content = {"vehicles": self.vehicles, "seeds": len(self.seeds), "cases": {}}
         for case in self.alone:
-            one, all_of_them = (_first(part[case]) for part in (self.alone, self.together))
+            one, all_of_them = (_first_errors(part[case]) for part in (self.alone, self.together))
             found["cases"][case] = {
                 "alone_m": interval(one),
                 "together_m": interval(all_of_them),
@@ -58,7 +58,7 @@ class TeamStudy:
         return found
 
 
-def _first(solved: list[CooperativeSlam]) -> NumpyArray:
+def _first_errors(solved: list[CooperativeSlam]) -> NumpyArray:
     """Return the root mean square errors (S,) of the trajectory of the first vehicle [m]."""
     return np.array([each.trajectory_rmse_m[0] for each in solved])
 
@@ -108,11 +108,12 @@ def compare(
         options["bias_time_constant"] = memory if modelled else None
         for seed, flown_of in zip(seeds, flights[kind], strict=True):
             for count, solved in ((1, found.alone), (vehicles, found.together)):
-                solved.setdefault(name, []).append(_solve(flown_of[:count], seed, options))
+                solved.setdefault(name, []).append(_solve_team(flown_of[:count], seed, options))
             progress()
     return found
 
 
-def _solve(flights: Sequence[Flight], seed: int, options: dict[str, Any]) -> CooperativeSlam:
+def _solve_team(flights: Sequence[Flight], seed: int, options: dict[str, Any]) -> CooperativeSlam:
+    """Estimate the flights of one seed together, with ranges drawn for the seed."""
     rangings, between = team.rangings_of(flights, seed), team.between_of(flights, seed)
     return estimate_together(flights, rangings, between, **options)

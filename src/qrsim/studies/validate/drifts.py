@@ -51,7 +51,8 @@ class Process(NamedTuple):
 
 
 @partial(jax.jit, static_argnames=("sensor", "seconds", "vehicles"))
-def _read(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
+def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
+    """Simulate the errors of a sensor at rest, and the mean squares of their changes."""
     like = jnp.zeros((), jnp.float32)
     ids = jnp.arange(vehicles, dtype=jnp.uint32)
     key, zero = Key.root(SEED), jnp.zeros(vehicles, jnp.float32)
@@ -60,15 +61,18 @@ def _read(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.
     per_row = round(KEPT_S / PERIOD)
 
     def error(reading: Any) -> jax.Array:
+        """Return the error of a reading at rest."""
         return reading.height[None] if sensor == "barometer" else jnp.stack(jax.tree.leaves(reading.attitude))
 
     def tick(carry: Any, now: jax.Array) -> Any:
+        """Advance the sensor by one period, summing the squared changes of its error."""
         state, before, squares = carry
         state, reading = model.step(state, Draw(key.stream(sensor, ids), now, like), *inputs)
         after = error(reading)
         return (state, after, squares + (after - before) ** 2), None
 
     def second(carry: Any, start: jax.Array) -> Any:
+        """Advance by the periods of one kept row; return its error."""
         carry, _ = jax.lax.scan(tick, carry, start + jnp.arange(per_row, dtype=jnp.uint32))
         return carry, carry[1]
 
@@ -81,7 +85,7 @@ def _read(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.
 
 def read(sensor: str, model: object, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
     """Simulate the errors of a sensor of many vehicles at rest, over a few of its time constants, in float32."""
-    rows, squares = _read(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
+    rows, squares = _simulate_errors(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
     errors = np.asarray(rows, np.float64)
     return Process(
         title, std, time_constant, unit, errors.reshape(len(errors), -1), np.asarray(squares, np.float64).reshape(-1)
@@ -101,7 +105,8 @@ def autocovariance(errors: Floats, lag: int) -> Floats:
     return np.asarray(np.mean(errors[lag:] * errors[: len(errors) - lag], axis=0))
 
 
-def _checks(name: str, of: Process) -> list[Check]:
+def _drift_checks(name: str, of: Process) -> list[Check]:
+    """Return the checks of standard deviation, time constant and autocorrelation of a process."""
     count = 2 * (len(LAGS) + 3)
     z, variance = widest_z(count), of.std**2
     reason = (
@@ -171,16 +176,17 @@ def _time_constant(of: Process, z: float, reason: str) -> Check:
     )
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Simulate both sensors, and return the outcome of this part of the report."""
     found = processes(VEHICLES if full else FEW_VEHICLES)
-    checks = [check for name, of in found.items() for check in _checks(name, of)]
+    checks = [check for name, of in found.items() for check in _drift_checks(name, of)]
     numbers = {
         name: {
             "std": of.std,
             "time_constant_s": of.time_constant,
             "processes": of.errors.shape[1],
             "seconds": len(of.errors) * KEPT_S,
-            "autocorrelation": _curve(of),
+            "autocorrelation": _correlation_curve(of),
         }
         for name, of in found.items()
     }
@@ -194,26 +200,28 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         " example, within what chance allows.",
         checks=checks,
         findings=[],
-        pictures=[_picture(found)],
+        pictures=[_draw_drifts(found)],
         numbers=numbers,
     )
 
 
-def _lags(of: Process) -> Floats:
+def _curve_lags(of: Process) -> Floats:
+    """Return the lags of the curve in rows, up to LONGEST time constants."""
     return np.unique(np.linspace(0.0, LONGEST * of.time_constant / KEPT_S, 31).round().astype(int))
 
 
-def _curve(of: Process) -> dict[str, list[float]]:
+def _correlation_curve(of: Process) -> dict[str, list[float]]:
     """Return the autocorrelation at some lags [s], and its standard error."""
-    found = [mean_and_error(autocovariance(of.errors, int(lag)) / of.std**2) for lag in _lags(of)]
+    found = [mean_and_error(autocovariance(of.errors, int(lag)) / of.std**2) for lag in _curve_lags(of)]
     return {
-        "lags_s": (KEPT_S * _lags(of)).tolist(),
+        "lags_s": (KEPT_S * _curve_lags(of)).tolist(),
         "measured": [float(mean) for mean, _ in found],
         "standard_error": [float(error) for _, error in found],
     }
 
 
-def _picture(found: dict[str, Process]) -> Picture:
+def _draw_drifts(found: dict[str, Process]) -> Picture:
+    """Draw traces of the errors and their autocorrelations."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import SIMULATED, picture
 
@@ -227,7 +235,7 @@ def _picture(found: dict[str, Process]) -> Picture:
         for sign in (-1, 1):
             traces.axhline(sign * scale * of.std, color="black", ls="--", lw=0.8)
         traces.set(ylabel=f"error [{unit}]", title=f"{of.title}: five of {of.errors.shape[1]}, dashed ± sigma")
-        curve = _curve(of)
+        curve = _correlation_curve(of)
         lags = np.array(curve["lags_s"])
         measured, error = np.array(curve["measured"]), np.array(curve["standard_error"])
         correlation.fill_between(lags, measured - 3 * error, measured + 3 * error, color=SIMULATED, alpha=0.2, lw=0)
@@ -250,5 +258,5 @@ PART = Part(
     "Barometer and attitude",
     "no figure of the paper: the processes of its section on sensors, by their stated numbers",
     (),
-    _run,
+    _run_part,
 )

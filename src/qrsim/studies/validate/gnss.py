@@ -82,7 +82,8 @@ def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Sim
     return Simulated(positions, deviations, band, np.outer(ranges, dilution(sky))), used
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Compare the recorded receiver with simulated ones, and return the outcome of this part."""
     record = recorded_receiver(paths[RECORDING])
     seeds = SEEDS if full else FEW_SEEDS
     runs, used = {}, (0, 0)
@@ -91,30 +92,32 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     chosen = record.position_ned[:ROWS]
     deviation = allan_deviations(chosen, record.period, LENGTHS)
     inside = {name: (run.band[0] <= deviation) & (deviation <= run.band[1]) for name, run in runs.items()}
-    numbers = _numbers(record, deviation, runs, inside, seeds, used)
+    numbers = _results(record, deviation, runs, inside, seeds, used)
     first, last = record.satellites
     return Outcome(
         method=f"A receiver stood still on the ground for {record.period * len(record.position_ned):.0f} s on 8 March"
         f" 2011 (2.5 Hz, {first} to {last} satellites); as in the reference implementation's own test, rows 1 to {ROWS}"
         f" are used, {record.period * ROWS:.0f} s. Each of {seeds} simulated receivers stands at the same place for as"
         f" long, with range errors of its own. The dates differ: the only orbit file is of 31 August 2010, so its"
-        f" satellites at 16:00 UTC stand for those of the recording ({_count(used)} above 10°). This gives a"
+        f" satellites at 16:00 UTC stand for those of the recording ({_format_range(used)} above 10°). This gives a"
         " typical geometry, not that of the day; the bands are off by the ratio of the two dilutions of precision."
         " Neighbouring averaging times share their data, so that a curve leaves a band over several of them at once.",
-        reading=_summary(numbers),
-        checks=_checks(runs, seeds),
-        findings=_findings(numbers),
-        pictures=[_walk_picture(record, runs[PAPER]), _allan_picture(record, deviation, runs, seeds)],
+        reading=_summarise(numbers),
+        checks=_allan_checks(runs, seeds),
+        findings=_model_findings(numbers),
+        pictures=[_draw_walk(record, runs[PAPER]), _draw_allan(record, deviation, runs, seeds)],
         numbers=numbers,
     )
 
 
-def _count(range_of: tuple[int, int]) -> str:
+def _format_range(range_of: tuple[int, int]) -> str:
+    """Return a range of counts as text."""
     first, last = range_of
     return f"{first}" if first == last else f"{first} to {last}"
 
 
-def _checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
+def _allan_checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
+    """Return the checks of simulated Allan variances against their closed forms."""
     count = len(runs) * len(CHECKED)
     z, checks = widest_z(count), []
     for name, run in runs.items():
@@ -137,9 +140,10 @@ def _checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
     return checks
 
 
-def _numbers(
+def _results(
     record: Recorded, deviation: Floats, runs: dict[str, Simulated], inside: Content, seeds: int, used: Any
 ) -> Content:
+    """Return the numbers of the comparison as plain values."""
     windows = [round(float(length) * record.period, 6) for length in LENGTHS]
     chosen = record.position_ned[:ROWS]
     numbers: Content = {
@@ -175,8 +179,8 @@ def _numbers(
     return numbers
 
 
-def _outside(numbers: Content, name: str) -> str:
-    """Say at which windows the recording leaves the band, by axis."""
+def _describe_outside(numbers: Content, name: str) -> str:
+    """Return in words at which windows the recording leaves the band, by axis."""
     words = []
     for axis in AXES:
         good = numbers[name]["inside"][axis]
@@ -185,7 +189,7 @@ def _outside(numbers: Content, name: str) -> str:
         above = [w for w, r, h in zip(numbers["windows_s"], recorded, high, strict=True) if r > h]
         below = [w for w in numbers["windows_s"] if w not in good and w not in above]
         parts = [
-            f"{_spans(numbers['windows_s'], part)} {word}"
+            f"{_window_spans(numbers['windows_s'], part)} {word}"
             for part, word in ((below, "below"), (above, "above"))
             if part
         ]
@@ -193,7 +197,7 @@ def _outside(numbers: Content, name: str) -> str:
     return "; ".join(words)
 
 
-def _spans(windows: list[float], chosen: list[float]) -> str:
+def _window_spans(windows: list[float], chosen: list[float]) -> str:
     """Return neighbouring windows as spans, such as '0.4-3.2 s'."""
     spans: list[list[float]] = []
     for window in chosen:
@@ -204,7 +208,8 @@ def _spans(windows: list[float], chosen: list[float]) -> str:
     return ", ".join(f"{span[0]:g}-{span[-1]:g} s" if len(span) > 1 else f"{span[0]:g} s" for span in spans)
 
 
-def _findings(numbers: Content) -> list[Finding]:
+def _model_findings(numbers: Content) -> list[Finding]:
+    """Return a finding for each error model: its fraction of windows and axes within the band."""
     found = []
     for name, (_, words) in MODELS.items():
         share = numbers[name]["inside_share"]
@@ -214,7 +219,7 @@ def _findings(numbers: Content) -> list[Finding]:
                 f"Allan deviation under {name}",
                 f"the recording is within the 90 % band at {100 * share:.0f} % of windows and axes",
                 verdict,  # type: ignore[arg-type]
-                f"{words[0].upper()}{words[1:]}. Outside: {_outside(numbers, name)}.",
+                f"{words[0].upper()}{words[1:]}. Outside: {_describe_outside(numbers, name)}.",
             )
         )
     wander, band = numbers["recorded"]["wander_std_m"], numbers[PAPER]["wander_std_band_m"]
@@ -238,7 +243,8 @@ def _findings(numbers: Content) -> list[Finding]:
     ]
 
 
-def _summary(numbers: Content) -> str:
+def _summarise(numbers: Content) -> str:
+    """Return the conclusion of this part in one sentence."""
     share = numbers[PAPER]["inside_share"]
     return (
         "The simulation has the Allan deviation that its model should have; the recording is within the paper's model's"
@@ -246,7 +252,8 @@ def _summary(numbers: Content) -> str:
     )
 
 
-def _walk_picture(record: Recorded, run: Simulated) -> Picture:
+def _draw_walk(record: Recorded, run: Simulated) -> Picture:
+    """Draw the recorded and simulated wandering of a stationary receiver."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import RECORDED, SIMULATED, picture
 
@@ -278,7 +285,8 @@ def _walk_picture(record: Recorded, run: Simulated) -> Picture:
     )
 
 
-def _allan_picture(record: Recorded, deviation: Floats, runs: dict[str, Simulated], seeds: int) -> Picture:
+def _draw_allan(record: Recorded, deviation: Floats, runs: dict[str, Simulated], seeds: int) -> Picture:
+    """Draw Allan deviations of the recording over the bands of the models."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import RECORDED, picture
 
@@ -311,5 +319,5 @@ PART = Part(
     "GNSS",
     "the GNSS figures: random walk and Allan deviation of a receiver that stands still, recorded and simulated",
     (RECORDING, ORBITS),
-    _run,
+    _run_part,
 )

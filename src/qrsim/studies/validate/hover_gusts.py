@@ -42,15 +42,18 @@ def mean_wind() -> Floats:
 
 
 @partial(quick_jit, static_argnames="steps")
-def _fly(turbulence: Turbulence, wind: LogShear, height: jax.Array, key: Key, steps: int) -> jax.Array:
+def _simulate_gusts(turbulence: Turbulence, wind: LogShear, height: jax.Array, key: Key, steps: int) -> jax.Array:
+    """Simulate gusts (T, vehicles, 3) in NED [m/s] of hovering vehicles, one row every EVERY ticks."""
     ids = jnp.arange(height.size, dtype=jnp.uint32)
     stream, mean = key.stream("gust", ids), wind.velocity_ned(height)
     still, like = Vec3.zeros(height.shape, height.dtype), jnp.zeros((), height.dtype)
 
     def tick(state: Any, now: jax.Array) -> Any:
+        """Advance the turbulence by one tick."""
         return turbulence.step(state, Draw(stream, now, like), height, still, mean, DT), None
 
     def some(state: Any, start: jax.Array) -> Any:
+        """Advance by EVERY ticks; return the gust (vehicles, 3)."""
         state, _ = jax.lax.scan(tick, state, start + jnp.arange(EVERY, dtype=jnp.uint32))
         return state, turbulence.gust_ned(state, height).stack()
 
@@ -65,7 +68,7 @@ def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
     turbulence = cast(makers[kind](SPEED, bearing), np.float32)
     wind = cast(record_of(LogShear, SPEED, bearing), np.float32)
     height = np.full(vehicles, CASE.height, np.float32)
-    gusts = _fly(turbulence, wind, height, Key.root(seed), round(seconds / DT))
+    gusts = _simulate_gusts(turbulence, wind, height, Key.root(seed), round(seconds / DT))
     return np.asarray(gusts, np.float64)
 
 
@@ -82,14 +85,14 @@ def jsbsim_gusts(kind: int, seconds: float, seed: int) -> Floats:
 
 
 def in_ned(along_across_down: Floats) -> Floats:
-    """Rotate gusts (..., 3) from the wind's axes into NED."""
+    """Rotate gusts (..., 3) from wind axes into NED."""
     sine, cosine = math.sin(math.radians(FROM_DEG)), math.cos(math.radians(FROM_DEG))
     turn = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(along_across_down @ turn.T)
 
 
 def in_wind_axes(gusts_ned: Floats) -> Floats:
-    """Rotate gusts (..., 3) from NED into the wind's axes."""
+    """Rotate gusts (..., 3) from NED into wind axes."""
     sine, cosine = math.sin(math.radians(FROM_DEG)), math.cos(math.radians(FROM_DEG))
     turn = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(gusts_ned @ turn)

@@ -47,13 +47,16 @@ class Chips(NamedTuple):
 
 
 @partial(quick_jit, static_argnames="count")
-def _readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, source: Stream, count: int) -> Any:
+def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, source: Stream, count: int) -> Any:
+    """Simulate ``count`` readings of IMUs at rest."""
     like = jnp.zeros((), jnp.float32)
 
     def drawn(stream: Stream, now: jax.Array, size: int) -> Drawn:
+        """Return the normals of a stream at a tick."""
         return Drawn(tuple(Draw(stream, now, like).normal_rows(size)))
 
     def tick(state: Any, now: jax.Array) -> tuple[Any, Any]:
+        """Advance the IMU by one reading."""
         state, reading = sensor.step(state, drawn(source, now, sensor.normals), **inputs)
         return state, tuple(getattr(reading, field).stack() for field in FIELDS.values())
 
@@ -62,7 +65,7 @@ def _readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, source: Stream
 
 
 def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
-    """Read many chips of a preset at rest for a minute, without vibration and what gravity shows beside the bias."""
+    """Simulate many chips of a preset at rest for a minute, without vibration and with no gravity effect but bias."""
     given = {**PRESETS[preset], "preset": preset, "period": PERIOD, "vibration": "none", **NOT_OF_BIAS, **change}
     zero = jnp.zeros(chips, jnp.float32)
     inputs = {
@@ -72,7 +75,7 @@ def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
     }
     key, ids = Key.root(SEED), jnp.arange(chips, dtype=jnp.uint32)
     streams = key.stream("imu start", ids), key.stream("imu", ids)
-    taken = _readings(cast(Imu(**given), np.float32), inputs, *streams, round(SECONDS / PERIOD))
+    taken = _simulate_readings(cast(Imu(**given), np.float32), inputs, *streams, round(SECONDS / PERIOD))
     still = {"gyroscope": np.zeros(3), "accelerometer": np.array([0.0, 0.0, -GRAVITY])}
     found = {}
     for (kind, right), values in zip(still.items(), taken, strict=True):
@@ -88,7 +91,8 @@ def measured(of: Chips) -> dict[str, Floats]:
     return {"noise": noise, "turn_on_bias": np.square(of.readings.mean(axis=0)).mean(axis=1)}
 
 
-def _checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
+def _sheet_checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
+    """Return the checks of noise and turn-on bias against data sheets."""
     rows = [
         (preset, kind, what, value)
         for preset, sheet in DATA_SHEETS.items()
@@ -115,9 +119,10 @@ def _checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
     return checks
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Simulate all presets with data sheets, and return the outcome of this part."""
     found = {preset: chips_of(preset, CHIPS if full else FEW_CHIPS) for preset in DATA_SHEETS}
-    checks = _checks(found)
+    checks = _sheet_checks(found)
     return Outcome(
         method=f"Chips of the presets with available data sheets are at rest for {SECONDS:g} s. White noise is the"
         f" Allan deviation over {NOISE_WINDOW * PERIOD:g} s times the root of that; a data sheet's one-sided density"
@@ -125,7 +130,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         reading="Noise and turn-on bias are those of the data sheets, if these state them.",
         checks=checks,
         findings=[],
-        pictures=[_picture(found)],
+        pictures=[_draw_allan(found)],
         numbers={
             preset: {
                 kind: {
@@ -139,7 +144,8 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     )
 
 
-def _picture(found: Mapping[str, Mapping[str, Chips]]) -> Picture:
+def _draw_allan(found: Mapping[str, Mapping[str, Chips]]) -> Picture:
+    """Draw Allan deviations of the chips, with the white noise of the data sheets."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 
@@ -161,4 +167,4 @@ def _picture(found: Mapping[str, Mapping[str, Chips]]) -> Picture:
     return picture(figure, "Allan deviations of chips at rest; dashed, white noise as the data sheet has it.")
 
 
-PART = Part("imu", "Gyroscope and accelerometer", "no figure of the paper: data sheets of chips", (), _run)
+PART = Part("imu", "Gyroscope and accelerometer", "no figure of the paper: data sheets of chips", (), _run_part)

@@ -102,7 +102,7 @@ Filter = tuple[list[float], list[float]]
 
 
 def _second_order_tustin(tau: float, c: float) -> Filter:
-    """Yeager's eq. 20."""
+    """Return the coefficients of JSBSim's recursion for v and w, Yeager's eq. 20."""
     omega, root = 1.0 / tau, math.sqrt(3.0)
     scale = math.sqrt(3.0 * omega / DT) / (omega + c) ** 2
     top = [scale * (c + omega / root), scale * 2.0 * omega / root, scale * (omega / root - c)]

@@ -86,6 +86,7 @@ def reference_specific_force(vehicle: Quadrotor, before: Floats, commands: Float
         still = Vec3.zeros((len(before),), jnp.dtype(np.float64))
 
         def slope(state: QuadrotorState) -> tuple[QuadrotorState, Vec3]:
+            """Return the derivative of the state, and the specific force of the reference's form."""
             rates, _ = vehicle.derivative(state, command, lambda trig: still, ProcessNoise(still, still), DT)
             direction = AttitudeTrig.of(state.attitude).rotation()
             weight = Vec3(direction.forward.z, direction.right.z, direction.down.z) * vehicle.gravity
@@ -106,13 +107,15 @@ def specific_force_errors(flight: Outdoor) -> dict[str, dict[str, float]]:
 
 
 @partial(jax.jit, static_argnames="dt")
-def _in_wind(
+def _simulate_in_wind(
     vehicle: Quadrotor, start: QuadrotorState, commands: jax.Array, wind_ned: Vec3, dt: float
 ) -> tuple[jax.Array, jax.Array]:
+    """Simulate velocities and positions of one model open loop in a constant wind."""
     still = Vec3.zeros(start.thrust.shape, start.thrust.dtype)
     noise = ProcessNoise(still, still)
 
     def tick(state: QuadrotorState, row: jax.Array) -> tuple[QuadrotorState, tuple[jax.Array, jax.Array]]:
+        """Advance by one row of commands; return velocity and position NED."""
         command = Command(*(row[i] for i in range(5)))
         state, _ = vehicle.step(state, command, lambda trig: trig.rotation().to_body(wind_ned), noise, dt)
         velocity = rotation(state.attitude).to_ned(state.velocity_body)
@@ -135,7 +138,7 @@ def fly_in_wind(start: Floats, commands: Floats, wind_ned: Floats) -> tuple[Floa
     with jax.enable_x64(True):
         vehicle = cast(Quadrotor(), np.float64)
         wind = Vec3.of(jnp.asarray(wind_ned))
-        velocity, position = _in_wind(vehicle, state_of(start), jnp.asarray(commands), wind, DT)
+        velocity, position = _simulate_in_wind(vehicle, state_of(start), jnp.asarray(commands), wind, DT)
         return np.asarray(velocity), np.asarray(position)
 
 

@@ -32,7 +32,13 @@ def write_page(results: Sequence[Result], about: Mapping[str, object]) -> str:
     jinja = load("validate", "qrsim validate", "jinja2")
     # Every text of a report is escaped; an unknown name in the template is an error.
     made = jinja.Environment(autoescape=True, undefined=jinja.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    made.filters |= {"number": number, "base64": _base64, "counted": _counted, "style": _CLASSES.get, "worst": worst}
+    made.filters |= {
+        "number": number,
+        "base64": _base64,
+        "counted": _count_verdicts,
+        "style": _CLASSES.get,
+        "worst": worst,
+    }
     checks = [check for result in results if result.outcome for check in result.outcome.checks]
     page: str = made.from_string(files("qrsim.studies.validate").joinpath(TEMPLATE).read_text("utf-8")).render(
         results=[(result.part, result.outcome, result.skipped) for result in results],
@@ -52,10 +58,11 @@ def number(value: float) -> str:
 
 
 def _base64(data: bytes) -> str:
+    """Return bytes as base64 text."""
     return base64.b64encode(data).decode("ascii")
 
 
-def _counted(findings: Sequence[Finding]) -> list[tuple[Verdict, int]]:
-    """Return how many findings have each verdict, those to note left out."""
+def _count_verdicts(findings: Sequence[Finding]) -> list[tuple[Verdict, int]]:
+    """Return the number of findings with each verdict, without those to note."""
     counts = Counter(found.verdict for found in findings)
     return [(verdict, counts[verdict]) for verdict in _CLASSES if counts[verdict] and verdict != "to note"]

@@ -89,7 +89,7 @@ def run_parts(
     for part in parts:
         missing = [name for name in part.recordings if name not in found]
         if missing:
-            results.append(Result(part, None, _why(missing)))
+            results.append(Result(part, None, _missing_reason(missing)))
         else:
             results.append(Result(part, part.run(found, full)))
         if done:
@@ -99,7 +99,8 @@ def run_parts(
     return results
 
 
-def _why(missing: Sequence[str]) -> str:
+def _missing_reason(missing: Sequence[str]) -> str:
+    """Return why a part is skipped: its recordings, and how to get them."""
     folder = recordings.data_folder()
     return (
         f"{', '.join(missing)} not found in {folder}; 'qrsim data fetch' gets the recordings"

@@ -29,7 +29,7 @@ class Line(NamedTuple):
 
 
 def write_pdf(results: Sequence[Result], about: Mapping[str, object]) -> bytes:
-    """Return the report: a page of results, and for each part its text, its pictures and its tables.
+    """Return the report as PDF: a page of results, then text, pictures and tables of each part.
 
     Args:
         results: in the order they are shown.
@@ -38,15 +38,15 @@ def write_pdf(results: Sequence[Result], about: Mapping[str, object]) -> bytes:
     buffer = io.BytesIO()
     # Without a date, so that the same report is the same file.
     with PdfPages(buffer, metadata={"Title": f"Validation of qrsim {about['qrsim']}", "CreationDate": None}) as pages:
-        for page in _pages([*_front(results, about)]):
+        for page in _paginate([*_front_page(results, about)]):
             pages.savefig(page)
         for result in results:
-            for page in _pages([*_text(result)]):
+            for page in _paginate([*_part_text(result)]):
                 pages.savefig(page)
             for shown in result.outcome.pictures if result.outcome else ():
                 if shown.figure is not None:
                     pages.savefig(shown.figure, bbox_inches="tight", pad_inches=0.3)
-            for page in _pages([*_tables(result)]):
+            for page in _paginate([*_part_tables(result)]):
                 pages.savefig(page)
     return buffer.getvalue()
 
@@ -57,23 +57,26 @@ def figures(results: Sequence[Result]) -> dict[str, bytes]:
     for result in results:
         for i, shown in enumerate(result.outcome.pictures if result.outcome else (), start=1):
             if shown.figure is not None:
-                found[f"{result.part.name}_{i}.pdf"] = _vectors(shown)
+                found[f"{result.part.name}_{i}.pdf"] = _picture_pdf(shown)
     return found
 
 
-def _vectors(shown: Picture) -> bytes:
+def _picture_pdf(shown: Picture) -> bytes:
+    """Return a picture as a PDF without a date."""
     buffer = io.BytesIO()
     shown.figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})  # type: ignore[union-attr]
     return buffer.getvalue()
 
 
-def _wrapped(text: str, indent: str = "", **style: Any) -> Iterator[Line]:
+def _wrapped_lines(text: str, indent: str = "", **style: Any) -> Iterator[Line]:
+    """Yield the lines of a text, wrapped to the width of the page."""
     width = PER_BOLD_LINE if style.get("bold") else PER_LINE
     for line in textwrap.wrap(text, width, subsequent_indent=indent) or [""]:
         yield Line(line, **style)
 
 
-def _front(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[Line]:
+def _front_page(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[Line]:
+    """Yield the lines of the first page: results of all parts."""
     checks = [check for result in results if result.outcome for check in result.outcome.checks]
     failed = sum(not check.passed for check in checks)
     yield Line(f"Validation of qrsim {about['qrsim']}", 20.0, bold=True)
@@ -83,8 +86,8 @@ def _front(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[L
         f"{failed} of {len(checks)} checks failed." if failed else f"All {len(checks)} checks passed.", bold=True
     )
     yield Line("")
-    yield from _wrapped(f"The simulator follows {SOURCE}.")
-    yield from _wrapped(
+    yield from _wrapped_lines(f"The simulator follows {SOURCE}.")
+    yield from _wrapped_lines(
         "A check asks whether the program computes what it should; one that fails is an error. A finding says how well "
         "a model describes what was recorded, and fails nothing."
     )
@@ -92,61 +95,67 @@ def _front(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[L
         yield Line("")
         yield Line(result.part.title, 12.0, bold=True)
         if result.outcome is None:
-            yield from _wrapped(f"Skipped: {result.skipped}.")
+            yield from _wrapped_lines(f"Skipped: {result.skipped}.")
             continue
         good = sum(check.passed for check in result.outcome.checks)
-        yield from _wrapped(f"{good} of {len(result.outcome.checks)} checks. {result.outcome.reading}")
+        yield from _wrapped_lines(f"{good} of {len(result.outcome.checks)} checks. {result.outcome.reading}")
 
 
-def _text(result: Result) -> Iterator[Line]:
+def _part_text(result: Result) -> Iterator[Line]:
+    """Yield the lines about one part: method, reading and pictures."""
     yield Line(result.part.title, HEAD, bold=True)
     yield Line("")
-    yield from _wrapped(f"Answers {result.part.answers}.")
+    yield from _wrapped_lines(f"Answers {result.part.answers}.")
     if result.outcome is None:
-        yield from _wrapped(f"Skipped: {result.skipped}.")
+        yield from _wrapped_lines(f"Skipped: {result.skipped}.")
         return
     yield Line("")
-    yield from _wrapped(result.outcome.method)
+    yield from _wrapped_lines(result.outcome.method)
     yield Line("")
-    yield from _wrapped(result.outcome.reading, bold=True)
+    yield from _wrapped_lines(result.outcome.reading, bold=True)
     for words in result.outcome.skipped:
-        yield from _wrapped(f"Skipped: {words}.")
+        yield from _wrapped_lines(f"Skipped: {words}.")
     for i, shown in enumerate(result.outcome.pictures, start=1):
         yield Line("")
-        yield from _wrapped(f"Picture {i}: {shown.caption}")
+        yield from _wrapped_lines(f"Picture {i}: {shown.caption}")
 
 
-def _tables(result: Result) -> Iterator[Line]:
+def _part_tables(result: Result) -> Iterator[Line]:
+    """Yield the lines of the findings and checks of one part."""
     if result.outcome is None:
         return
     yield Line(f"{result.part.title}: numbers", HEAD, bold=True)
     for found in result.outcome.findings:
         yield Line("")
-        yield from _finding(found)
+        yield from _finding_lines(found)
     for check in result.outcome.checks:
         yield Line("")
-        yield from _check(check)
+        yield from _check_lines(check)
     if result.outcome.checks:
         narrow = worst(result.outcome.checks)
         used = 100.0 * abs(narrow.value - narrow.expected) / narrow.tolerance
         yield Line("")
-        yield from _wrapped(f"Nearest to its bound: {narrow.name}, at {used:.0f} % of it.")
+        yield from _wrapped_lines(f"Nearest to its bound: {narrow.name}, at {used:.0f} % of it.")
 
 
-def _finding(found: Finding) -> Iterator[Line]:
-    yield from _wrapped(f"{found.verdict}: {found.name}: {found.number}", "    ", bold=True)
-    yield from _wrapped(f"    {found.reading}", "    ")
+def _finding_lines(found: Finding) -> Iterator[Line]:
+    """Yield the lines of a finding."""
+    yield from _wrapped_lines(f"{found.verdict}: {found.name}: {found.number}", "    ", bold=True)
+    yield from _wrapped_lines(f"    {found.reading}", "    ")
 
 
-def _check(check: Check) -> Iterator[Line]:
-    yield from _wrapped(f"{'pass' if check.passed else 'FAIL'}: {check.name}", "    ", bold=not check.passed)
+def _check_lines(check: Check) -> Iterator[Line]:
+    """Yield the lines of a check: value, expectation and tolerance."""
+    yield from _wrapped_lines(f"{'pass' if check.passed else 'FAIL'}: {check.name}", "    ", bold=not check.passed)
     unit = f" {check.unit}" if check.unit else ""
-    told = f"{number(check.value)}{unit}; expected {number(check.expected)} ± {check.tolerance:.2g}: {check.reason}"
-    yield from _wrapped(f"    {told}", "    ")
+    comparison = (
+        f"{number(check.value)}{unit}; expected {number(check.expected)} ± {check.tolerance:.2g}: {check.reason}"
+    )
+    yield from _wrapped_lines(f"    {comparison}", "    ")
 
 
-def _pages(lines: Sequence[Line]) -> Iterator[Figure]:
-    """Yield pages that hold the lines."""
+def _paginate(lines: Sequence[Line]) -> Iterator[Figure]:
+    """Yield the pages that hold the lines."""
     page, height = None, 0.0
     for line in lines:
         needed = line.size * LEADING / 72.0 / PAGE[1]

@@ -15,7 +15,7 @@ DPI = 90
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Render a figure as a PNG for the report, and keep it for vectors."""
+    """Render a figure as a PNG for the report; the figure stays available for vector output."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DPI, format="png")
     return Picture(buffer.getvalue(), caption, figure)

@@ -37,7 +37,7 @@ class RangeErrors(NamedTuple):
     quick: float
 
     def autocovariance(self, lags: Floats) -> Floats:
-        """Return the autocovariance [m^2] at lags [s]: of a first-order process that another one drives."""
+        """Return the autocovariance [m^2] at lags [s] of a first-order process driven by another one."""
         slow = np.exp(-lags / self.slow)
         if not self.quick:
             return np.asarray(self.std**2 * slow)
@@ -104,8 +104,8 @@ class DataSheet(NamedTuple):
     numbers: dict[tuple[str, str], float]
 
 
-def _noise(gyroscope_deg_s: float, accelerometer_ug: float | None = None) -> dict[tuple[str, str], float]:
-    """Return N from one-sided densities [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]."""
+def _noise_densities(gyroscope_deg_s: float, accelerometer_ug: float | None = None) -> dict[tuple[str, str], float]:
+    """Return noise densities N in SI from one-sided densities [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]."""
     found = {("gyroscope", "noise"): math.radians(gyroscope_deg_s) / math.sqrt(2.0)}
     if accelerometer_ug is not None:
         found["accelerometer", "noise"] = accelerometer_ug * 1e-6 * GRAVITY / math.sqrt(2.0)
@@ -115,10 +115,10 @@ def _noise(gyroscope_deg_s: float, accelerometer_ug: float | None = None) -> dic
 DATA_SHEETS = {
     "mpu6000": DataSheet(
         "PS-MPU-6000A-00 rev. 3.4, sections 6.1 and 6.2",
-        _noise(0.005, 400.0)
+        _noise_densities(0.005, 400.0)
         | {("gyroscope", "turn_on_bias"): math.radians(20.0), ("accelerometer", "turn_on_bias"): 0.08 * GRAVITY},
     ),
-    "icm42688p": DataSheet("DS-000347 v1.7, first page", _noise(0.0028, 70.0)),
+    "icm42688p": DataSheet("DS-000347 v1.7, first page", _noise_densities(0.0028, 70.0)),
     # Its angle random walk is given too, 0.34 deg/sqrt(h): 0.00567 deg/sqrt(s).
-    "adis16470": DataSheet("ADIS16470 rev. C, first page", _noise(0.008)),
+    "adis16470": DataSheet("ADIS16470 rev. C, first page", _noise_densities(0.008)),
 }

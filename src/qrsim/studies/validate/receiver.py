@@ -66,11 +66,13 @@ def sky_over(path: Path, site: Site, start: datetime, duration_s: float, errors:
 
 
 @partial(quick_jit, static_argnames=("ticks", "seeds"))
-def _fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[jax.Array, jax.Array]:
+def _simulate_fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[jax.Array, jax.Array]:
+    """Simulate the fixes of receivers at rest: positions (T, seeds, 3) [m] and satellites used."""
     like = jnp.zeros((), LIKE)
     still = Vec3.zeros((1,), jnp.dtype(LIKE))
 
     def one(world: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Simulate the fixes of the receiver of one world."""
         key = Key.root(SEED, world)
         names = ("sky start", "receiver start", "sky", "receiver")
         ids = (sky.ids, jnp.zeros(1, jnp.uint32)) * 2
@@ -79,6 +81,7 @@ def _fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: int) -> tu
         memory, reading = receiver.init(Draw(first_fix, jnp.uint32(0), like), still, still, start)
 
         def tick(carry: Any, now: jax.Array) -> Any:
+            """Advance sky and receiver by one period; return position and satellites used."""
             state, memory = carry
             seconds, fraction = split_time(now, PERIOD, LIKE)
             state = sky.step(state, Draw(later_sky, now, like), seconds, fraction)
@@ -102,7 +105,7 @@ def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tu
         seeds: how many.
     """
     receiver = cast(GnssReceiver(), LIKE)
-    positions, used = _fixes(sky, receiver, (rows - 1) * every + 1, seeds)
+    positions, used = _simulate_fixes(sky, receiver, (rows - 1) * every + 1, seeds)
     found = np.asarray(used)
     return np.moveaxis(np.asarray(positions, np.float64)[:, ::every], 0, 1), (int(found.min()), int(found.max()))
 

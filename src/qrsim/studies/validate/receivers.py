@@ -56,6 +56,7 @@ def pdops(times: int = TIMES) -> Floats:
 
 
 def _pdop(rays: Floats) -> float:
+    """Return the position dilution of precision of rays (S, 3), infinite below four satellites."""
     return dilution_of_precision(rays)[2] if len(rays) >= 4 else math.inf
 
 
@@ -73,6 +74,7 @@ def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
         world = load_scenario(content, quiet=True).world()
 
         def last(state: Any) -> tuple[jax.Array, jax.Array]:
+            """Return the error of the last fix (3,) [m] and its reported accuracies (2,) [m]."""
             reading, place = state.fleets[0].readings[0], state.fleets[0].vehicle.position_ned
             error = reading.position_ned.stack() - place.stack()
             return error[0], jnp.stack([reading.horizontal_accuracy[0], reading.vertical_accuracy[0]])
@@ -85,12 +87,12 @@ def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
 
 
 def cep(of: Fixes) -> float:
-    """Return the radius [m] within which half of the fixes are."""
+    """Return the circular error probable [m], the radius that holds half of the fixes."""
     return float(np.median(np.hypot(of.error[:, 0], of.error[:, 1])))
 
 
 def honest(preset: str, of: Fixes, count: int) -> list[Check]:
-    """Return the checks of what a receiver reports: of all fixes its mean square is that of the errors."""
+    """Return the checks that reported accuracies match the errors in the mean square."""
     z, checks = widest_z(count), []
     squares = {"horizontal": np.sum(np.square(of.error[:, :2]), axis=1), "vertical": np.square(of.error[:, 2])}
     for (what, each), stated in zip(squares.items(), of.reported.T, strict=True):
@@ -110,7 +112,8 @@ def honest(preset: str, of: Fixes, count: int) -> list[Check]:
     return checks
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Simulate receivers of all presets, and return the outcome of this part."""
     starts, worlds = (STARTS, WORLDS) if full else (FEW_STARTS, FEW_WORLDS)
     found = {preset: fixes(preset, starts, worlds) for preset in RECEIVER_CEP_M}
     geometry = pdops(TIMES if full else 24)
@@ -132,8 +135,8 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         reading=f"PDOP is {SPS_PDOP:g} or less at {100 * good:.1f} % of places and times; receivers know how good their"
         " fixes are, and these are better than their data sheets say.",
         checks=checks,
-        findings=[_finding(preset, cep(of)) for preset, of in found.items()],
-        pictures=[_picture(found, geometry)],
+        findings=[_cep_finding(preset, cep(of)) for preset, of in found.items()],
+        pictures=[_draw_receivers(found, geometry)],
         numbers={
             "pdop": {f"{100 * q:g}_percent": float(np.quantile(geometry, q)) for q in (0.5, 0.9, 0.95, 0.98)},
             "receivers": {
@@ -148,7 +151,8 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     )
 
 
-def _finding(preset: str, found: float) -> Finding:
+def _cep_finding(preset: str, found: float) -> Finding:
+    """Return the finding of a preset's CEP [m] against its data sheet."""
     stated, source = RECEIVER_CEP_M[preset]
     verdict: Verdict = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
     return Finding(
@@ -159,7 +163,8 @@ def _finding(preset: str, found: float) -> Finding:
     )
 
 
-def _picture(found: Mapping[str, Fixes], geometry: Floats) -> Picture:
+def _draw_receivers(found: Mapping[str, Fixes], geometry: Floats) -> Picture:
+    """Draw the distribution of horizontal errors and of the PDOP."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 
@@ -188,4 +193,6 @@ def _picture(found: Mapping[str, Fixes], geometry: Floats) -> Picture:
     )
 
 
-PART = Part("receivers", "Receivers and geometry", "no figure of the paper: data sheets and the GPS standard", (), _run)
+PART = Part(
+    "receivers", "Receivers and geometry", "no figure of the paper: data sheets and the GPS standard", (), _run_part
+)

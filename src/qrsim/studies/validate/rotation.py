@@ -36,7 +36,8 @@ def rotation_match(path: Path, precision: str = "float64") -> Match:
     return Match(DT * np.arange(len(rows)), recorded, states[:, [3, 4, 5, 9, 10, 11]], NAMES)
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Compare the rig's rotation with the model, and return the outcome of this part."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = rotation_match(paths[RECORDING])
@@ -53,7 +54,7 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
             word,
             f"{100 * explained[name]:.1f} % of the variance explained; {rms_deg[name]:.1f} {unit} rms",
             share_verdict(explained[name]),
-            _reading(name, end_deg),
+            _interpretation(name, end_deg),
         )
         for name, word, unit in zip(NAMES, WORDS, ("°",) * 3 + ("°/s",) * 3, strict=True)
     ]
@@ -82,7 +83,8 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     )
 
 
-def _reading(name: str, end_deg: float) -> str:
+def _interpretation(name: str, end_deg: float) -> str:
+    """Return the sentence that interprets the match of a channel."""
     if name == "psi":
         return f"An integral without correction: it ends {abs(end_deg):.1f}° away and never leaves the record."
     if name in ("phi", "theta"):
@@ -95,5 +97,5 @@ PART = Part(
     "Rotation",
     "the rotation figure: recorded and simulated roll, pitch and yaw, over 100 s",
     (RECORDING,),
-    _run,
+    _run_part,
 )

@@ -49,12 +49,14 @@ CASES = {"low": Case(15.24, 20.0, 0.5), "middle": Case(152.4, 30.0, 0.5), "high"
 
 
 @partial(jax.jit, static_argnums=1)
-def _simulate(turbulence: Dryden, steps: int, key: Key, height: jax.Array, airspeed: jax.Array) -> jax.Array:
+def _simulate_series(turbulence: Dryden, steps: int, key: Key, height: jax.Array, airspeed: jax.Array) -> jax.Array:
+    """Simulate gusts and gust rates (steps, 5, vehicles) of the Dryden component."""
     ids, zero = jnp.arange(height.size, dtype=jnp.uint32), jnp.zeros_like(height)
     like = jnp.zeros((), height.dtype)
     stream, still = key.stream("gust", ids), Vec3(zero, zero, zero)
 
     def tick(state: DrydenState, now: jax.Array) -> tuple[DrydenState, jax.Array]:
+        """Advance the turbulence by one tick; return u, v, w, q, r."""
         state = turbulence.step(state, Draw(stream, now, like), height, Vec3(airspeed, zero, zero), still, DT)
         gust, rates = turbulence.gust_ned(state, height), turbulence.gust_rates_ned(state, height)
         return state, jnp.stack([gust.x, gust.y, gust.z, rates.y, rates.z])
@@ -68,12 +70,12 @@ def our_series(case: Case, steps: int, seed: int) -> Floats:
     # With the wind from the south, wind axes are north, east and down.
     turbulence = cast(record_of(Dryden, case.speed_20ft, math.pi, SPAN, SEVERITY), np.float32)
     like = np.ones(VEHICLES, np.float32)
-    series = _simulate(turbulence, steps // VEHICLES, Key.root(seed), case.height * like, case.airspeed * like)
+    series = _simulate_series(turbulence, steps // VEHICLES, Key.root(seed), case.height * like, case.airspeed * like)
     return np.moveaxis(np.asarray(series, np.float64), 0, -1)
 
 
 def scales(case: Case) -> tuple[Floats, Floats]:
-    """Return (3,) lengths [m] and standard deviations [m/s] of u, v, w, as the standard has them."""
+    """Return lengths [m] and standard deviations [m/s] (3,) of u, v, w as the standard defines them."""
     return dryden_scales(case.height, case.speed_20ft)
 
 

@@ -18,7 +18,7 @@ Statistic = dict[str, float]
 
 
 def against(value: SupportsFloat, expected: float, standard_error: float) -> Statistic:
-    """Return a statistic (a number of any type) that is normal about ``expected`` under the hypothesis."""
+    """Return a statistic, a number of any type, that is normal about ``expected`` under the hypothesis."""
     z = (float(value) - expected) / standard_error
     return {"value": float(value), "expected": expected, "z": z, "p": math.erfc(abs(z) / math.sqrt(2.0))}
 
@@ -40,7 +40,7 @@ def judge(tree: Mapping[str, object]) -> dict[str, float]:
 
 
 def widest_z(count: int) -> float:
-    """Return the |z| that all of ``count`` statistics stay within at CONFIDENCE where the hypothesis is true."""
+    """Return the bound on |z| that ``count`` true statistics keep together with probability CONFIDENCE."""
     return NormalDist().inv_cdf(1.0 - (1.0 - CONFIDENCE) / (2.0 * count))
 
 

@@ -29,8 +29,11 @@ def thrust_match(path: Path, precision: str = "float64") -> Match:
         inputs = jnp.asarray(rows[:, [1, 3]], precision)
 
         def tick(thrust: jax.Array, row: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """Advance the thrust by one row."""
+
             # The rig holds the body still, so that thrust is the whole state.
             def slope(now: jax.Array) -> tuple[jax.Array, jax.Array]:
+                """Return the rate of the thrust [N/s], twice as ``heun`` needs."""
                 rate = vehicle.thrust_rate(now, row[0] / THROTTLE_RAW_PER_UNIT, row[1], DT)
                 return rate, rate
 
@@ -50,7 +53,8 @@ def thrust_errors(path: Path, precision: str = "float64") -> dict[str, float]:
     }
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Compare the rig's thrust with the model, and return the outcome of this part."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = thrust_match(paths[RECORDING])
@@ -98,5 +102,5 @@ PART = Part(
     "Thrust",
     "the thrust figure: recorded and simulated thrust on the rig and their residual, over 40 s",
     (RECORDING,),
-    _run,
+    _run_part,
 )

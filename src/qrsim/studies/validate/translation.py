@@ -55,6 +55,7 @@ def fly_winds(flight: Outdoor) -> Windy:
     steps = len(flight.commands)
 
     def fly(winds: Floats) -> tuple[Floats, Floats]:
+        """Return velocities and positions of the flight in constant winds (W, 2)."""
         count = len(winds)
         commands = np.broadcast_to(flight.commands[:, :, None], (steps, 5, count))
         return fly_in_wind(np.broadcast_to(flight.start, (count, 13)), commands, winds)
@@ -111,25 +112,27 @@ def consistency(flight: Outdoor) -> dict[str, float]:
     return result
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Compare the outdoor flight with the model, and return the outcome of this part."""
     flight = fly_recorded(paths[RECORDING])
     match, force = velocity_match(flight), specific_force_errors(flight)
     winds, own = fly_winds(flight), consistency(flight)
-    numbers = _numbers(flight, match, force, winds) | {"record": own, "restarted": horizons(flight, winds.wind)}
+    numbers = _results(flight, match, force, winds) | {"record": own, "restarted": horizons(flight, winds.wind)}
     return Outcome(
         method="A Pelican flew outdoors by stick commands, in unmeasured wind. The model gets the commands of"
         " the first 160 s and the first row's attitude; velocity is then one integral of what it computes, position a"
         " second. The record's commands lead its motion by 0.5 s, which the comparison takes out. The horizontal wind"
         " is fitted by linear least squares, exact because the model is linear in the wind.",
-        reading=_summary(numbers),
-        checks=_checks(match, force),
-        findings=_findings(numbers, own),
-        pictures=_pictures(flight, match, winds, numbers),
+        reading=_summarise(numbers),
+        checks=_reference_checks(match, force),
+        findings=_flight_findings(numbers, own),
+        pictures=_draw_match(flight, match, winds, numbers),
         numbers=numbers,
     )
 
 
-def _checks(match: Match, force: dict[str, dict[str, float]]) -> list[Check]:
+def _reference_checks(match: Match, force: dict[str, dict[str, float]]) -> list[Check]:
+    """Return the checks of errors against the reference scores."""
     errors = match.mean_square()
     checks = [
         reference_check(f"mean squared error of the velocity {axis}", errors[axis], REFERENCE_VELOCITY[axis], "(m/s)²")
@@ -143,7 +146,8 @@ def _checks(match: Match, force: dict[str, dict[str, float]]) -> list[Check]:
     ]
 
 
-def _numbers(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], winds: Windy) -> Content:
+def _results(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], winds: Windy) -> Content:
+    """Return the numbers of the comparison as plain values."""
     half = len(match.time) // 2
     recorded = Match(match.time, match.recorded, winds.velocity["fitted wind"], AXES)
     second = {
@@ -182,7 +186,8 @@ def _from_start(flight: Outdoor, position: Floats) -> Floats:
     return np.asarray((position - flight.start[:3]) - (flight.recorded[:, :3] - flight.before[0, :3]))
 
 
-def _summary(numbers: Content) -> str:
+def _summarise(numbers: Content) -> str:
+    """Return the conclusion of this part."""
     share, windy = numbers["velocity_explained_share"], numbers["fitted_wind"]["velocity_explained_share"]
     lost = numbers["horizontal_position_error_m"]["still_air"]["after_160_s"]
     return (
@@ -193,7 +198,8 @@ def _summary(numbers: Content) -> str:
     )
 
 
-def _findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
+def _flight_findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
+    """Return the findings on velocity and position, with and without wind."""
     share, fitted, drift = numbers["velocity_explained_share"], numbers["fitted_wind"], numbers["restarted"]
     windy, lost = fitted["velocity_explained_share"], numbers["horizontal_position_error_m"]
     second = numbers["second_half"]["wind_of_first_half"]["explained"]
@@ -231,8 +237,8 @@ def _findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
         ),
         Finding(
             "horizontal velocity, restarted from the record every 5 s",
-            f"rms error after 1, 5, 20 s: {_three(drift['fitted_wind'])} m/s in the fitted wind;"
-            f" {_three(drift['no_change'])} m/s for a constant velocity",
+            f"rms error after 1, 5, 20 s: {_format_errors(drift['fitted_wind'])} m/s in the fitted wind;"
+            f" {_format_errors(drift['no_change'])} m/s for a constant velocity",
             share_verdict(1.0 - (drift["fitted_wind"]["5_s"] / drift["no_change"]["5_s"]) ** 2),
             "The accuracy of the model without accumulated errors; the verdict is on the share of the squared"
             " changes within 5 s that it explains. The wind comes from the same flight.",
@@ -249,11 +255,13 @@ def _findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
     ]
 
 
-def _three(errors: dict[str, float]) -> str:
+def _format_errors(errors: dict[str, float]) -> str:
+    """Return the errors after 1, 5 and 20 s as text."""
     return ", ".join(f"{errors[name]:.2f}" for name in ("1_s", "5_s", "20_s"))
 
 
-def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: Content) -> list[Picture]:
+def _draw_match(flight: Outdoor, match: Match, winds: Windy, numbers: Content) -> list[Picture]:
+    """Return the pictures of the match and of the error over the horizon."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, RECORDED, SIMULATED, picture
 
@@ -282,10 +290,11 @@ def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: Content) -> 
         " so velocity shows the error of one integration and position that of two. The record's third position column"
         " is drawn as a height.",
     )
-    return [traces, _horizon_picture(numbers["restarted"])]
+    return [traces, _draw_horizons(numbers["restarted"])]
 
 
-def _horizon_picture(restarted: dict[str, dict[str, float]]) -> Picture:
+def _draw_horizons(restarted: dict[str, dict[str, float]]) -> Picture:
+    """Draw the rms error of the velocity over the time since the last restart."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, SIMULATED, picture
 
@@ -307,5 +316,5 @@ PART = Part(
     "Translation",
     "the translation figure: recorded and simulated velocity and position of an outdoor flight",
     (RECORDING,),
-    _run,
+    _run_part,
 )

@@ -100,7 +100,8 @@ def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Flo
     return figure
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Compare gusts with closed forms and JSBSim, and return the outcome of this part."""
     from qrsim.studies.validate.pictures import picture
 
     oracle = is_installed()
@@ -114,10 +115,10 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     if oracle:
         windows = JSBSIM_WINDOWS if full else FEW_WINDOWS
         flown = {name: jsbsim_gusts(kind, windows * TRACE_S, SEED) for name, kind in TYPES.items()}
-        hover |= {name: _variances(found, windows) for name, found in flown.items()}
+        hover |= {name: _jsbsim_variances(found, windows) for name, found in flown.items()}
         traces["JSBSim type 4"] = flown["jsbsim_type_4"][: len(gusts["dryden"])]
         for name, kind in TYPES.items():
-            spectra[name]["exact_db_from_closed_form"] = _exact_distance(case, kind)
+            spectra[name]["exact_db_from_closed_form"] = _spectral_distance(case, kind)
     numbers = {
         "spectra": {"time_step_s": DT, "steps": steps, **spectra},
         "hover": {
@@ -141,17 +142,17 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         f" case: mean wind of 2 ft/s ({SPEED:.2f} m/s) from {FROM_DEG:g}°, {vehicles} vehicles that hover at 20 ft for"
         f" {TRACE_S:g} s (the paper does not say its height; at 20 ft the mean wind is its named value)."
         + (" JSBSim, an independent flight simulator, generates the same gusts by its own code." if oracle else ""),
-        reading=_summary(numbers, oracle),
+        reading=_summarise(numbers, oracle),
         checks=[*_spectra_checks(spectra["ours"], steps), *_hover_checks(hover, vehicles), *_mean_checks()],
-        findings=_findings(numbers, oracle),
-        pictures=[_trace_picture(traces), picture(spectra_figure(case, series, levels), caption)],
+        findings=_gust_findings(numbers, oracle),
+        pictures=[_draw_traces(traces), picture(spectra_figure(case, series, levels), caption)],
         numbers=numbers,
         skipped=[] if oracle else [f"JSBSim is not installed, so its spectra and traces are left out; {INSTALL}"],
     )
 
 
-def _variances(gusts_ned: Floats, windows: int) -> Content:
-    """Return JSBSim's variances over the closed form, and how much they vary between windows of 200 s."""
+def _jsbsim_variances(gusts_ned: Floats, windows: int) -> Content:
+    """Return JSBSim's variances over the closed form, and their spread between windows of 200 s."""
     scaled = np.square(in_wind_axes(gusts_ned) / scales(CASE)[1])
     by_window = scaled.reshape(windows, -1, 3).mean(axis=1)
     return {
@@ -163,14 +164,15 @@ def _variances(gusts_ned: Floats, windows: int) -> Content:
     }
 
 
-def _exact_distance(case: Case, kind: int) -> float:
-    """Return how far the spectra of u, v and w of JSBSim's recursions are from the closed forms at most [dB]."""
+def _spectral_distance(case: Case, kind: int) -> float:
+    """Return the largest distance [dB] of JSBSim's spectra of u, v and w from the closed forms."""
     omega = LOWEST_OMEGA * 10.0 ** (0.1 * (np.arange(BANDS) + 0.5))
     ratio = jsbsim_theory(case, kind, omega)[:3] / closed_form(case, omega)[:3]
     return float(np.max(np.abs(10.0 * np.log10(ratio))))
 
 
 def _spectra_checks(ours: Content, steps: int) -> list[Check]:
+    """Return the checks of variances and spectral levels in flight."""
     z = widest_z(len(COMPONENTS))
     # The bands' levels are means over Welch's segments, whose number grows with the record.
     bound = SPECTRA_DB * math.sqrt(max(1.0, STEPS / steps))
@@ -200,6 +202,7 @@ def _spectra_checks(ours: Content, steps: int) -> list[Check]:
 
 
 def _hover_checks(hover: Content, vehicles: int) -> list[Check]:
+    """Return the checks of variances and autocovariances of hovering vehicles."""
     count = sum(len(list(p_values(hover[name]))) for name in MODELS)
     z = widest_z(count)
     return [
@@ -219,6 +222,7 @@ def _hover_checks(hover: Content, vehicles: int) -> list[Check]:
 
 
 def _mean_checks() -> list[Check]:
+    """Return the checks of the mean wind's speed and bearing."""
     north, east, down = mean_wind()
     bearing = math.degrees(math.atan2(-east, -north)) % 360.0
     speed = float(np.hypot(north, east))
@@ -229,7 +233,8 @@ def _mean_checks() -> list[Check]:
     ]
 
 
-def _findings(numbers: Content, oracle: bool) -> list[Finding]:
+def _gust_findings(numbers: Content, oracle: bool) -> list[Finding]:
+    """Return the findings on published traces and on JSBSim's turbulence."""
     hover, spectra = numbers["hover"], numbers["spectra"]
     lags = hover["time_constant_s"]
     found = [
@@ -275,14 +280,16 @@ def _findings(numbers: Content, oracle: bool) -> list[Finding]:
     return found
 
 
-def _summary(numbers: Content, oracle: bool) -> str:
+def _summarise(numbers: Content, oracle: bool) -> str:
+    """Return the conclusion of this part in one sentence."""
     ours = numbers["spectra"]["ours"]
     largest = max(ours[axis]["largest_db_from_closed_form"] for axis in COMPONENTS[:3])
     reading = f"Gusts have the standard's variances and correlations within chance, and its spectra to {largest:.1f} dB"
     return reading + (", as JSBSim's second-order model has." if oracle else ".")
 
 
-def _trace_picture(traces: dict[str, Floats]) -> Picture:
+def _draw_traces(traces: dict[str, Floats]) -> Picture:
+    """Draw one gust trace of each model around the mean wind."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 
@@ -314,5 +321,5 @@ PART = Part(
     "Turbulence",
     "the turbulence figure: traces over 200 s in a mean wind of 2 ft/s from 30°",
     (),
-    _run,
+    _run_part,
 )

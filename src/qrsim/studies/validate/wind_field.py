@@ -41,14 +41,16 @@ LAGS, CARRIED_AT, LIFETIME = (1.0, 5.0, 20.0), 20.0, 100.0
 
 
 @partial(quick_jit, static_argnames="worlds")
-def _gusts(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax.Array, worlds: int) -> jax.Array:
-    """Return gusts (W, n, 3) at places (n, 3) and whole seconds (n,)."""
+def _gusts_at(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax.Array, worlds: int) -> jax.Array:
+    """Return gusts (W, n, 3) at points (n, 3) and whole seconds (n,)."""
     ids, like = jnp.arange(field.field_ids, dtype=jnp.uint32), jnp.zeros((), jnp.float32)
 
     def one(world: jax.Array) -> jax.Array:
+        """Return the gusts (n, 3) of one world."""
         waves = field.draw_field(Draw(Key.root(SEED, world).stream("/turbulence", ids), jnp.int32(0), like), wind)
 
         def at(point: jax.Array, second: jax.Array) -> jax.Array:
+            """Return the gust (3,) at a point and a second."""
             where = Vec3(*(axis[None] for axis in point))
             state = field.init(None)  # type: ignore[arg-type]
             gust = field.gust_ned(state, -where.z, where, seconds=second, fraction=like, field=waves)
@@ -64,12 +66,12 @@ def gusts(place: Floats, seconds: Floats, worlds: int, evolution: Evolution = "l
     given = record_of(DrydenField, speed_20ft=SPEED_20FT, evolution=evolution)
     field = jax.tree.map(jnp.asarray, cast(given, np.float32))
     wind = cast(record_of(LogShear, SPEED_20FT, np.pi), np.float32)
-    found = _gusts(field, wind, jnp.asarray(place, jnp.float32), jnp.asarray(seconds, jnp.int32), worlds)
+    found = _gusts_at(field, wind, jnp.asarray(place, jnp.float32), jnp.asarray(seconds, jnp.int32), worlds)
     return np.asarray(found, np.float64)
 
 
 def closed(r: float) -> dict[str, float]:
-    """Return the correlations at a horizontal separation [m]: along it, across it, and of vertical gusts."""
+    """Return the correlations in closed form at a separation [m]: along it, across it, and of vertical gusts."""
     (length, _, vertical), _ = dryden_scales(HEIGHT, SPEED_20FT)
     return {
         "along": float(np.exp(-r / length)),
@@ -93,7 +95,8 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
     _, sigma = dryden_scales(HEIGHT, SPEED_20FT)
 
     def parts_of(gust: Floats) -> dict[str, Floats]:
-        return {"along": _part(gust, ahead), "across": _part(gust, aside), "vertical": gust[:, :, 2]}
+        """Return the components of gusts along and across the separation, and vertical."""
+        return {"along": _component(gust, ahead), "across": _component(gust, aside), "vertical": gust[:, :, 2]}
 
     first = parts_of(every[:, 0])
     found = {
@@ -111,19 +114,20 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
 
 
 def _ratio(above: Floats, below: Floats) -> tuple[float, float]:
-    """Return the ratio of the means of (W, n), and its standard error over the worlds, to first order."""
+    """Return the ratio of two means over (W, n), and its standard error over worlds, to first order."""
     a, b = above.mean(axis=1), below.mean(axis=1)
     ratio = float(a.mean() / b.mean())
     _, error = mean_and_error((a - ratio * b) / b.mean())
     return ratio, float(error)
 
 
-def _part(gust: Floats, axis: Floats) -> Floats:
+def _component(gust: Floats, axis: Floats) -> Floats:
+    """Return the component (W, n) of gusts (W, n, 3) along an axis (n, 3)."""
     return np.asarray(np.einsum("wni,ni->wn", gust, axis))
 
 
 def kept(lifetimes: object) -> Floats:
-    """Return the correlation of gusts after times in lifetimes, of any shape, in the frame that moves with the field.
+    """Return the correlation of gusts after times in lifetimes, of any shape, in the field's moving frame.
 
     The autocorrelation of sin^2 over half a turn.
     """
@@ -132,7 +136,7 @@ def kept(lifetimes: object) -> Floats:
 
 
 def travelling(worlds: int, evolution: Evolution = "frozen") -> dict[str, tuple[float, float]]:
-    """Return correlations of gusts with those seen earlier and upwind, with standard errors, by lag [s]."""
+    """Return correlations of gusts with earlier ones upwind, with standard errors, by lag [s]."""
     speed = SPEED_20FT * wind_over_20ft(CARRIED_AT)
     rng = np.random.default_rng(SEED + 1)
     here = np.column_stack([rng.uniform(-500.0, 500.0, (PAIRS, 2)), np.full(PAIRS, -HEIGHT)])
@@ -147,9 +151,10 @@ def travelling(worlds: int, evolution: Evolution = "frozen") -> dict[str, tuple[
 Carried = dict[str, tuple[float, float]]
 
 
-def _checks(
+def _field_checks(
     points: dict[str, dict[str, tuple[float, float]]], frozen: Carried, carried: Carried, worlds: int
 ) -> list[Check]:
+    """Return the checks of variances and correlations against closed forms."""
     z = widest_z(sum(len(each) for each in points.values()) + len(carried))
     checks = []
     for r, each in points.items():
@@ -195,7 +200,8 @@ def _checks(
     )
 
 
-def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
+def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
+    """Simulate gusts at pairs of points, and return the outcome of this part."""
     worlds = WORLDS if full else FEW_WORLDS
     points, frozen, carried = two_points(worlds), travelling(20), travelling(worlds, "lifetime")
     near = points["3"]["along"][0]
@@ -205,9 +211,9 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         " compared with those that isotropic turbulence of the standard's spectra has.",
         reading=f"Neighbours meet the same air: 3 m apart their gusts are correlated by {near:.2f}, and what one meets"
         " the next one downwind meets a few seconds later, when the wind has carried it there.",
-        checks=_checks(points, frozen, carried, worlds),
+        checks=_field_checks(points, frozen, carried, worlds),
         findings=[],
-        pictures=[_picture(points)],
+        pictures=[_draw_correlations(points)],
         numbers={
             "two_points": {
                 r: {
@@ -224,7 +230,8 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
     )
 
 
-def _picture(points: dict[str, dict[str, tuple[float, float]]]) -> Picture:
+def _draw_correlations(points: dict[str, dict[str, tuple[float, float]]]) -> Picture:
+    """Draw the measured correlations over the closed forms."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, RECORDED, SIMULATED, picture
 
@@ -251,5 +258,5 @@ PART = Part(
     "Gusts of one field",
     "no figure of the paper, with independent gusts for each vehicle: two points of one field",
     (),
-    _run,
+    _run_part,
 )

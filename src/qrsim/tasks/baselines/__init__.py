@@ -112,7 +112,7 @@ class BaselinePolicy:
         """Return set-points for the agents' fleet."""
         state, tick = reading.state, round(reading.time / self.play.world.time_step)
         if self._memory is None:
-            self._memory = jax.jit(self._init)(state)
+            self._memory = jax.jit(self._initial_memory)(state)
         seen = jax.tree.map(np.asarray, self._observe(self._memory, state, np.int32(tick)))
         done = self._baseline.act(seen)
         sides = self.play.sides
@@ -139,12 +139,15 @@ class BaselinePolicy:
 
     @property
     def _like(self) -> NumpyArray:
+        """Return a zero of the floating-point type of the world."""
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
-    def _init(self, state: State) -> object:
+    def _initial_memory(self, state: State) -> object:
+        """Return the task's memory at the start of an episode."""
         ids = jnp.arange(self.play.task.ids, dtype=jnp.uint32)
         stream = Key.root(self.seed).stream(TASK, ids)
         return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
 
     def _observed(self, memory: object, state: State, tick: Array) -> object:
+        """Return the observation of a state at a tick."""
         return self.play.observed(memory, state, tick)

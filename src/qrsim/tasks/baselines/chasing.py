@@ -52,7 +52,7 @@ class Chasing:
         offset = mouse - place
         away = np.sum(offset / np.sum(offset**2, axis=1, keepdims=True), axis=0)
         runs = float(np.arctan2(away[1], away[0]))
-        turn = np.clip(_wrapped(self._way(mouse) - runs), -STEER, STEER)
+        turn = np.clip(_wrap_angle(self._way(mouse) - runs), -STEER, STEER)
         goal = mouse + (NEAR + (FAR - NEAR) * closing) * self._fan(offset, runs + turn)
         running = MOUSE_SPEED * np.array([np.cos(runs), np.sin(runs)])
         self._asked = np.clip(running + GAIN * (goal - place), -self._limit, self._limit)
@@ -71,11 +71,12 @@ class Chasing:
     def _fan(offset: NumpyArray, heading: float) -> NumpyArray:
         """Return where each cat is to be from the mouse, unit vectors (n, 2): in the order in which they are now."""
         count = len(offset)
-        side = _wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
+        side = _wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
         rank = np.argsort(np.argsort(side))
         angle = heading + FAN * (rank - 0.5 * (count - 1))
         return -np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _wrapped(angle: Any) -> Any:
+def _wrap_angle(angle: Any) -> Any:
+    """Return an angle [rad] in the interval from -pi to pi."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

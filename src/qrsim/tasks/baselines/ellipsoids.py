@@ -64,6 +64,7 @@ class Ellipsoids:
         points, values = points[loud], values[loud]
 
         def error(flat: NumpyArray) -> NumpyArray:
+            """Return the scaled errors of measurements and prior for flattened parameters."""
             gaussians = flat.reshape(self._prior.shape)
             wrong = (self._field(gaussians[None], points)[0] - values) / self._white
             return np.concatenate([wrong, ((gaussians - self._prior) / self._doubt).ravel()])

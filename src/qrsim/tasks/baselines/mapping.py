@@ -85,7 +85,7 @@ class Mapping:
         self._values.append(vehicle[:, -1])
         if len(self._points) % EVERY == 1:
             if len(self._points) > 1:
-                self._learn()
+                self._update_fit()
             self._target = self._targets(place)
         # A steady wind leaves less than what is asked for.
         self._drift = np.clip(self._drift + LEARN * (self._asked - velocity - self._drift), -MOST_DRIFT, MOST_DRIFT)
@@ -96,7 +96,7 @@ class Mapping:
 
     def answer(self) -> NumpyArray:
         """Return each agent's answer: the expected mean, or samples of puffs."""
-        self._learn()
+        self._update_fit()
         assert self._fit is not None
         shape = self._play.task.answer_shape(self._play.world)
         if len(shape) == 1:
@@ -119,7 +119,8 @@ class Mapping:
             return Ellipsoids(play, white, told, self._random)
         return Particles(WindPlume.of(play), white, told, self._random)
 
-    def _learn(self) -> None:
+    def _update_fit(self) -> None:
+        """Refit the plume to all measurements."""
         assert self._fit is not None
         self._fit.measured(np.concatenate(self._points), np.concatenate(self._values))
 

@@ -80,6 +80,7 @@ class Guess:
         """Replace particles by those of another guess where ``taken`` (N,)."""
 
         def either(own: NumpyArray, others: NumpyArray) -> NumpyArray:
+            """Return the rows of others where they are taken, else the own rows."""
             return np.where(taken.reshape(-1, *[1] * (own.ndim - 1)), others, own)
 
         return Guess(**{name: either(value, getattr(other, name)) for name, value in vars(self).items()})
@@ -275,11 +276,12 @@ class Particles:
     def _sweep(self) -> None:
         """Move every particle a little, some by a source more or less."""
         for _ in range(self.plume.most):
-            self._accept(self._shifted())
-        self._accept(self._turned())
-        self._accept(self._replaced())
+            self._accept_moves(self._shifted())
+        self._accept_moves(self._turned())
+        self._accept_moves(self._replaced())
 
-    def _accept(self, proposed: Guess) -> None:
+    def _accept_moves(self, proposed: Guess) -> None:
+        """Accept proposed particles by the Metropolis rule."""
         likely = self._likelihood(proposed)
         taken = np.log(self._random.uniform(1e-30, 1.0, len(likely))) < likely - self._likely
         self.guess = self.guess.where(taken, proposed)

@@ -23,7 +23,7 @@ PACKAGES: dict[str, Sequence[str]] = {"mavros": mavros.PACKAGES, "px4": px4.PACK
 
 
 def spaces_of(api: ApiName, names: Sequence[str], pattern: str | None) -> list[str]:
-    """Return what is before the names of each vehicle's topics, such as "/uav1/mavros/" or "/px4_1/fmu/".
+    """Return the prefix of each vehicle's topics, such as "/uav1/mavros/" or "/px4_1/fmu/".
 
     Args:
         api: whose topics they are.
@@ -82,7 +82,11 @@ class Flown:
         self.answered: list[Answered] = []
         self._told: list[tuple[System, list[_Scheduled]]] = []
         for system, space in zip(world.systems, self.spaces, strict=True):
-            made = self._mavros(types, system, space) if api == "mavros" else self._px4(types, system, space)
+            made = (
+                self._mavros_interface(types, system, space)
+                if api == "mavros"
+                else self._px4_interface(types, system, space)
+            )
             scheduled = []
             for told in made.told:
                 scheduled.append(_Scheduled(told, len(self.topics), self._every(told.rate)))
@@ -91,27 +95,29 @@ class Flown:
             self.heard += [replace(each, take=_unless_muted(system, each.take)) for each in made.heard]
             self.answered += [replace(each, answer=_unless_muted(system, each.answer)) for each in made.answered]
 
-    def _mavros(self, types: Types, system: System, space: str) -> Interface:
+    def _mavros_interface(self, types: Types, system: System, space: str) -> Interface:
+        """Return the topics and services of mavros for one vehicle."""
         texts = Texts(system.number, self._dt)
         system.links.append(texts)
         asked = mavros_asked.Asked(types, system, space)
         return Interface(list(mavros.published(types, space, texts)), list(asked.heard()), list(asked.answered()))
 
-    def _px4(self, types: Types, system: System, space: str) -> Interface:
+    def _px4_interface(self, types: Types, system: System, space: str) -> Interface:
+        """Return the topics and services of PX4's uXRCE-DDS client for one vehicle."""
         asked = px4_asked.Asked(types, system, space)
         self._asked.append(asked)
         told = [*px4.published(types, system, space, self._dt), asked.told()]
         return Interface(told, list(asked.heard()), [asked.answered()])
 
     def _every(self, rate: float) -> int:
-        """Return after how many ticks a message is due again; 0: at changes alone, or when there is one."""
+        """Return the period of a message in ticks; 0 for one that is sent at changes or on demand."""
         if rate == EACH:
             return 0
         return max(1, round(1.0 / (min(rate, self._rate) * self._dt))) if rate else 0
 
     @property
     def modes(self) -> list[str]:
-        """By what each vehicle of the world flies: the mode of its stack, or the guidance of its scenario."""
+        """Return the flight mode of each vehicle's stack, or the guidance of its scenario, for all vehicles."""
         simulation = self.world.simulation
         found = dict.fromkeys(simulation.vehicle_names, "guidance")
         found |= {system.name: name_of(system.stack.heartbeat().custom_mode) for system in self.world.systems}
@@ -122,13 +128,13 @@ class Flown:
         self.world.tick(time.monotonic())
 
     def reset(self, seed: int) -> None:
-        """Begin with another episode."""
+        """Reset the simulation and the flight stacks for another episode."""
         self.world.reset(seed)
         for asked in self._asked:
             asked.restart()
 
     def due(self) -> Iterator[tuple[int, bytes]]:
-        """Yield what is published at the present tick: number of its topic, and message."""
+        """Yield (number of the topic, message) of everything published at the present tick."""
         tick = self.world.simulation.tick
         for system, scheduled in self._told:
             for each in () if system.muted else scheduled:
@@ -148,7 +154,7 @@ class _Scheduled:
         self._key: object = None
 
     def due(self, tick: int, system: System) -> Iterator[tuple[int, bytes]]:
-        """Yield its messages of a tick."""
+        """Yield the messages of this schedule that are due at a tick."""
         told, view = self._told, system.view
         if told.rate == EACH:
             while (message := told.make(view)) is not None:

@@ -24,7 +24,7 @@ Numbers = Callable[[View], Sequence[float] | None]
 
 
 def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame: str = "", **constants: object) -> Make:
-    """Return the function that makes messages of a type: a stamp, if the type has one, and numbers.
+    """Return the encoder of a message type, which fills a stamp, if the type has one, and numbers.
 
     Args:
         types: of the distribution.
@@ -48,6 +48,7 @@ def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame:
     put = template.putter(*(STAMP if stamped else ()), *paths)
 
     def make(view: View) -> bytes | None:
+        """Return the encoded message of a vehicle, None where its numbers are unknown."""
         values = numbers(view)
         if values is None:
             return None
@@ -74,7 +75,7 @@ def orientation(view: View) -> Quadruple:
 
 
 def turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
-    """Return a vector of a body in the axes of its attitude (x, y, z, w)."""
+    """Rotate a body-frame vector to the reference frame of an attitude (x, y, z, w)."""
     i, j, k, w = quaternion
     x, y, z = vector
     a, b, c = 2.0 * (j * z - k * y), 2.0 * (k * x - i * z), 2.0 * (i * y - j * x)
@@ -82,7 +83,7 @@ def turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
 
 
 def turned_back(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
-    """Return a vector of the axes of an attitude (x, y, z, w) in those of the body."""
+    """Rotate a vector from the reference frame of an attitude (x, y, z, w) to the body frame."""
     i, j, k, w = quaternion
     return turned((-i, -j, -k, w), vector)
 

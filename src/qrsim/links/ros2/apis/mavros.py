@@ -37,16 +37,17 @@ _GPS, _NO_FIX, _UNKNOWN, _DIAGONAL = 1, -1, 0, 2
 
 
 def _diagonal(std: float) -> NumpyArray:
-    """Return the covariance (9,) of three alike and independent numbers."""
+    """Return a covariance (9,) with three equal standard deviations and no correlation."""
     return np.diag([std * std] * 3).reshape(9)
 
 
-def _axes(path: str, names: str = "xyz") -> tuple[str, ...]:
+def _axis_paths(path: str, names: str = "xyz") -> tuple[str, ...]:
+    """Return the paths of a vector's components in a message, such as "position.x"."""
     return tuple(f"{path}.{axis}" for axis in names)
 
 
 def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
-    """Yield the topics of a vehicle.
+    """Yield the topics that mavros publishes for a vehicle.
 
     Args:
         types: of the distribution, with PACKAGES.
@@ -57,9 +58,11 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     def told(
         name: str, kind: str, quality: Quality, rate: float, make: Make, key: Callable[[View], object] | None = None
     ) -> Told:
+        """Return a published topic with its rate [Hz], its encoder, and the key whose changes send it."""
         return Told(Topic(space + name, kind, quality), rate, make, key)
 
     def state(view: View) -> bytes:
+        """Return the encoded mavros_msgs/State of a vehicle."""
         beat = view.stack.heartbeat()
         message = stamped(types, "mavros_msgs/msg/State", view.seen.time)
         message.connected, message.armed = True, bool(beat.base_mode & ARMED_FLAG)
@@ -68,6 +71,7 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
         return types.encode(message)
 
     def changes(view: View) -> object:
+        """Return the values whose changes cause a State message."""
         beat = view.stack.heartbeat()
         return beat.base_mode, beat.custom_mode, beat.system_status
 
@@ -75,7 +79,7 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     kind = "mavros_msgs/msg/ExtendedState"
     landed = f.form(types, kind, ("landed_state",), lambda view: (int(view.stack.heartbeat().landed),))
     yield told("extended_state", kind, "static", 5.0, landed, lambda view: view.stack.heartbeat().landed)
-    yield told("statustext/recv", "mavros_msgs/msg/StatusText", "sensor", EACH, _text(types, texts))
+    yield told("statustext/recv", "mavros_msgs/msg/StatusText", "sensor", EACH, _status_text(types, texts))
     yield told(
         "home_position/home",
         "mavros_msgs/msg/HomePosition",
@@ -84,18 +88,27 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
         f.form(
             types,
             "mavros_msgs/msg/HomePosition",
-            ("geo.latitude", "geo.longitude", "geo.altitude", *_axes("position"), *_axes("orientation", "xyzw")),
-            _home,
+            (
+                "geo.latitude",
+                "geo.longitude",
+                "geo.altitude",
+                *_axis_paths("position"),
+                *_axis_paths("orientation", "xyzw"),
+            ),
+            _home_position,
         ),
         lambda view: view.stack.home,
     )
-    yield from _local(types, told)
-    yield from _global(types, told)
-    yield from _sensors(types, told)
+    yield from _local_topics(types, told)
+    yield from _global_topics(types, told)
+    yield from _sensor_topics(types, told)
 
 
-def _text(types: Types, texts: Texts) -> Make:
+def _status_text(types: Types, texts: Texts) -> Make:
+    """Return the encoder of StatusText messages, one for each waiting text."""
+
     def make(view: View) -> bytes | None:
+        """Return the oldest waiting text as an encoded message, None without one."""
         if not texts.waiting:
             return None
         severity, text = texts.waiting.popleft()
@@ -106,7 +119,8 @@ def _text(types: Types, texts: Texts) -> Make:
     return make
 
 
-def _home(view: View) -> tuple[float, ...] | None:
+def _home_position(view: View) -> tuple[float, ...] | None:
+    """Return home [degrees, m], its local position ENU [m], and its attitude (x, y, z, w); None without one."""
     home = view.stack.home
     if home is None:
         return None
@@ -121,28 +135,34 @@ def _home(view: View) -> tuple[float, ...] | None:
 Maker = Callable[..., Told]
 
 
-def _local(types: Types, told: Maker) -> Iterator[Told]:
+def _local_topics(types: Types, told: Maker) -> Iterator[Told]:
+    """Yield the topics of pose, velocity and odometry in the local frame."""
+
     def pose(view: View) -> tuple[float, ...] | None:
+        """Return position ENU [m] and attitude (x, y, z, w), None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.enu(view.local(view.seen.position_ned)), *f.orientation(view)
 
     def twist(view: View) -> tuple[float, ...] | None:
+        """Return velocity and rotation rates in FLU body axes [m/s, rad/s], None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.turned_back(f.orientation(view), f.enu(view.seen.velocity_ned)), *f.flu(view.seen.rates)
 
     def level_twist(view: View) -> tuple[float, ...] | None:
+        """Return velocity and rotation rates in ENU axes [m/s, rad/s], None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.enu(view.seen.velocity_ned), *f.turned(f.orientation(view), f.flu(view.seen.rates))
 
     def both(view: View) -> tuple[float, ...] | None:
+        """Return the pose followed by the twist, None where either is unknown."""
         place, motion = pose(view), twist(view)
         return None if place is None or motion is None else (*place, *motion)
 
-    place, turns = _axes("pose.position"), _axes("pose.orientation", "xyzw")
-    motion = (*_axes("twist.linear"), *_axes("twist.angular"))
+    place, turns = _axis_paths("pose.position"), _axis_paths("pose.orientation", "xyzw")
+    motion = (*_axis_paths("twist.linear"), *_axis_paths("twist.angular"))
     kind = "geometry_msgs/msg/PoseStamped"
     yield told("local_position/pose", kind, "sensor", 30.0, f.form(types, kind, (*place, *turns), pose, MAP))
     kind = "geometry_msgs/msg/TwistStamped"
@@ -153,14 +173,18 @@ def _local(types: Types, told: Maker) -> Iterator[Told]:
     yield told("local_position/odom", kind, "sensor", 30.0, f.form(types, kind, paths, both, MAP, child_frame_id=BASE))
 
 
-def _global(types: Types, told: Maker) -> Iterator[Told]:
+def _global_topics(types: Types, told: Maker) -> Iterator[Told]:
+    """Yield the topics of geodetic position, fix, altitude and heading."""
+
     def covariance(view: View) -> tuple[float, ...]:
+        """Return the three variances of the position [m^2] and the type of the covariance."""
         level, up = view.seen.horizontal_accuracy, view.seen.vertical_accuracy
         if level != level or up != up:
             return -1.0, 0.0, 0.0, _UNKNOWN
         return level * level, level * level, up * up, _DIAGONAL
 
     def place(view: View) -> tuple[float, ...] | None:
+        """Return status, latitude, longitude [degrees], height [m] and covariance of the estimate."""
         seen = view.seen
         if not seen.valid:
             return None
@@ -168,6 +192,9 @@ def _global(types: Types, told: Maker) -> Iterator[Told]:
         return status, seen.latitude, seen.longitude, view.height, *covariance(view)
 
     def fix(view: View) -> tuple[float, ...] | None:
+        """Return status, latitude, longitude [degrees], height [m] and covariance of the receiver's fix, None without
+        one.
+        """
         where = view.row[s.FIX_PLACE : s.FIX_PLACE + 3]
         if view.seen.fix_type < 3 or where[0] != where[0]:
             return None
@@ -192,50 +219,57 @@ def _global(types: Types, told: Maker) -> Iterator[Told]:
     kind = "std_msgs/msg/Float64"
 
     def height(view: View) -> tuple[float, ...] | None:
+        """Return the height above home [m]."""
         return (view.seen.altitude - view.home_altitude,) if view.seen.valid else None
 
     def compass(view: View) -> tuple[float, ...] | None:
+        """Return the heading [degrees], 0 to 360."""
         return (math.degrees(view.seen.attitude[2]) % 360.0,) if view.seen.valid else None
 
     yield told("global_position/rel_alt", kind, "sensor", 50.0, f.form(types, kind, ("data",), height))
     yield told("global_position/compass_hdg", kind, "sensor", 50.0, f.form(types, kind, ("data",), compass))
     kind = "mavros_msgs/msg/Altitude"
     names = ("monotonic", "amsl", "local", "relative", "terrain", "bottom_clearance")
-    altitude = _of_mavlink("ALTITUDE", slice(1, 7))
+    altitude = _mavlink_numbers("ALTITUDE", slice(1, 7))
     yield told("altitude", kind, "sensor", 10.0, f.form(types, kind, names, altitude, MAP))
     kind = "mavros_msgs/msg/VfrHud"
     names = ("airspeed", "groundspeed", "altitude", "climb", "heading", "throttle")
-    yield told("vfr_hud", kind, "sensor", 10.0, f.form(types, kind, names, _hud))
+    yield told("vfr_hud", kind, "sensor", 10.0, f.form(types, kind, names, _hud_numbers))
 
 
-def _of_mavlink(name: str, part: slice) -> f.Numbers:
-    """Return the function from a vehicle to numbers of a MAVLink message of it, in the order of the wire."""
+def _mavlink_numbers(name: str, part: slice) -> f.Numbers:
+    """Return the function from a vehicle to the fields of one of its MAVLink messages, in wire order."""
     layout = LAYOUTS[name]
 
     def numbers(view: View) -> tuple[float, ...] | None:
+        """Return the fields of the vehicle's MAVLink message, None where it has none."""
         payload = ENCODERS[layout.number](view)
         return None if payload is None else layout.struct.unpack(payload)[part]
 
     return numbers
 
 
-def _hud(view: View) -> tuple[float, ...] | None:
-    numbers = _of_mavlink("VFR_HUD", slice(6))(view)
+def _hud_numbers(view: View) -> tuple[float, ...] | None:
+    """Return the fields of VFR_HUD, with the throttle as a fraction."""
+    numbers = _mavlink_numbers("VFR_HUD", slice(6))(view)
     if numbers is None:
         return None
     *others, percent = numbers
     return *others, 0.01 * percent
 
 
-def _sensors(types: Types, told: Maker) -> Iterator[Told]:
+def _sensor_topics(types: Types, told: Maker) -> Iterator[Told]:
+    """Yield the topics of IMU, magnetometer, barometer and battery."""
+
     def inertial(view: View) -> tuple[float, ...] | None:
+        """Return attitude (x, y, z, w), rates [rad/s] and specific force [m/s^2] in FLU axes; None without an IMU."""
         if not view.seen.valid or not view.seen.present & (Sensor.GYRO | Sensor.ACCELEROMETER):
             return None
         force = view.row[s.FORCE : s.FORCE + 3]
         return *f.orientation(view), *f.flu(view.seen.rates), *f.flu([x if x == x else 0.0 for x in force])
 
     kind = "sensor_msgs/msg/Imu"
-    paths = (*_axes("orientation", "xyzw"), *_axes("angular_velocity"), *_axes("linear_acceleration"))
+    paths = (*_axis_paths("orientation", "xyzw"), *_axis_paths("angular_velocity"), *_axis_paths("linear_acceleration"))
     spreads = {
         f"{name}_covariance": _diagonal(std)
         for name, std in (
@@ -247,6 +281,7 @@ def _sensors(types: Types, told: Maker) -> Iterator[Told]:
     yield told("imu/data", kind, "sensor", 50.0, f.form(types, kind, paths, inertial, BASE, **spreads))
 
     def battery(view: View) -> tuple[float, ...] | None:
+        """Return the voltage [V] and the charge as a fraction, None where it is unknown."""
         charge = view.seen.charge
         return None if charge != charge else (view.seen.voltage, charge)
 

@@ -40,11 +40,14 @@ _CUSTOM = 1
 
 
 def _vector(message: Message) -> Triple:
+    """Return the x, y, z of a message as a tuple."""
     return message.x, message.y, message.z
 
 
 def _attitude(turn: Any) -> Quadruple:
-    """Return the attitude of FRD axes in NED (w, x, y, z) of an orientation; four zeros are no turn, as for mavros."""
+    """Return the attitude of FRD axes in NED (w, x, y, z) of an orientation; four zeros are the identity, as for
+    mavros.
+    """
     numbers = turn.x, turn.y, turn.z, turn.w
     return f.ned_attitude(*numbers) if any(numbers) else f.ned_attitude(0.0, 0.0, 0.0, 1.0)
 
@@ -65,68 +68,78 @@ class Asked:
 
     @property
     def _stack(self) -> Stack:
+        """Return the flight stack of the vehicle."""
         return self._system.stack
 
     # ---- set-points ----
 
     def heard(self) -> Iterator[Heard]:
-        """Yield the topics that are subscribed to."""
+        """Yield the topics that the vehicle subscribes to, with their handlers."""
         pose, twist = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
         for name, kind, take in (
-            ("setpoint_position/local", pose, self._position),
-            ("setpoint_position/global", "geographic_msgs/msg/GeoPoseStamped", self._place),
-            ("setpoint_velocity/cmd_vel", twist, lambda message: self._velocity(message.twist)),
-            ("setpoint_velocity/cmd_vel_unstamped", "geometry_msgs/msg/Twist", self._velocity),
-            ("setpoint_accel/accel", "geometry_msgs/msg/Vector3Stamped", self._acceleration),
-            ("setpoint_attitude/attitude", pose, self._lean),
-            ("setpoint_attitude/cmd_vel", twist, self._turn),
-            ("setpoint_attitude/thrust", "mavros_msgs/msg/Thrust", self._thrust),
-            ("setpoint_raw/local", "mavros_msgs/msg/PositionTarget", self._raw),
-            ("setpoint_raw/global", "mavros_msgs/msg/GlobalPositionTarget", self._raw_place),
-            ("setpoint_raw/attitude", "mavros_msgs/msg/AttitudeTarget", self._raw_attitude),
+            ("setpoint_position/local", pose, self._set_position),
+            ("setpoint_position/global", "geographic_msgs/msg/GeoPoseStamped", self._set_geodetic),
+            ("setpoint_velocity/cmd_vel", twist, lambda message: self._set_velocity(message.twist)),
+            ("setpoint_velocity/cmd_vel_unstamped", "geometry_msgs/msg/Twist", self._set_velocity),
+            ("setpoint_accel/accel", "geometry_msgs/msg/Vector3Stamped", self._set_acceleration),
+            ("setpoint_attitude/attitude", pose, self._store_attitude),
+            ("setpoint_attitude/cmd_vel", twist, self._store_rates),
+            ("setpoint_attitude/thrust", "mavros_msgs/msg/Thrust", self._set_thrust),
+            ("setpoint_raw/local", "mavros_msgs/msg/PositionTarget", self._set_raw_local),
+            ("setpoint_raw/global", "mavros_msgs/msg/GlobalPositionTarget", self._set_raw_global),
+            ("setpoint_raw/attitude", "mavros_msgs/msg/AttitudeTarget", self._set_raw_attitude),
         ):
             yield Heard(Topic(self._space + name, kind, "command"), take)
 
-    def _position(self, message: Message) -> None:
+    def _set_position(self, message: Message) -> None:
+        """Set a local position and heading from setpoint_position/local."""
         pose = message.pose
         yaw = f.heading(_attitude(pose.orientation))
         mask = _VELOCITY | _ACCELERATION | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, position=f.enu(_vector(pose.position)), yaw=yaw))
 
-    def _place(self, message: Message) -> None:
+    def _set_geodetic(self, message: Message) -> None:
+        """Set a geodetic position and heading from setpoint_position/global."""
         yaw = f.heading(_attitude(message.pose.orientation))
-        self._global(_VELOCITY | _ACCELERATION | _YAW_RATE, _GLOBAL, message.pose.position, yaw=yaw)
+        self._send_global(_VELOCITY | _ACCELERATION | _YAW_RATE, _GLOBAL, message.pose.position, yaw=yaw)
 
-    def _global(self, mask: int, frame: int, place: Any, **others: Any) -> None:
+    def _send_global(self, mask: int, frame: int, place: Any, **others: Any) -> None:
+        """Send a geodetic set-point to the stack; invalid coordinates become UNSET_INT."""
         north, east = place.latitude, place.longitude
         known = math.isfinite(north) and math.isfinite(east) and abs(north) <= 90.0 and abs(east) <= 180.0
         whole = (int(north * 1e7), int(east * 1e7)) if known else (UNSET_INT, UNSET_INT)
         self._stack.setpoint(GlobalTarget(frame, mask, *whole, place.altitude, **others))
 
-    def _velocity(self, twist: Message) -> None:
+    def _set_velocity(self, twist: Message) -> None:
+        """Set a velocity and a yaw rate from a Twist in ENU axes."""
         mask = _POSITION | _ACCELERATION | _YAW
         velocity = f.enu(_vector(twist.linear))
         self._stack.setpoint(LocalTarget(_LOCAL, mask, velocity=velocity, yaw_rate=-twist.angular.z))
 
-    def _acceleration(self, message: Message) -> None:
+    def _set_acceleration(self, message: Message) -> None:
+        """Set an acceleration from a vector in ENU axes."""
         mask = _POSITION | _VELOCITY | _YAW | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, acceleration=f.enu(_vector(message.vector))))
 
-    def _lean(self, message: Message) -> None:
+    def _store_attitude(self, message: Message) -> None:
+        """Store an attitude until the thrust that belongs to it arrives."""
         self._attitude = AttitudeTarget(NO_RATES, _attitude(message.pose.orientation), _ZERO, 0.0)
 
-    def _turn(self, message: Message) -> None:
+    def _store_rates(self, message: Message) -> None:
+        """Store body rates until the thrust that belongs to them arrives."""
         # With the axes that mavros has here: those of ENU, for rates of the body.
         rates = f.enu(_vector(message.twist.angular))
         self._attitude = AttitudeTarget(NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), rates, 0.0)
 
-    def _thrust(self, message: Message) -> None:
+    def _set_thrust(self, message: Message) -> None:
+        """Send the stored attitude or rates with this thrust."""
         asked = self._attitude
         if asked is not None:
             self._attitude = None
             self._stack.setpoint(AttitudeTarget(asked.mask, asked.q, asked.rates, message.thrust))
 
-    def _raw(self, message: Message) -> None:
+    def _set_raw_local(self, message: Message) -> None:
+        """Convert a PositionTarget from ENU or FLU to NED or FRD, and send it."""
         of_body = message.coordinate_frame in (_BODY, _BODY_OFFSET)
         turned = f.flu if of_body else f.enu
         yaw = -message.yaw if of_body else 0.5 * math.pi - message.yaw
@@ -135,8 +148,9 @@ class Asked:
         frame, mask, rate = message.coordinate_frame, message.type_mask, -message.yaw_rate
         self._stack.setpoint(LocalTarget(frame, mask, position, velocity, acceleration, yaw, rate))
 
-    def _raw_place(self, message: Message) -> None:
-        self._global(
+    def _set_raw_global(self, message: Message) -> None:
+        """Convert a GlobalPositionTarget from ENU to NED, and send it."""
+        self._send_global(
             message.type_mask,
             message.coordinate_frame,
             message,
@@ -146,7 +160,8 @@ class Asked:
             yaw_rate=-message.yaw_rate,
         )
 
-    def _raw_attitude(self, message: Message) -> None:
+    def _set_raw_attitude(self, message: Message) -> None:
+        """Convert an AttitudeTarget from ENU and FLU to NED and FRD, and send it."""
         thrust = min(max(message.thrust, 0.0), 1.0)
         q, rates = _attitude(message.orientation), f.flu(_vector(message.body_rate))
         self._stack.setpoint(AttitudeTarget(message.type_mask, q, rates, thrust))
@@ -154,47 +169,55 @@ class Asked:
     # ---- services ----
 
     def answered(self) -> Iterator[Answered]:
-        """Yield the services."""
+        """Yield the services of the vehicle, with their handlers."""
         for name, kind, answer in (
-            ("cmd/arming", "CommandBool", lambda r: self._obey("CommandBool", _ARM, float(r.value))),
-            ("cmd/command", "CommandLong", self._long),
-            ("cmd/command_int", "CommandInt", self._int),
+            ("cmd/arming", "CommandBool", lambda r: self._command_response("CommandBool", _ARM, float(r.value))),
+            ("cmd/command", "CommandLong", self._command_long),
+            ("cmd/command_int", "CommandInt", self._command_int),
             ("cmd/takeoff", "CommandTOL", lambda r: self._take_off_or_land(_TAKE_OFF, r.min_pitch, r)),
             ("cmd/land", "CommandTOL", lambda r: self._take_off_or_land(_LAND, 0.0, r)),
-            ("cmd/set_home", "CommandHome", self._home),
-            ("set_mode", "SetMode", self._mode),
+            ("cmd/set_home", "CommandHome", self._set_home),
+            ("set_mode", "SetMode", self._set_mode),
             ("set_stream_rate", "StreamRate", lambda r: self._response("StreamRate", 0)),
             ("set_message_interval", "MessageInterval", lambda r: self._response("MessageInterval", False)),
         ):
             yield Answered(self._space + name, f"mavros_msgs/srv/{kind}", answer)
-        yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._tell_home)
+        yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._send_home)
 
     def _response(self, kind: str, *values: object) -> object:
+        """Return a response message of a mavros service, built from its field values."""
         return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
 
-    def _obey(self, kind: str, command: int, *params: float) -> Any:
-        """Return the response that has the result of a command."""
+    def _command_response(self, kind: str, command: int, *params: float) -> Any:
+        """Send a command to the stack, and return the response with its result."""
         whole = (*params, *[0.0] * (7 - len(params)))
         result = self._stack.command(Command(command, whole)).result  # type: ignore[arg-type]
         return self._response(kind, result is Result.ACCEPTED, int(result))
 
-    def _long(self, r: Message) -> object:
+    def _command_long(self, r: Message) -> object:
+        """Execute a COMMAND_LONG, and return the response."""
         params = (r.param1, r.param2, r.param3, r.param4, r.param5, r.param6, r.param7)
-        return self._obey("CommandLong", r.command, *params)
+        return self._command_response("CommandLong", r.command, *params)
 
-    def _int(self, r: Message) -> object:
+    def _command_int(self, r: Message) -> object:
+        """Execute a COMMAND_INT; the response is always success, as in mavros."""
         self._stack.command(Command.of_int(r.command, r.frame, (r.param1, r.param2, r.param3, r.param4), r.x, r.y, r.z))
         # mavros does not wait for the result.
         return self._response("CommandInt", True)
 
     def _take_off_or_land(self, command: int, first: float, r: Message) -> object:
-        return self._obey("CommandTOL", command, first, 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
+        """Execute a take-off or landing command, and return the response."""
+        return self._command_response(
+            "CommandTOL", command, first, 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude
+        )
 
-    def _home(self, r: Message) -> object:
+    def _set_home(self, r: Message) -> object:
+        """Set the home position, and return the response."""
         params = (float(r.current_gps), 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
-        return self._obey("CommandHome", _SET_HOME, *params)
+        return self._command_response("CommandHome", _SET_HOME, *params)
 
-    def _mode(self, r: Message) -> object:
+    def _set_mode(self, r: Message) -> object:
+        """Request a flight mode by name or number, and return whether it is known."""
         base, custom = r.base_mode, 0
         if r.custom_mode:
             number = number_of(r.custom_mode)
@@ -205,6 +228,7 @@ class Asked:
         self._stack.set_mode(base, custom)
         return self._response("SetMode", True)
 
-    def _tell_home(self, r: object) -> object:
+    def _send_home(self, r: object) -> object:
+        """Have the stack send its home position, and return whether it could."""
         result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
         return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

@@ -19,19 +19,20 @@ NAV_STATES = {state: numbers for numbers, state in _STATES.items()}
 LOITER, TERMINATED = 4, 13
 
 
-def _parts(custom_mode: int) -> tuple[int, int]:
+def _mode_parts(custom_mode: int) -> tuple[int, int]:
+    """Return the main mode and the sub-mode of a custom_mode."""
     return custom_mode >> 16 & 255, custom_mode >> 24 & 255
 
 
 def name_of(custom_mode: int) -> str:
-    """Return what mavros calls a custom_mode."""
-    parts = _parts(custom_mode)
+    """Return mavros's name of a custom_mode."""
+    parts = _mode_parts(custom_mode)
     # A sub mode that it does not know counts for nothing.
     return _NAMES.get(parts) or _NAMES.get((parts[0], 0)) or f"CMODE({custom_mode})"
 
 
 def number_of(name: str) -> int | None:
-    """Return the custom_mode that mavros takes for a text: a name, or a number; None where it is neither."""
+    """Return the custom_mode for a name or a number in text, as mavros parses it; None for other texts."""
     if name in _NUMBERS:
         return _NUMBERS[name]
     return int(name) if name.isascii() and name.isdigit() and len(name) < 11 else None
@@ -39,4 +40,4 @@ def number_of(name: str) -> int | None:
 
 def nav_state(custom_mode: int) -> int:
     """Return the NAVIGATION_STATE of a custom_mode."""
-    return _STATES.get(_parts(custom_mode), LOITER)
+    return _STATES.get(_mode_parts(custom_mode), LOITER)

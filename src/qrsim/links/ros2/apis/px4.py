@@ -48,7 +48,7 @@ class Status:
         self._was: tuple[bool, int, bool] = (False, -1, False)
 
     def look(self, view: View) -> None:
-        """Note what has changed since the last call."""
+        """Store the times at which arming, take-off and flight mode changed since the last call."""
         beat, now = view.stack.heartbeat(), view.boot_us
         state = view.stack.armed, beat.custom_mode, beat.landed is not Landed.ON_GROUND
         if state[0] != self._was[0]:
@@ -67,7 +67,7 @@ def state_of(view: View) -> int:
 
 
 def published(types: Types, system: System, space: str, period: float) -> Iterator[Told]:
-    """Yield the topics of a vehicle.
+    """Yield the topics that PX4 publishes for a vehicle.
 
     Args:
         types: of the distribution, with PACKAGES.
@@ -86,14 +86,19 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         **constants: object,
     ) -> Told:
         return Told(
-            Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"), rate, _made(types, kind, fields, constants), key
+            Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"),
+            rate,
+            _encoder(types, kind, fields, constants),
+            key,
         )
 
     def changes(view: View) -> object:
+        """Return the values whose changes cause a status message."""
         beat = view.stack.heartbeat()
         return beat.base_mode, beat.custom_mode, beat.system_status, beat.landed
 
     def vehicle_status(view: View) -> Fields:
+        """Return the fields of VehicleStatus."""
         status.look(view)
         beat, state, armed = view.stack.heartbeat(), state_of(view), view.stack.armed
         return {
@@ -123,12 +128,12 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         gcs_connection_lost=True,
     )
     yield told("vehicle_control_mode", "VehicleControlMode", 2.0, _control_mode, changes)
-    yield told("vehicle_land_detected", "VehicleLandDetected", 1.0, _landed, changes)
+    yield told("vehicle_land_detected", "VehicleLandDetected", 1.0, _land_detected, changes)
     yield told(
         "home_position",
         "HomePosition",
         0.5,
-        _home,
+        _home_position,
         lambda view: view.stack.home,
         valid_alt=True,
         valid_hpos=True,
@@ -141,25 +146,31 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
     yield told("vehicle_odometry", "VehicleOdometry", MOST, _odometry, pose_frame=_NED, velocity_frame=_NED)
     step = round(1e6 * period)
     yield told(
-        "sensor_combined", "SensorCombined", MOST, _sensors, gyro_integral_dt=step, accelerometer_integral_dt=step
+        "sensor_combined",
+        "SensorCombined",
+        MOST,
+        _sensor_combined,
+        gyro_integral_dt=step,
+        accelerometer_integral_dt=step,
     )
-    yield told("vehicle_gps_position", "SensorGps", 0.0, _fix, lambda view: view.fix_time)
-    yield told("battery_status", "BatteryStatus", 1.0, _battery, connected=True, current_a=-1.0)
+    yield told("vehicle_gps_position", "SensorGps", 0.0, _gnss_fix, lambda view: view.fix_time)
+    yield told("battery_status", "BatteryStatus", 1.0, _battery_status, connected=True, current_a=-1.0)
     yield told(
         "timesync_status", "TimesyncStatus", 1.0, lambda view: {"remote_timestamp": view.boot_us}, source_protocol=_DDS
     )
 
 
-def _made(
+def _encoder(
     types: Types, kind: str, fields: Callable[[View], Fields | None], constants: dict[str, Any]
 ) -> Callable[[View], bytes | None]:
-    """Return the function that makes messages of a kind, by the fields that it has; the times are put too."""
+    """Return the encoder of a message kind, from a function that returns its fields; times are filled in."""
     made: list[Make] = []
     name = f"px4_msgs/msg/{kind}"
     times = [field for field, _ in types.fields(name) if field in ("timestamp", "timestamp_sample")]
     now: list[float] = []
 
     def make(view: View) -> bytes | None:
+        """Return the encoded message of a vehicle, None where its fields are unknown."""
         found = fields(view)
         if found is None:
             return None
@@ -178,6 +189,7 @@ def _made(
 
 
 def _control_mode(view: View) -> Fields:
+    """Return the fields of VehicleControlMode: armed, offboard, automatic and which loops run."""
     state, armed = state_of(view), view.stack.armed
     offboard, automatic = state == _OFFBOARD, state in _AUTOMATIC
     flies = offboard or automatic
@@ -192,7 +204,8 @@ def _control_mode(view: View) -> Fields:
     }
 
 
-def _landed(view: View) -> Fields:
+def _land_detected(view: View) -> Fields:
+    """Return the fields of VehicleLandDetected: on the ground, and moving."""
     landed = view.stack.heartbeat().landed is Landed.ON_GROUND
     names = ("ground_contact", "maybe_landed", "landed", "at_rest", "close_to_ground_or_skipped_check")
     north, east, down = view.seen.velocity_ned
@@ -200,7 +213,8 @@ def _landed(view: View) -> Fields:
     return moving | dict.fromkeys(names, float(landed))
 
 
-def _home(view: View) -> Fields | None:
+def _home_position(view: View) -> Fields | None:
+    """Return the fields of HomePosition, None before home is set."""
     home = view.stack.home
     if home is None:
         return None
@@ -224,7 +238,7 @@ class _Origin:
         self._origin: Triple | None = None
 
     def of(self, view: View) -> Triple:
-        """Return latitude and longitude [deg], and altitude above mean sea level [m]."""
+        """Return latitude, longitude [degrees] and altitude above mean sea level [m] of the local origin."""
         if view.stack.origin != self._origin:
             self._origin = view.stack.origin
             self._place = view.stack.place(self._origin)
@@ -232,6 +246,7 @@ class _Origin:
 
 
 def _local_position(view: View, origin: _Origin) -> Fields | None:
+    """Return the fields of VehicleLocalPosition, None where the estimate is invalid."""
     seen = view.seen
     if not seen.valid:
         return None
@@ -272,6 +287,7 @@ def _local_position(view: View, origin: _Origin) -> Fields | None:
 
 
 def _global_position(view: View) -> Fields | None:
+    """Return the fields of VehicleGlobalPosition, None where the estimate is invalid."""
     seen = view.seen
     if not seen.valid:
         return None
@@ -288,14 +304,17 @@ def _global_position(view: View) -> Fields | None:
 
 
 def _quaternion(view: View) -> list[float]:
+    """Return the estimated attitude (w, x, y, z)."""
     return view.row[s.QUATERNION : s.QUATERNION + 4]
 
 
 def _attitude(view: View) -> Fields | None:
+    """Return the fields of VehicleAttitude, None where the estimate is invalid."""
     return {"q": _quaternion(view)} if view.seen.valid else None
 
 
 def _odometry(view: View) -> Fields | None:
+    """Return the fields of VehicleOdometry with its variances, None where the estimate is invalid."""
     seen, row = view.seen, view.row
     if not seen.valid:
         return None
@@ -304,23 +323,26 @@ def _odometry(view: View) -> Fields | None:
         "q": _quaternion(view),
         "velocity": seen.velocity_ned,
         "angular_velocity": seen.rates,
-        "position_variance": _squares(row, s.STD_POSITION),
-        "orientation_variance": _squares(row, s.STD_ATTITUDE),
-        "velocity_variance": _squares(row, s.STD_VELOCITY),
+        "position_variance": _variances(row, s.STD_POSITION),
+        "orientation_variance": _variances(row, s.STD_ATTITUDE),
+        "velocity_variance": _variances(row, s.STD_VELOCITY),
     }
 
 
-def _squares(row: list[float], first: int) -> list[float]:
+def _variances(row: list[float], first: int) -> list[float]:
+    """Return the squares of the three standard deviations from a column of a row on."""
     return [std * std for std in row[first : first + 3]]
 
 
-def _sensors(view: View) -> Fields | None:
+def _sensor_combined(view: View) -> Fields | None:
+    """Return the fields of SensorCombined, None without an IMU."""
     if not view.seen.present & (Sensor.GYRO | Sensor.ACCELEROMETER):
         return None
     return {"gyro_rad": view.row[s.RATES : s.RATES + 3], "accelerometer_m_s2": view.row[s.FORCE : s.FORCE + 3]}
 
 
-def _fix(view: View) -> Fields | None:
+def _gnss_fix(view: View) -> Fields | None:
+    """Return the fields of SensorGps, None before the first fix."""
     row, seen = view.row, view.seen
     if row[s.FIX_PLACE] != row[s.FIX_PLACE]:
         return None
@@ -351,7 +373,8 @@ def _fix(view: View) -> Fields | None:
     }
 
 
-def _battery(view: View) -> Fields | None:
+def _battery_status(view: View) -> Fields | None:
+    """Return the fields of BatteryStatus, None where the charge is unknown."""
     charge, voltage = view.seen.charge, view.seen.voltage
     if charge != charge:
         return None

@@ -47,7 +47,7 @@ class Asked:
         self.restart()
 
     def restart(self) -> None:
-        """Begin with an episode: nothing was heard."""
+        """Forget all received set-points at the start of an episode."""
         self._mode: Any = None
         self._mode_at = -math.inf
         # By kind, the set-point that came last.
@@ -57,13 +57,13 @@ class Asked:
         self._here: Triple | None = None
 
     def heard(self) -> Iterator[Heard]:
-        """Yield the topics that are subscribed to."""
+        """Yield the topics that the vehicle subscribes to, with their handlers."""
         for name, kind, quality, take in (
-            ("offboard_control_mode", "OffboardControlMode", "command", self._take_mode),
-            ("trajectory_setpoint", "TrajectorySetpoint", "command", self._take_motion),
-            ("vehicle_attitude_setpoint", "VehicleAttitudeSetpoint", "command", self._take_attitude),
-            ("vehicle_rates_setpoint", "VehicleRatesSetpoint", "command", self._take_rates),
-            ("vehicle_command", "VehicleCommand", "request", self._obey),
+            ("offboard_control_mode", "OffboardControlMode", "command", self._set_control_mode),
+            ("trajectory_setpoint", "TrajectorySetpoint", "command", self._set_trajectory),
+            ("vehicle_attitude_setpoint", "VehicleAttitudeSetpoint", "command", self._set_attitude),
+            ("vehicle_rates_setpoint", "VehicleRatesSetpoint", "command", self._set_rates),
+            ("vehicle_command", "VehicleCommand", "request", self._queue_acknowledgement),
         ):
             yield Heard(Topic(f"{self._space}in/{name}", f"px4_msgs/msg/{kind}", quality), take)  # type: ignore[arg-type]
 
@@ -71,6 +71,7 @@ class Asked:
         """Return the topic of acknowledgements."""
 
         def make(view: View) -> bytes | None:
+            """Return the oldest waiting acknowledgement, None without one."""
             return self._acks.popleft() if self._acks else None
 
         topic = Topic(f"{self._space}out/vehicle_command_ack", "px4_msgs/msg/VehicleCommandAck", "fmu")
@@ -78,39 +79,44 @@ class Asked:
 
     # ---- set-points ----
 
-    def _take_mode(self, message: object) -> None:
+    def _set_control_mode(self, message: object) -> None:
+        """Store an OffboardControlMode and its time, and send the set-point that it selects."""
         self._mode, self._mode_at = message, self._system.view.seen.time
-        self._hand_over()
+        self._send_target()
 
-    def _take_motion(self, message: object) -> None:
+    def _set_trajectory(self, message: object) -> None:
+        """Store a TrajectorySetpoint, and fly by it."""
         self._motion = message
-        self._take()
+        self._send_if_alive()
 
-    def _take_attitude(self, message: object) -> None:
+    def _set_attitude(self, message: object) -> None:
+        """Store a VehicleAttitudeSetpoint, and fly by it."""
         self._attitude = message
-        self._take()
+        self._send_if_alive()
 
-    def _take_rates(self, message: object) -> None:
+    def _set_rates(self, message: object) -> None:
+        """Store a VehicleRatesSetpoint, and fly by it."""
         self._rates = message
-        self._take()
+        self._send_if_alive()
 
-    def _take(self) -> None:
-        """Fly by a new set-point, if the mode is alive."""
+    def _send_if_alive(self) -> None:
+        """Send the new set-point to the stack, if the offboard mode has not timed out."""
         stack = self._system.stack
         limit = stack.parameters["COM_OF_LOSS_T"] * max(1.0, stack.factor)
         if self._system.view.seen.time - self._mode_at < limit:
-            self._hand_over()
+            self._send_target()
             if isinstance(stack, FlightStack):
                 # Set-points alone do not keep a vehicle in OFFBOARD.
                 stack.offboard.heard = self._mode_at
 
-    def _hand_over(self) -> None:
+    def _send_target(self) -> None:
+        """Send the set-point of the present mode to the stack."""
         target = self._target()
         if target is not None:
             self._system.stack.setpoint(target)
 
     def _target(self) -> Target | None:
-        """Return the set-point of the mode; before any has come, the place where the vehicle is."""
+        """Return the set-point of the mode; before the first one, the present position."""
         mode = self._mode
         if mode.position or mode.velocity or mode.acceleration:
             return self._motion_target(mode)
@@ -121,20 +127,23 @@ class Asked:
             rates, thrust = self._rates, -float(self._rates.thrust_body[2])
             turn = (float(rates.roll), float(rates.pitch), float(rates.yaw))
             return AttitudeTarget(NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), turn, thrust)
-        return self._stay() if mode.attitude or mode.body_rate else None
+        return self._hold_target() if mode.attitude or mode.body_rate else None
 
-    def _stay(self) -> Target:
+    def _hold_target(self) -> Target:
+        """Return a set-point at the position where the vehicle was when this was first needed."""
         if self._here is None:
             view = self._system.view
             self._here = view.local(view.seen.position_ned)
         return LocalTarget(_LOCAL, 0, position=self._here)
 
     def _motion_target(self, mode: Any) -> Target:
+        """Return the set-point of the last trajectory message, with only the parts that the mode uses."""
         if self._motion is None:
-            return self._stay()
+            return self._hold_target()
         motion = self._motion
 
         def part(name: str, counts: bool) -> Triple:
+            """Return a vector of the trajectory message, or NaNs if the mode does not use it."""
             x, y, z = (float(number) for number in getattr(motion, name))
             return (x, y, z) if counts else _UNKNOWN
 
@@ -155,16 +164,18 @@ class Asked:
         response = self._types["px4_msgs/srv/VehicleCommand_Response"]
 
         def answer(request: Message) -> Any:
+            """Execute a requested command, and return the service's response."""
             return response(self._acknowledged(request.request))
 
         return Answered(f"{self._space}vehicle_command", "px4_msgs/srv/VehicleCommand", answer)
 
-    def _obey(self, message: Message) -> None:
+    def _queue_acknowledgement(self, message: Message) -> None:
+        """Execute a command for this vehicle, and queue its acknowledgement."""
         if message.target_system in (0, self._system.number) and message.target_component in (0, 1):
             self._acks.append(self._types.encode(self._acknowledged(message)))
 
     def _acknowledged(self, message: Message) -> object:
-        """Obey or refuse a command, and return its acknowledgement."""
+        """Execute or refuse a command, and return its acknowledgement."""
         command = int(message.command)
         params: Any = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
         if command == _SET_NAV_STATE:

@@ -20,30 +20,31 @@ class Received:
         self._count = 0
 
     def take(self, sequence: int) -> bool:
-        """Note a sequence number; return whether it is new."""
+        """Store a sequence number; return whether it is new."""
         if sequence < self._low or sequence in self._above or len(self._above) >= _MOST_AHEAD:
             return False
         self._above.add(sequence)
-        self._advance()
+        self._advance_low()
         return True
 
     def skip(self, first: int, last: int) -> None:
-        """Note that sequence numbers will not come, or have come before."""
+        """Mark a range of sequence numbers as not to be waited for."""
         for sequence in range(max(first, self._low), min(last, self._low + _MOST_AHEAD) + 1):
             self._above.add(sequence)
-        self._advance()
+        self._advance_low()
 
     def answer(self, reader: bytes, writer: bytes, first: int, last: int) -> bytes:
-        """Return the ACKNACK for a HEARTBEAT with what is there."""
+        """Return the ACKNACK that answers a HEARTBEAT."""
         if first > self._low:
             self._low = first
             self._above = {each for each in self._above if each >= first}
-            self._advance()
+            self._advance_low()
         self._count += 1
         near = range(self._low, min(last, self._low + _MOST_AHEAD) + 1)
         return wire.acknack(reader, writer, self._low, (each for each in near if each not in self._above), self._count)
 
-    def _advance(self) -> None:
+    def _advance_low(self) -> None:
+        """Raise the lowest missing sequence number over the numbers received above it."""
         while self._low in self._above:
             self._above.remove(self._low)
             self._low += 1
@@ -71,18 +72,18 @@ class Kept:
         return self.last
 
     def message(self, reader: bytes, sequence: int) -> bytes:
-        """Return the submessage of a sequence number: DATA, or GAP where it is not kept."""
+        """Return the submessage of a sequence number: DATA, or GAP where it is no longer stored."""
         if sequence not in self._messages:
             return wire.gap(reader, self.writer, sequence)
         payload, inline = self._messages[sequence]
         return wire.data(reader, self.writer, sequence, payload, inline)
 
     def all(self, reader: bytes) -> list[bytes]:
-        """Return the submessages of all that is kept."""
+        """Return the submessages of all stored messages."""
         return [self.message(reader, sequence) for sequence in self._messages]
 
     def heartbeat(self, reader: bytes) -> bytes:
-        """Return the HEARTBEAT with what is there."""
+        """Return the HEARTBEAT with the range of stored sequence numbers."""
         self._count += 1
         first = next(iter(self._messages), self.last + 1)
         return wire.heartbeat(reader, self.writer, first, self.last, self._count)

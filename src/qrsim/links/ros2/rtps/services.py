@@ -174,7 +174,7 @@ class Services:
     # ---- what comes in ----
 
     def spin(self) -> None:
-        """Read what has come, and answer; never waits."""
+        """Read and answer all packets that have arrived; never waits."""
         now = time.monotonic()
         if now - self._spun < _SPIN_S:
             return
@@ -189,12 +189,12 @@ class Services:
                 # What is malformed, or of somebody who is not known, is dropped.
                 with suppress(struct.error, IndexError, ValueError, KeyError):
                     if message.prefix != self._prefix:
-                        self._take(message, now)
+                        self._handle_submessage(message, now)
         if now - self._repeated > _AGAIN_S:
             self._repeated = now
-            self._repeat()
+            self._repeat_unconfirmed()
 
-    def _take(self, message: w.Submessage, now: float) -> None:
+    def _handle_submessage(self, message: w.Submessage, now: float) -> None:
         if message.kind == w.DATA:
             self._take_data(message, now)
         elif message.kind == w.HEARTBEAT:
@@ -204,13 +204,13 @@ class Services:
         elif message.kind == w.GAP:
             writer = message.body[4:8]
             base, members = w.numbers_at(message, 16)
-            received = self._of(message.prefix, writer)
+            received = self._received_from(message.prefix, writer)
             received.skip(w.number_at(message, 8), base - 1)
             for each in members:
                 received.skip(each, each)
 
-    def _of(self, prefix: bytes, writer: bytes) -> Received:
-        """Return what has come of a remote writer; KeyError if its participant is not known, or has too many."""
+    def _received_from(self, prefix: bytes, writer: bytes) -> Received:
+        """Return the receipt of a remote writer; raises KeyError for an unknown participant or too many writers."""
         known = self._received.get((prefix, writer))
         if known is None:
             if prefix not in self._peers or len(self._received) >= _MOST_WRITERS:
@@ -222,23 +222,21 @@ class Services:
         reader, writer, sequence = message.body[4:8], message.body[8:12], w.number_at(message, 12)
         inline, payload = w.data_parts(message)
         if writer == _PARTICIPANT[0]:
-            self._take_presence(message, inline, payload, now)
+            self._store_peer(message, inline, payload, now)
         elif writer in (_PUBLICATIONS[0], _SUBSCRIPTIONS[0]):
-            if self._of(message.prefix, writer).take(sequence):
-                self._take_endpoint(message.prefix, inline, payload)
+            if self._received_from(message.prefix, writer).take(sequence):
+                self._store_endpoint(message.prefix, inline, payload)
         else:
             service = self._service_of(message.prefix, reader, writer)
-            if self._of(message.prefix, writer).take(sequence):
+            if self._received_from(message.prefix, writer).take(sequence):
                 self._take_request(service, message, inline, payload)
 
     def _service_of(self, prefix: bytes, reader: bytes, writer: bytes) -> RawService:
         """Return the service that a client writes to: a reader of it, or all that read what the writer writes."""
         return self._clients[prefix + writer] if reader == w.UNKNOWN_ENTITY else self._by_reader[reader]
 
-    def _take_presence(
-        self, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes, now: float
-    ) -> None:
-        """Know another participant, and have it know this one."""
+    def _store_peer(self, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes, now: float) -> None:
+        """Store another participant, and announce this one to it."""
         if (w.STATUS, w.GONE) in inline:
             self._forget(message.prefix)
             return
@@ -258,13 +256,15 @@ class Services:
         if peer is not None:
             peer.heard = now
         elif len(self._peers) < _MOST_PEERS:
-            peer = self._peers[message.prefix] = _Peer(self._best(places[0]), self._best(places[1]), now)
+            peer = self._peers[message.prefix] = _Peer(
+                self._nearest_locator(places[0]), self._nearest_locator(places[1]), now
+            )
             self._sockets.send(self._presence(), peer.meta)
             self._sockets.announce(self._presence())
-            self._tell(message.prefix, peer, again=False)
+            self._announce_to(message.prefix, peer, again=False)
 
-    def _best(self, places: list[w.Locator]) -> w.Locator:
-        """Return the place of a participant that is in a network of this one, else the first."""
+    def _nearest_locator(self, places: list[w.Locator]) -> w.Locator:
+        """Return the address of a participant that is in a network of this one, else the first."""
         nets = {address.rpartition(".")[0] for address, _ in self._sockets.own}
         return next((place for place in places if place[0].rpartition(".")[0] in nets), places[0])
 
@@ -275,8 +275,8 @@ class Services:
         for service in self._services:
             service.forget(lambda guid: guid[:12] == prefix)
 
-    def _take_endpoint(self, prefix: bytes, inline: list[tuple[int, bytes]], payload: bytes) -> None:
-        """Know a writer or a reader of a client, or forget it."""
+    def _store_endpoint(self, prefix: bytes, inline: list[tuple[int, bytes]], payload: bytes) -> None:
+        """Store or remove a writer or a reader of a client."""
         found, little = w.parameters(payload), payload[1:2] == b"\3"
         guid = (found.get(w.ENDPOINT_GUID) or [bytes(16)])[0][:16]
         if any(identifier == w.STATUS and value[3:4] in (b"\1", b"\2", b"\3") for identifier, value in inline):
@@ -292,7 +292,7 @@ class Services:
                 self._clients[guid] = own
         elif len(own.readers) < _MOST_READERS:
             places = [place for value in found.get(w.UNICAST, []) if (place := w.locator_of(value, little)) is not None]
-            own.readers[guid] = self._best(places) if places else self._peers[prefix].user
+            own.readers[guid] = self._nearest_locator(places) if places else self._peers[prefix].user
             # Its request may have been answered before.
             own.left[guid] = _ROUNDS
 
@@ -320,7 +320,7 @@ class Services:
         else:
             reader = self._service_of(message.prefix, reader, writer).reader[12:]
         first, last = w.number_at(message, 8), w.number_at(message, 16)
-        answer = self._of(message.prefix, writer).answer(reader, writer, first, last)
+        answer = self._received_from(message.prefix, writer).answer(reader, writer, first, last)
         peer = self._peers[message.prefix]
         place = peer.meta if is_builtin else peer.user
         self._sockets.send(w.packet(self._prefix, answer, to=message.prefix), place)
@@ -361,23 +361,23 @@ class Services:
         )
         return w.packet(self._prefix, w.data(_PARTICIPANT[1], _PARTICIPANT[0], 1, payload))
 
-    def _tell(self, prefix: bytes, peer: _Peer, again: bool) -> None:
+    def _announce_to(self, prefix: bytes, peer: _Peer, again: bool) -> None:
         """Announce all services to another participant, the first time in full, and request its own."""
         for writer, reader in (_PUBLICATIONS, _SUBSCRIPTIONS):
             kept = self._told[writer]
             for part in () if again else kept.all(reader):
                 self._sockets.send(w.packet(self._prefix, part, to=prefix), peer.meta)
             # The acknowledgement names the announcements received so far; the other sends the missing ones.
-            asked = self._of(prefix, writer).answer(reader, writer, 1, 0)
+            asked = self._received_from(prefix, writer).answer(reader, writer, 1, 0)
             self._sockets.send(w.packet(self._prefix, kept.heartbeat(reader), asked, to=prefix), peer.meta)
 
-    def _repeat(self) -> None:
-        """Tell those again who have not confirmed what they were told."""
+    def _repeat_unconfirmed(self) -> None:
+        """Repeat announcements to participants that have not acknowledged them."""
         for prefix, peer in self._peers.items():
             behind = any(peer.known.get(writer, 0) < kept.last for writer, kept in self._told.items())
             if behind and peer.left:
                 peer.left -= 1
-                self._tell(prefix, peer, again=True)
+                self._announce_to(prefix, peer, again=True)
         for service in self._services:
             for guid, left in list(service.left.items()):
                 self._sockets.send(
@@ -388,7 +388,7 @@ class Services:
                     del service.left[guid]
 
     def close(self) -> None:
-        """Leave."""
+        """Announce that this participant leaves, and close its sockets."""
         payload = w.PL_CDR + w.listed((w.PARTICIPANT_GUID, self._prefix + b"\0\0\1\xc1"))
         inline = w.listed((w.STATUS, w.GONE))
         self._sockets.announce(

@@ -29,6 +29,7 @@ def addresses() -> list[str]:
 
 
 def _interfaces() -> Iterator[tuple[str, str]]:
+    """Yield (name, IPv4 address) of each network interface of this machine."""
     if sys.platform != "linux":
         with suppress(OSError):
             yield "", socket.gethostbyname(socket.gethostname())
@@ -76,7 +77,7 @@ class Sockets:
         self.own: list[Locator] = [(address, port) for address in places]
 
     def received(self) -> Iterator[bytes]:
-        """Yield the packets that have come."""
+        """Yield the packets that have arrived."""
         for each in (self._discovery, self._unicast):
             for _ in range(_MOST_AT_ONCE):
                 try:
@@ -85,17 +86,17 @@ class Sockets:
                     break
 
     def announce(self, packet: bytes) -> None:
-        """Send a packet to everybody."""
+        """Send a packet to the multicast address of discovery."""
         for each in self._senders:
             with suppress(OSError):
                 each.sendto(packet, (GROUP, self._port))
 
     def send(self, packet: bytes, place: Locator) -> None:
-        """Send a packet to one place; never waits."""
+        """Send a packet to one address; never waits."""
         with suppress(OSError):
             self._unicast.sendto(packet, place)
 
     def close(self) -> None:
-        """Close all."""
+        """Close all sockets."""
         for each in (self._discovery, self._unicast, *self._senders):
             each.close()

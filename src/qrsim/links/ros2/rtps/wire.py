@@ -51,12 +51,12 @@ class Submessage:
 
     @property
     def order(self) -> str:
-        """Order of its bytes, for struct."""
+        """Byte order of the submessage, for ``struct``."""
         return "<" if self.flags & LITTLE else ">"
 
 
 def submessages(packet: bytes, own: bytes) -> Iterator[Submessage]:
-    """Yield the submessages of a packet that are for everybody or for a participant.
+    """Yield the submessages of a packet that are for everybody or for one participant.
 
     Args:
         packet: of anybody.
@@ -95,7 +95,7 @@ def number(value: int) -> bytes:
 
 
 def number_at(message: Submessage, at: int) -> int:
-    """Return the sequence number at a place of a submessage."""
+    """Return the sequence number at an offset of a submessage."""
     high, low = struct.unpack_from(message.order + "iI", message.body, at)
     return int(high) << 32 | int(low)
 
@@ -111,7 +111,7 @@ def numbers(base: int, members: Iterable[int]) -> bytes:
 
 
 def numbers_at(message: Submessage, at: int) -> tuple[int, list[int]]:
-    """Return the base of a set of sequence numbers at a place of a submessage, and its members."""
+    """Return the base of a set of sequence numbers at an offset of a submessage, and its members."""
     base = number_at(message, at)
     (count,) = struct.unpack_from(message.order + "I", message.body, at + 8)
     count = min(count, _MOST_BITS)
@@ -136,7 +136,7 @@ def heartbeat(reader: bytes, writer: bytes, first: int, last: int, count: int) -
 
 
 def acknack(reader: bytes, writer: bytes, base: int, missing: Iterable[int], count: int) -> bytes:
-    """Return an ACKNACK submessage: all before ``base`` has come, and which has not."""
+    """Return an ACKNACK submessage: everything before ``base`` has arrived; the rest are missing."""
     asked = numbers(base, missing)
     flags = FINAL if asked[8:] == bytes(4) else 0
     return submessage(ACKNACK, flags, reader + writer + asked + struct.pack("<i", count))
@@ -152,7 +152,7 @@ def data_parts(message: Submessage) -> tuple[list[tuple[int, bytes]], bytes]:
     (skip,) = struct.unpack_from(message.order + "H", message.body, 2)
     at, inline = 4 + skip, list[tuple[int, bytes]]()
     if message.flags & INLINE:
-        inline, at = _parameters(message.body, at, message.order)
+        inline, at = _parameters_from(message.body, at, message.order)
     return inline, message.body[at:]
 
 
@@ -161,13 +161,13 @@ def parameters(payload: bytes) -> dict[int, list[bytes]]:
     order = {b"\0\2": ">", b"\0\3": "<"}.get(payload[:2])
     found: dict[int, list[bytes]] = {}
     if order is not None:
-        for identifier, value in _parameters(payload, 4, order)[0]:
+        for identifier, value in _parameters_from(payload, 4, order)[0]:
             found.setdefault(identifier, []).append(value)
     return found
 
 
-def _parameters(message: bytes, at: int, order: str) -> tuple[list[tuple[int, bytes]], int]:
-    """Return the parameters from a place on, and where they end."""
+def _parameters_from(message: bytes, at: int, order: str) -> tuple[list[tuple[int, bytes]], int]:
+    """Return the parameters from an offset on, and the offset of their end."""
     found = []
     while at + 4 <= len(message):
         identifier, size = struct.unpack_from(order + "HH", message, at)
@@ -180,7 +180,7 @@ def _parameters(message: bytes, at: int, order: str) -> tuple[list[tuple[int, by
 
 
 def listed(*values: tuple[int, bytes]) -> bytes:
-    """Return a list of parameters."""
+    """Encode a list of parameters."""
     found = b""
     for identifier, value in values:
         padded = value + bytes(-len(value) % 4)
@@ -189,28 +189,28 @@ def listed(*values: tuple[int, bytes]) -> bytes:
 
 
 def text(value: str) -> bytes:
-    """Return a string as a parameter."""
+    """Encode a string as a parameter's value."""
     raw = value.encode() + b"\0"
     return struct.pack("<I", len(raw)) + raw
 
 
 def text_of(value: bytes, little: bool) -> str:
-    """Return the string of a parameter."""
+    """Decode the string of a parameter."""
     (size,) = struct.unpack_from("<I" if little else ">I", value)
     return value[4 : 3 + size].decode("utf-8", "replace")
 
 
 def octets(value: bytes) -> bytes:
-    """Return bytes as a parameter."""
+    """Encode bytes as a parameter's value."""
     return struct.pack("<I", len(value)) + value
 
 
 def locator(address: str, port: int) -> bytes:
-    """Return a UDP locator."""
+    """Encode a UDP locator."""
     return struct.pack("<iI", _UDP4, port) + bytes(12) + bytes(int(part) for part in address.split("."))
 
 
 def locator_of(value: bytes, little: bool) -> Locator | None:
-    """Return address and port of a UDP locator; None for another."""
+    """Return address and port of a UDP locator; None for other kinds."""
     kind, port = struct.unpack_from("<iI" if little else ">iI", value)
     return (".".join(map(str, value[20:24])), port) if kind == _UDP4 and len(value) >= 24 and 0 < port < 65536 else None
