@@ -107,7 +107,13 @@ def test_a_plan_over_a_hill_starts_and_flies_above_its_ground(write: Callable[..
     assert vehicle.position_ned[2] == pytest.approx(-2.0, abs=0.1)
     assert vehicle.legs[0].height == pytest.approx(12.0, abs=0.02)
     assert np.array(places(loaded))[:, 2] == pytest.approx([-23.0, -22.0], abs=0.02)
-    assert not any("flat" in words for words in said)
+    assert not any("flat" in words or "its home is" in words for words in said)
+    # The ground at home is 500 m above the sea; the site 498 m.
+    content["mission"]["plannedHomePosition"] = [*at(0, 200), 493.0]
+    file.write_text(json.dumps(content), "utf-8")
+    _, said = quietly(mission(str(file), site={**PLACE, "height_amsl": 498.0}, world=world))
+    home = f"{file}: its home is 493 m above the sea, 7 m below the ground there; it is flown from the ground there; "
+    assert any(words.startswith(home) for words in said)
 
 
 def test_altitudes_above_flat_ground_are_told(write: Callable[..., str]) -> None:
