@@ -30,6 +30,7 @@ from qrsim.scenarios.plan_site import (
 )
 from qrsim.scenarios.plans.heights import Levels
 from qrsim.scenarios.plans.legs import legs_of, stands_first, touches_ground
+from qrsim.scenarios.plans.parameter_file import beside, read_parameters
 from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
@@ -255,7 +256,11 @@ class _Places:
         if label in self.flown:
             mission = path.endswith(".legs")
             plan = self.flown[label]
-            self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission))
+            file = spec.params or beside(spec.file)
+            where = path.rpartition(".")[0] + ".plan.params"
+            found = self._attempt(where, partial(_parameters, file)) if file else []
+            values = found[0] if found else {}
+            self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission, values))
 
     def _placed(self, plan: Plan) -> list[list[float]]:
         """Return the home of a plan, on the ground, and its waypoints, NED [m]."""
@@ -359,6 +364,10 @@ class _Places:
             unused = f"not used, because world.area is '{self.area_type}'; give {{type: fence, file: ...}}"
             notes.append(Ignored(None, "geoFence", unused))
         return notes
+
+
+def _parameters(file: str) -> list[dict[str, float]]:
+    return [read_parameters(file)]
 
 
 def _lands(waypoint: Waypoint) -> bool:

@@ -58,6 +58,12 @@ class RoutePlanSpec(Strict):
         ge=0.5,
         le=100,
     )
+    params: str | None = Field(
+        None,
+        description="file of parameters for qrsim mavlink (.params, .param or .parm); default: the .params with the "
+        "name of the plan, where there is one",
+        min_length=1,
+    )
 
     @field_validator("home")
     @classmethod
