@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
-from qrsim.links.mavlink.stack.circling import Circle
+from qrsim.links.mavlink.stack.circling import Circle, edge, turn_radius
 from qrsim.links.mavlink.stack.codes import MissionState, PlanResult, Severity
 from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
@@ -284,15 +284,14 @@ class Mission:
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
             if item.command == known.LOITER_TURNS:
-                self._centre_ned, self._goal = self._goal, _edge(self._goal, self._from or here, _turn_radius(item))
+                self._centre_ned, self._goal = self._goal, edge(self._goal, self._from or here, turn_radius(item))
             # From the ground it rises to the height of its first item, at least to that of a take-off.
             self._top = min(self._goal[2], craft.home_z - craft.parameters["MIS_TAKEOFF_ALT"])
             self._lifted = craft.flies
             begin = self._from if self._lifted else (here[0], here[1], self._top)
             self._way = way_to(self.items, item, begin, self._goal, craft)
-        goal = self._goal
+        goal, top = self._goal, self._top
         if not self._lifted:
-            top = self._top
             self._lifted = here[2] - top < HEIGHT_RADIUS
             self.rises = not self._lifted
             level, up, down = craft.speeds()
@@ -308,7 +307,9 @@ class Mission:
             turns = self._arrived is None and craft.head_to(goal[0], goal[1], radius)
         away = math.hypot(goal[0] - here[0], goal[1] - here[1])
         circles = item.command == known.LOITER_TURNS
-        near = away < (EDGE if circles else radius) and abs(goal[2] - here[2]) < HEIGHT_RADIUS
+        # In gusts the vehicle may stay farther from the edge than its path.
+        at_edge = away < EDGE or math.dist(craft.path.position, goal) < 0.5 * EDGE
+        near = away < radius and (at_edge or not circles) and abs(goal[2] - here[2]) < HEIGHT_RADIUS
         if circles and (near or self._arrived is not None):
             return self._circle(item, craft, self._centre_ned)
         if near and self._arrived is None:
@@ -338,7 +339,7 @@ class Mission:
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
         """Fly turns round a place, beginning where the vehicle is; a negative radius is the other way."""
-        radius, turns = _turn_radius(item), self._turns
+        radius, turns = turn_radius(item), self._turns
         if self._arrived is None:
             self._arrived = craft.seen.time
             turns.begin(craft, centre)
@@ -364,19 +365,6 @@ class Mission:
             self.lands = True
         order, landed = self.descent.fly(craft, self._goal)
         return landed, order
-
-
-def _edge(centre: Triple, begin: Triple, radius: float) -> Triple:
-    """Return the place of a circle that is nearest to where a vehicle comes from; north of a centre that it is at."""
-    north, east = begin[0] - centre[0], begin[1] - centre[1]
-    away = math.hypot(north, east)
-    share = abs(radius) / away if away > 0.01 else 0.0
-    return centre[0] + (north * share if share else abs(radius)), centre[1] + east * share, centre[2]
-
-
-def _turn_radius(item: Item) -> float:
-    """Return the radius [m] of a circle, negative for the other way; one that says none has 10 m."""
-    return item.params[2] if abs(item.params[2]) > 0.1 else 10.0
 
 
 def heading(craft: Craft, angle: float, direction: float, relative: float) -> float:

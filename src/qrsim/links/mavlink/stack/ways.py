@@ -47,6 +47,8 @@ class Way:
         limits: Limits = LIMITS,
     ):
         self.begin, self._places, self._goal, self._limits = begin, list(places), goal, limits
+        # Of the places that are left, with the radius that it holds for.
+        self._beyond: tuple[int, float, float] | None = None
 
     def through(self, here: Triple, radius: float) -> tuple[Triple, float] | None:
         """Return the next place to pass and how far the way goes on beyond it [m]; None: the goal is next.
@@ -55,16 +57,25 @@ class Way:
             here: where the vehicle is [m].
             radius: distance at which a place counts as passed [m].
         """
-        while self._places and math.dist(here, self._places[0]) < min(radius, self._cut()):
+        while self._places and self._passed(here, radius):
             self.begin = self._places.pop(0)
         if not self._places:
             return None
-        return self._places[0], self._onward(radius)
+        left = len(self._places), radius
+        if self._beyond is None or self._beyond[:2] != left:
+            self._beyond = *left, self._onward(radius)
+        return self._places[0], self._beyond[2]
 
-    def _cut(self) -> float:
-        """Return how near to the next place the way to the one after it begins [m]."""
-        place, after = self._places[0], [*self._places, self._goal][1]
-        return max(LEAST_CUT, 0.5 * min(math.dist(self.begin, place), math.dist(place, after)))
+    def _passed(self, here: Triple, radius: float) -> bool:
+        """Return whether the next place is near enough for the line after it, or near and behind."""
+        place = self._places[0]
+        after = self._places[1] if len(self._places) > 1 else self._goal
+        away = math.dist(here, place)
+        if away >= radius:
+            return False
+        cut = 0.5 * min(math.dist(self.begin, place), math.dist(place, after))
+        behind = sum((h - b) * (b - a) for h, b, a in zip(here, place, self.begin, strict=True)) > 0.0
+        return behind or away < max(LEAST_CUT, cut)
 
     def _onward(self, radius: float) -> float:
         """Return how far beyond the next place the way goes on [m], so that every bend of it is slow enough.
