@@ -154,7 +154,7 @@ def test_parameters_beside_a_plan_are_those_of_the_link(write: Callable[..., str
     )
     (tmp_path / "own.param").write_text("RTL_RETURN_ALT,20\n", "utf-8")
     loaded, _ = quietly(mission(file, ground="parked"))
-    with pytest.warns(UserWarning, match="plans: 1 parameters of their .params are not used, such as MPC_XY_P"):
+    with pytest.warns(UserWarning, match="plans: parameters that are not used: 1, such as MPC_XY_P"):
         assert plan_parameters(loaded, loaded.world()) == {0: {"RTL_RETURN_ALT": 35.5}}
     loaded, _ = quietly(mission({"file": file, "params": str(tmp_path / "own.param")}, ground="parked"))
     assert plan_parameters(loaded, loaded.world()) == {0: {"RTL_RETURN_ALT": 20.0}}

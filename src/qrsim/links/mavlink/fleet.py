@@ -128,7 +128,7 @@ def plan_parameters(scenario: Scenario, world: World) -> dict[int, Mapping[str, 
         others |= set(vehicle.parameters) - known
     if others:
         first = sorted(others)[0]
-        warn_user(f"plans: {len(others)} parameters of their .params are not used, such as {first}")
+        warn_user(f"plans: parameters that are not used: {len(others)}, such as {first}")
     return found
 
 
