@@ -21,8 +21,6 @@ from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan_ground import PlanGround, amsl_of
 from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
 from qrsim.scenarios.plan_site import (
-    HIGH,
-    HIGH_ON_RELIEF,
     ellipsoidal_height,
     far_from_home,
     height_of_home,
@@ -32,6 +30,7 @@ from qrsim.scenarios.plan_site import (
 )
 from qrsim.scenarios.plans.heights import Levels
 from qrsim.scenarios.plans.legs import legs_of, stands_first, touches_ground
+from qrsim.scenarios.plans.parameter_file import beside, read_parameters
 from qrsim.scenarios.plans.plan import Home, Ignored, Plan, Waypoint
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import LONGEST_ROUTE, FleetSpec, ScenarioSpec, VehicleSpec
@@ -97,8 +96,6 @@ class _Places:
     def __init__(self, scenario: ScenarioSpec):
         self.area_type: str = scenario.world.area.type
         self.problems: list[str] = []
-        flat = scenario.world.ground.type == "flat"
-        self.most_rise = HIGH if flat else HIGH_ON_RELIEF
         level = height_of_home(scenario)
         site = scenario.site if level is None else scenario.site.model_copy(update={"height_amsl": level})
         self.place = self._place(site)
@@ -212,7 +209,7 @@ class _Places:
             start = next(iter(self._attempt(f"{path}.position_geodetic", lambda: local_ned(self.site, [place]))), [])
             self.written[f"{path}.position_ned"] = f"{path}.position_geodetic"
         if vehicle.plan and mission and start and _label(vehicle.plan) in self.flown:
-            legs, again = self._legs(path, _label(vehicle.plan), start, math.degrees(vehicle.yaw_rad))
+            legs, again = self._legs(path, vehicle.plan, start, math.degrees(vehicle.yaw_rad))
             self._note(f"{path}.legs", vehicle.plan, [leg.item for leg in legs])
         changes = {"position_ned": start, "waypoints_ned": route, "legs": legs, "repeat_from": again}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
@@ -226,8 +223,9 @@ class _Places:
         self.written[path] = f"{path}.to_geodetic"
         return leg.model_copy(update={"to_ned": points[0] if points else [0.0, 0.0, 0.0], "to_geodetic": None})
 
-    def _legs(self, path: str, label: str, start: list[float], yaw_deg: float) -> tuple[list[Any], int | None]:
+    def _legs(self, path: str, spec: RoutePlanSpec, start: list[float], yaw_deg: float) -> tuple[list[Any], int | None]:
         """Return the legs of a plan for a vehicle that starts at a place, and which follows the last."""
+        label = _label(spec)
         plan = self.flown[label]
         try:
             places = self._placed(plan)[1:]
@@ -238,7 +236,8 @@ class _Places:
         def to_ned(place: tuple[float, float]) -> list[float]:
             return local_ned(self.site, [(*place, 0.0)])[0]
 
-        written, again = legs_of(plan, start, places, self.ground.down, to_ned, yaw_deg)
+        follows = spec.terrain_tolerance
+        written, again = legs_of(plan, start, places, self.ground.down, to_ned, yaw_deg, follows)
         if len(written) > LONGEST_ROUTE:
             self.problems.append(f"{path}.plan: {label}: {len(written)} legs; allowed: at most {LONGEST_ROUTE}")
             return [], None
@@ -257,7 +256,11 @@ class _Places:
         if label in self.flown:
             mission = path.endswith(".legs")
             plan = self.flown[label]
-            self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission))
+            file = spec.params or beside(spec.file)
+            where = path.rpartition(".")[0] + ".plan.params"
+            found = self._attempt(where, partial(_parameters, file)) if file else []
+            values = found[0] if found else {}
+            self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission, values))
 
     def _placed(self, plan: Plan) -> list[list[float]]:
         """Return the home of a plan, on the ground, and its waypoints, NED [m]."""
@@ -349,7 +352,8 @@ class _Places:
                     f"{file}: {self.shared[file]} vehicles fly it, on one path and to one place, where they may "
                     "collide; give each its own plan"
                 )
-        if words := far_from_home({**self.fences, **self.flown}, self.site, self.most_rise):
+        ground = self.ground.down if self.ground.relief else None
+        if words := far_from_home({**self.fences, **self.flown}, self.site, ground):
             warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:
@@ -360,6 +364,10 @@ class _Places:
             unused = f"not used, because world.area is '{self.area_type}'; give {{type: fence, file: ...}}"
             notes.append(Ignored(None, "geoFence", unused))
         return notes
+
+
+def _parameters(file: str) -> list[dict[str, float]]:
+    return [read_parameters(file)]
 
 
 def _lands(waypoint: Waypoint) -> bool:

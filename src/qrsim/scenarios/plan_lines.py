@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 from qrsim.scenarios.plans.commands import COMMANDS, SKIPPED
 from qrsim.scenarios.plans.parts import lines_of
@@ -25,6 +25,7 @@ class PlannedVehicle:
         plan: its content.
         items: number of the item that each leg or waypoint comes from; None: the delay at the start.
         mission: whether it is flown as a mission.
+        parameters: of the flight stack of ``qrsim mavlink``, by name.
     """
 
     path: str
@@ -33,6 +34,7 @@ class PlannedVehicle:
     plan: Plan
     items: tuple[int | None, ...]
     mission: bool
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 def plan_lines(planned: Iterable[PlannedVehicle]) -> Iterator[str]:

@@ -8,15 +8,15 @@ from collections.abc import Mapping
 from qrsim.errors import UsageError
 from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
+from qrsim.scenarios.plans.heights import GroundDown
 from qrsim.scenarios.plans.plan import Home, Plan
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.site_schema import HIGHEST_AMSL, HIGHEST_SITE, LOWEST_AMSL, LOWEST_SITE, SiteSpec
 
 NUMBERS = ("latitude_deg", "longitude_deg", "height")
-# Further apart [m], a plan and a site are hardly meant to be the same field: away, and up or down where the ground is
-# flat, and where it is not.
-FAR, HIGH, HIGH_ON_RELIEF = 1000.0, 5.0, 20.0
+# Further apart [m], a plan and a site are hardly meant to be the same field: away, and up or down from the ground.
+FAR, HIGH = 1000.0, 5.0
 # Multirotors fly up to 120 m (400 ft) in most countries; a plan that is written in feet goes to hundreds.
 USUAL_HEIGHT, FOOT = 150.0, 0.3048
 
@@ -79,37 +79,45 @@ def height_of_home(scenario: ScenarioSpec) -> float | None:
     return None
 
 
-def _distance(site: Site, home: Home) -> float:
-    """Return the horizontal distance between a site and a home [m]."""
+def _from_site(site: Site, home: Home) -> tuple[float, float]:
+    """Return how far north and east of a site a home is [m]."""
     place = math.radians(home.latitude_deg), math.radians(home.longitude_deg)
     north, east, _ = site.geodetic_to_ned(*place, site.height)
-    return math.hypot(north, east)
+    return float(north), float(east)
 
 
-def far_from_home(plans: Mapping[str, Plan], site: Site, most_rise: float) -> str | None:
-    """Return a sentence on the plan whose home is farthest from the site, None where all are near.
+def _distance(site: Site, home: Home) -> float:
+    """Return the horizontal distance between a site and a home [m]."""
+    return math.hypot(*_from_site(site, home))
+
+
+def far_from_home(plans: Mapping[str, Plan], site: Site, ground_down: GroundDown | None) -> str | None:
+    """Return a sentence on the plan whose home is farthest from the site or its ground, None where all are near.
 
     Args:
         plans: by their files.
         site: of the scenario.
-        most_rise: largest difference between the heights of a site and a home that are the same field [m].
+        ground_down: of the scenario; None where it is flat.
     """
     far = {}
     level = site.height - undulation(math.degrees(site.latitude_rad), math.degrees(site.longitude_rad))
     for file, plan in plans.items():
         distance, rise = _distance(site, plan.home), plan.home.altitude_amsl - level
-        if distance > FAR or abs(rise) > most_rise:
+        if ground_down and distance <= FAR:
+            rise += float(ground_down(*_from_site(site, plan.home)))
+        if distance > FAR or abs(rise) > HIGH:
             far[file] = distance, rise
     if not far:
         return None
     file = max(far, key=lambda each: math.hypot(*far[each]))
     distance, rise = far[file]
     apart_by = [f"{_length(distance)} from the site"] if distance > FAR else []
-    if abs(rise) > most_rise:
-        home = f"{round(rise + level, 1):g} m above the sea"
-        apart_by.append(f"{home}, {_length(abs(rise))} {'above' if rise > 0.0 else 'below'} the site")
+    if abs(rise) > HIGH:
+        home = f"{round(plans[file].home.altitude_amsl, 1):g} m above the sea"
+        over = "the ground there" if ground_down and distance <= FAR else "the site"
+        apart_by.append(f"{home}, {_length(abs(rise))} {'above' if rise > 0.0 else 'below'} {over}")
     others = f" (and {len(far) - 1} more of its kind)" if len(far) > 1 else ""
-    ground = "; it is flown from the ground there" if abs(rise) > most_rise else ""
+    ground = "; it is flown from the ground there" if abs(rise) > HIGH else ""
     return f"{file}: its home is {' and '.join(apart_by)}{others}{ground}; site: {{plan: FILE}} takes the site from it"
 
 

@@ -217,6 +217,8 @@ def _anchor(content: object, folder: Path) -> None:
         named = content.get("file")
         if isinstance(named, str) and named:
             content["file"] = _anchored(named, folder)
+            if isinstance(params := content.get("params"), str) and params:
+                content["params"] = _anchored(params, folder)
         elif isinstance(named, list):
             content["file"] = [_anchored(each, folder) if isinstance(each, str) and each else each for each in named]
 

@@ -52,6 +52,18 @@ class RoutePlanSpec(Strict):
         min_length=2,
         max_length=3,
     )
+    terrain_tolerance: Finite = Field(
+        1.0,
+        description="largest difference of the height above the ground [m] between two items with heights above it",
+        ge=0.5,
+        le=100,
+    )
+    params: str | None = Field(
+        None,
+        description="file of parameters for qrsim mavlink (.params, .param or .parm); default: the .params with the "
+        "name of the plan, where there is one",
+        min_length=1,
+    )
 
     @field_validator("home")
     @classmethod

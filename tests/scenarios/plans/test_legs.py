@@ -224,3 +224,22 @@ def test_a_landing_pattern_is_an_approach_and_a_landing(legs: Legs) -> None:
     }
     old |= {"loiterCoordinate": [*at(-200, 0), 540], "loiterAltitudeRelative": False, "landingAltitudeRelative": True}
     assert points(legs(fly(50, 0, 20), old))[1] == [-200.0, 0.0, -40.0]
+
+
+def test_a_line_over_a_hill_bends_where_the_tolerance_needs_it() -> None:
+    """Over a hill of 20 m: the larger the tolerance, the fewer the bends, and none where the hill is within it."""
+
+    def hill(north: Any, east: Any) -> Any:
+        return flat(north, east) - 20.0 * np.exp(-(((np.asarray(north) - 200.0) / 60.0) ** 2))
+
+    counts = []
+    for tolerance in (0.5, 1.0, 5.0, 30.0):
+        bends = over_ground([0.0, 0.0, -30.0], [400.0, 0.0, -30.0], hill, tolerance)
+        line = np.array([[0.0, 0.0, -30.0], *bends, [400.0, 0.0, -30.0]])
+        north = np.linspace(0.0, 400.0, 801)
+        above = hill(north, 0.0) - np.interp(north, line[:, 0], line[:, 2])
+        assert np.abs(above - 30.0).max() <= tolerance
+        counts.append(len(bends))
+    assert counts == sorted(counts, reverse=True)
+    assert len(set(counts)) == 4
+    assert counts[-1] == 0

@@ -16,7 +16,7 @@ from tests.scenarios.plans.test_qgc import item, plan
 
 from qrsim.errors import ScenarioError
 from qrsim.files.yaml_text import parse_yaml
-from qrsim.links.mavlink.fleet import start_rally
+from qrsim.links.mavlink.fleet import plan_parameters, start_rally
 from qrsim.scenarios.plan_lines import plan_lines
 from qrsim.scenarios.scenario import Scenario, load_scenario
 
@@ -107,7 +107,13 @@ def test_a_plan_over_a_hill_starts_and_flies_above_its_ground(write: Callable[..
     assert vehicle.position_ned[2] == pytest.approx(-2.0, abs=0.1)
     assert vehicle.legs[0].height == pytest.approx(12.0, abs=0.02)
     assert np.array(places(loaded))[:, 2] == pytest.approx([-23.0, -22.0], abs=0.02)
-    assert not any("flat" in words for words in said)
+    assert not any("flat" in words or "its home is" in words for words in said)
+    # The ground at home is 500 m above the sea; the site 498 m.
+    content["mission"]["plannedHomePosition"] = [*at(0, 200), 493.0]
+    file.write_text(json.dumps(content), "utf-8")
+    _, said = quietly(mission(str(file), site={**PLACE, "height_amsl": 498.0}, world=world))
+    home = f"{file}: its home is 493 m above the sea, 7 m below the ground there; it is flown from the ground there; "
+    assert any(words.startswith(home) for words in said)
 
 
 def test_altitudes_above_flat_ground_are_told(write: Callable[..., str]) -> None:
@@ -138,6 +144,41 @@ def test_rally_points_are_items_at_the_start(write: Callable[..., str]) -> None:
     assert [(each.command, each.frame, each.x, each.y, each.z) for each in found] == [
         (5100, 6, 470010000, 80000000, 25.0)
     ]
+
+
+def test_parameters_beside_a_plan_are_those_of_the_link(write: Callable[..., str], tmp_path: Path) -> None:
+    """QGroundControl's file beside the plan, or one that the plan names, here of Mission Planner."""
+    file = write(fly(30, 0, 20))
+    (tmp_path / "field.params").write_text(
+        "# Onboard parameters for Vehicle 1\n#\n1\t1\tRTL_RETURN_ALT\t35.5\t9\n1\t1\tMPC_XY_P\t0.95\t9\n", "utf-8"
+    )
+    (tmp_path / "own.param").write_text("RTL_RETURN_ALT,20\n", "utf-8")
+    loaded, _ = quietly(mission(file, ground="parked"))
+    with pytest.warns(UserWarning, match="plans: parameters that are not used: 1, such as MPC_XY_P"):
+        assert plan_parameters(loaded, loaded.world()) == {0: {"RTL_RETURN_ALT": 35.5}}
+    loaded, _ = quietly(mission({"file": file, "params": str(tmp_path / "own.param")}, ground="parked"))
+    assert plan_parameters(loaded, loaded.world()) == {0: {"RTL_RETURN_ALT": 20.0}}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1\t1\tA\tfast\t9\n", "line 1: '1\\t1\\tA\\tfast\\t9' has no name and number of a parameter"),
+        ("A,1\nA\n", "line 2: 'A' has no name and number of a parameter"),
+        ("A,nan\n", "line 1: 'A,nan' has no name"),
+        ("A,1\n" * 5001, "has 5001 lines; allowed: 5000"),
+        (None, "No such file"),
+    ],
+)
+def test_bad_files_of_parameters(write: Callable[..., str], tmp_path: Path, text: str | None, words: str) -> None:
+    params = tmp_path / "own.params"
+    if text is not None:
+        params.write_text(text, "utf-8")
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(mission({"file": write(fly(30, 0, 20)), "params": str(params)}))
+    (problem,) = caught.value.problems
+    assert problem.startswith(f"fleets.a.vehicles.0.plan.params: {params}: ")
+    assert words in problem
 
 
 SPECS: dict[str, tuple[Any, str]] = {

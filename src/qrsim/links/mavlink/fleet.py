@@ -5,7 +5,7 @@ Rovers and fixed wings stay as the scenario has them; fixed wings go by its guid
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,11 +19,11 @@ from qrsim.control.setpoints import SETPOINTS
 from qrsim.control.tracks import FixedWingGuidance
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
-from qrsim.errors import ScenarioError, UsageError
+from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Item
 from qrsim.links.mavlink.stack.fence import RALLY_POINT
-from qrsim.links.mavlink.stack.parameters import TABLE
+from qrsim.links.mavlink.stack.parameters import READ_ONLY, TABLE
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.injectable import may_fail
 from qrsim.links.shared.kinds import kinds_of
@@ -39,6 +39,7 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.models.vehicles.rover.planar import Drives
 from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
 from qrsim.scenarios.plan_ground import ground_down
+from qrsim.scenarios.plan_lines import PlannedVehicle
 from qrsim.scenarios.plans.commands import ABOVE_HOME
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
@@ -112,6 +113,31 @@ def start_parameters(fleet: Fleet, number: int) -> dict[str, float]:
     return found
 
 
+def plan_parameters(scenario: Scenario, world: World) -> dict[int, Mapping[str, float]]:
+    """Return the parameters that come with plans, by the row of the vehicle that has the plan; warn of unknown ones.
+
+    Args:
+        scenario: with the plans of its vehicles.
+        world: of it.
+    """
+    known = {parameter.name for parameter in TABLE} - READ_ONLY
+    found: dict[int, Mapping[str, float]] = {}
+    others: set[str] = set()
+    for vehicle in scenario.planned:
+        found[_row_of(vehicle, world)] = {name: value for name, value in vehicle.parameters.items() if name in known}
+        others |= set(vehicle.parameters) - known
+    if others:
+        first = sorted(others)[0]
+        warn_user(f"plans: parameters that are not used: {len(others)}, such as {first}")
+    return found
+
+
+def _row_of(vehicle: PlannedVehicle, world: World) -> int:
+    """Return the row of the vehicle of a plan."""
+    fleet, _, rest = vehicle.path.removeprefix("fleets.").rpartition(".vehicles.")
+    return world.rows_of(fleet).start + int(rest.partition(".")[0])
+
+
 def start_rally(scenario: Scenario, world: World) -> dict[int, tuple[Item, ...]]:
     """Return the rally points of plans as items, by the row of the vehicle that has the plan.
 
@@ -121,9 +147,7 @@ def start_rally(scenario: Scenario, world: World) -> dict[int, tuple[Item, ...]]
     """
     found = {}
     for vehicle in scenario.planned:
-        fleet, _, rest = vehicle.path.removeprefix("fleets.").rpartition(".vehicles.")
-        number = int(rest.partition(".")[0])
-        found[world.rows_of(fleet).start + number] = tuple(
+        found[_row_of(vehicle, world)] = tuple(
             Item(
                 seq,
                 ABOVE_HOME[1],

@@ -14,7 +14,7 @@ from qrsim.errors import UsageError
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.failures import Failures
-from qrsim.links.mavlink.fleet import start_parameters, start_rally, systems_of
+from qrsim.links.mavlink.fleet import plan_parameters, start_parameters, start_rally, systems_of
 from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.simulated import SimParameters, SimWind
@@ -85,11 +85,14 @@ class FlownWorld:
         self.systems: list[System] = []
         self._rows: list[int] = []
         unix, rally = scenario.spec.start_time.timestamp(), start_rally(scenario, world)
+        planned = plan_parameters(scenario, world)
         for row, facts in known:
             stack = make_stack(replace(facts, datum=datum), site)
             stack.factor = factor
             if isinstance(stack, Flight):
                 self._start_parameters(stack, row)
+                for name, value in planned.get(row, {}).items():
+                    stack.parameters.set(name, value)
                 stack.rally = rally.get(row, ())
             if isinstance(stack, Flight) and any(map(targets_of, world.fleets)):
                 stack.craft.injector = Failures(self.simulation, facts.name, facts.system).inject

@@ -14,8 +14,8 @@ from qrsim.errors import UsageError
 from qrsim.scenarios.plans.plan import Waypoint
 
 Floats = npt.NDArray[np.float64]
-# Of the height above the ground on a line [m]; 1 m, less a part for corners that are cut.
-TOLERANCE = 0.8
+# Of the height above the ground on a line [m], and the part of it that lines may use: corners are cut.
+TOLERANCE, OF_LINES = 1.0, 0.8
 
 
 class GroundDown(Protocol):
@@ -93,7 +93,7 @@ def over_ground(
         inner = slice(left + 1, right)
         line = down[left] + (down[right] - down[left]) * (share[inner] - share[left]) / (share[right] - share[left])
         off = np.abs(down[inner] - line)
-        if off.size and off.max() > tolerance:
+        if off.size and off.max() > OF_LINES * tolerance:
             middle = left + 1 + int(off.argmax())
             kept.append(middle)
             open_spans += [(left, middle), (middle, right)]

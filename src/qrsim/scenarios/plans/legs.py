@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from qrsim.files import Content
-from qrsim.scenarios.plans.heights import GroundDown, over_ground
+from qrsim.scenarios.plans.heights import TOLERANCE, GroundDown, over_ground
 from qrsim.scenarios.plans.plan import Condition, Plan, Waypoint
 from qrsim.scenarios.plans.splines import NONE, end_tangent, spline_points
 
@@ -41,6 +41,7 @@ def legs_of(
     ground_down: GroundDown,
     to_ned: ToNed,
     yaw_deg: float = 0.0,
+    terrain_tolerance: float = TOLERANCE,
 ) -> tuple[list[Content], int | None]:
     """Return the legs of a plan as a scenario writes them, and the index of the one that follows the last.
 
@@ -51,9 +52,10 @@ def legs_of(
         ground_down: the ground of the scenario.
         to_ned: from latitude and longitude [deg] to a place at z = 0 [m].
         yaw_deg: heading at the start [deg].
+        terrain_tolerance: largest difference of the height above the ground on the way between two such heights [m].
     """
     writer = _Writer(plan, start_ned, places_ned, ground_down, to_ned)
-    writer.heading = yaw_deg
+    writer.heading, writer.terrain_tolerance = yaw_deg, terrain_tolerance
     again = None
     for i in range(len(plan.waypoints)):
         again = len(writer.legs) if i == plan.again else again
@@ -69,7 +71,7 @@ class _Writer:
     ) -> None:
         self.plan, self.places, self.ground_down, self.to_ned = plan, places, ground_down, to_ned
         self.here = list(start)
-        self.heading = 0.0
+        self.heading, self.terrain_tolerance = 0.0, TOLERANCE
         self.legs: list[Content] = [{"type": "loiter", "time": plan.delay}] if plan.delay > 0.0 else []
         # At the end of the last spline; None: the last way was no spline.
         self._tangent: Sequence[float] | None = None
@@ -110,7 +112,7 @@ class _Writer:
         low = waypoint.command in (*_DOWN, "NAV_TAKEOFF") or (last and last.command in _DOWN)
         if low or last is None or waypoint.above != "ground" or last.above != "ground":
             return []
-        return over_ground(self.here, place, self.ground_down)
+        return over_ground(self.here, place, self.ground_down, self.terrain_tolerance)
 
     def _begin_tangent(self, i: int) -> Sequence[float]:
         """Return the tangent with which a spline to a waypoint begins; none after a stop."""

@@ -14,6 +14,7 @@ from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, Command, Fa
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.shared.latches import Latches
+from qrsim.models.geoid import undulation
 
 pytestmark = pytest.mark.long
 PARKED = """
@@ -124,6 +125,12 @@ class Field:
         return Item(seq, frame, command, tuple(map(float, params)), x, y, up)
 
     @property
+    def height(self) -> float:
+        """Height of the site above mean sea level [m]."""
+        site = self.simulation.site
+        return site.height - undulation(math.degrees(site.latitude_rad), math.degrees(site.longitude_rad))
+
+    @property
     def standing(self) -> np.ndarray:
         return self.simulation.truth.on_ground
 
@@ -132,7 +139,7 @@ def test_take_off_goto_mission_return_and_landing_while_the_others_stand():
     field = Field()
     simulation, stack = field.simulation, field.stacks[0]
     start = simulation.truth.position_ned
-    height = simulation.site.height
+    height = field.height
     assert field.do(0, 400, 1) == 0
     assert field.do(0, 22, NAN, NAN, NAN, NAN, NAN, NAN, height + 8.0) == 0
     assert field.run(15.0, lambda: stack.mode is Mode.HOLD)
@@ -183,7 +190,7 @@ def test_five_missions_at_once_end_on_the_ground():
 def test_attitudes_orbits_follow_me_and_sticks_at_once():
     """Vehicle 0 flies MAVSDK's example of attitudes, 1 an orbit, 2 follows, 3 and 4 are flown by sticks."""
     field = Field()
-    simulation, stacks, site = field.simulation, field.stacks, field.simulation.site.height
+    simulation, stacks, site = field.simulation, field.stacks, field.height
     for number in range(1, 5):
         assert field.do(number, 400, 1) == 0
         assert field.do(number, 22, *[NAN] * 6, site + 8.0 + 2.0 * number) == 0
@@ -243,7 +250,7 @@ def test_parked_vehicles_fly_twice_and_a_kill_ends_a_flight(tmp_path):
     stack, simulation = field.stacks[0], field.simulation
     for _ in range(2):
         assert field.do(0, 400, 1) == 0
-        assert field.do(0, 22, *[NAN] * 6, simulation.site.height + 6.0) == 0
+        assert field.do(0, 22, *[NAN] * 6, field.height + 6.0) == 0
         assert field.run(15.0, lambda: stack.mode is Mode.HOLD)
         assert not field.standing[0]
         assert field.do(0, 400, 0) == 1
@@ -252,7 +259,7 @@ def test_parked_vehicles_fly_twice_and_a_kill_ends_a_flight(tmp_path):
         assert field.standing[0]
     assert simulation.valid.all()
     assert field.do(0, 400, 1) == 0
-    assert field.do(0, 22, *[NAN] * 6, simulation.site.height + 10.0) == 0
+    assert field.do(0, 22, *[NAN] * 6, field.height + 10.0) == 0
     assert field.run(15.0, lambda: stack.mode is Mode.HOLD)
     assert field.do(0, 400, 0, 21196) == 0
     assert field.run(6.0, lambda: not simulation.valid[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.stack.contracts import NAN, Triple
+from qrsim.links.mavlink.stack.contracts import NAN, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 
 # Limits of PX4's FlightTaskOrbit: radius [m], speed [m/s], acceleration [m/s^2], and how near to the circle and its
@@ -127,3 +127,16 @@ class Orbit:
             craft.turn_to(inwards)
         self._now = min(self._now + ACCELERATION * craft.facts.time_step, self._speed)
         return self._circle.fly(craft, centre, self.radius, self._now)[0]
+
+
+def edge(centre: Triple, begin: Triple, radius: float) -> Triple:
+    """Return the place of a circle that is nearest to where a vehicle comes from; north of a centre that it is at."""
+    north, east = begin[0] - centre[0], begin[1] - centre[1]
+    away = math.hypot(north, east)
+    share = abs(radius) / away if away > 0.01 else 0.0
+    return centre[0] + (north * share if share else abs(radius)), centre[1] + east * share, centre[2]
+
+
+def turn_radius(item: Item) -> float:
+    """Return the radius [m] of a circle, negative for the other way; one that says none has 10 m."""
+    return item.params[2] if abs(item.params[2]) > 0.1 else 10.0

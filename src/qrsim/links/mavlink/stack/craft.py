@@ -12,7 +12,7 @@ from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, 
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.parameters import Parameters
-from qrsim.links.mavlink.stack.path import STANDS, Path
+from qrsim.links.mavlink.stack.path import SHORTEST, STANDS, Path
 
 # A vehicle that has risen so far from where it stood flies [m]; until then it goes straight up.
 RISEN, UPRIGHT_UNTIL = 0.1, 0.5
@@ -186,7 +186,14 @@ class Craft:
         stop = self.path.stop(self.parameters.values["MPC_ACC_HOR"])
         return stop[0], stop[1], min(stop[2], self.seen.position_ned[2])
 
-    def go(self, goal: Triple, speeds: Triple | None = None, beyond: float = 0.0, along: Triple = STANDS) -> Order:
+    def go(
+        self,
+        goal: Triple,
+        speeds: Triple | None = None,
+        beyond: float = 0.0,
+        along: Triple = STANDS,
+        begin: Triple | None = None,
+    ) -> Order:
         """Move on to a place; straight up first where it has just left the ground.
 
         Args:
@@ -194,6 +201,7 @@ class Craft:
             speeds: largest horizontal, upward and downward one [m/s]; None: those of automatic flight.
             beyond: how far beyond the goal the way goes on [m].
             along: velocity of the goal itself [m/s].
+            begin: of the straight line to the goal that it keeps to [m]; None: it need not keep to a line.
         """
         seen, path, values = self.seen, self.path, self.parameters.values
         here = seen.position_ned
@@ -202,9 +210,13 @@ class Craft:
             # Where it stands or has just left the ground, nothing may pull it sideways.
             path.position = (here[0], here[1], path.position[2])
             path.velocity, path.acceleration = (0.0, 0.0, path.velocity[2]), (0.0, 0.0, path.acceleration[2])
-            goal, along = (here[0], here[1], goal[2]), (0.0, 0.0, along[2])
+            goal, along, begin = (here[0], here[1], goal[2]), (0.0, 0.0, along[2]), None
         limits = (values["MPC_ACC_HOR"], values["MPC_JERK_AUTO"])
-        path.move(goal, here, speeds or self.speeds(), limits, self.facts.time_step, beyond, along)
+        speeds = speeds or self.speeds()
+        if begin is not None and math.dist(begin, goal) > SHORTEST:
+            path.move_along(begin, goal, here, speeds, limits, self.facts.time_step, beyond)
+        else:
+            path.move(goal, here, speeds, limits, self.facts.time_step, beyond, along)
         return self.follow(path.position, path.velocity, path.acceleration)
 
     def follow(self, position: Triple, velocity: Triple = ZERO, acceleration: Triple = ZERO) -> Order:

@@ -7,17 +7,20 @@ from collections.abc import Sequence
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
-from qrsim.links.mavlink.stack.circling import Circle
+from qrsim.links.mavlink.stack.circling import Circle, edge, turn_radius
 from qrsim.links.mavlink.stack.codes import MissionState, PlanResult, Severity
 from qrsim.links.mavlink.stack.contracts import FlavourName, Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
+from qrsim.links.mavlink.stack.path import BRAKING, approach
 from qrsim.links.mavlink.stack.statuses import MissionStatus
-from qrsim.links.mavlink.stack.ways import Way, steep, way_to
+from qrsim.links.mavlink.stack.ways import Way, way_to
 from qrsim.scenarios.plans import commands as known
 
 # An item's height counts as reached within this [m], as NAV_MC_ALT_RAD.
 HEIGHT_RADIUS = 0.8
+# A circle begins within this of its edge, and a take-off elsewhere is flown to from above [m].
+EDGE, ELSEWHERE = 1.0, 1.0
 # A jump with this many repeats has no end.
 FOR_EVER = -1.0
 # A mission ends after so many jumps without an item that is flown: AP_Mission passes as many DO items, and PX4's
@@ -62,8 +65,9 @@ class Mission:
         self._way = Way()
         self._from: Triple | None = None
         self._arrived: float | None = None
-        self._turns = Circle()
-        self._lifted = False
+        self._turns, self._centre_ned = Circle(), (0.0, 0.0, 0.0)
+        self._lifted = self._away = False
+        self._top = 0.0
         self.rises = self.lands = False
         self.descent.begin()
 
@@ -188,7 +192,10 @@ class Mission:
         else:
             if item.command in known.PLACES:
                 self._heading = None
-            before = self._from if item.command in plan.ON_THE_WAY else self._goal
+            # Items without a place leave the line to the next one as it is; a circle ends anywhere on it.
+            before = self._from if item.command in plan.ON_THE_WAY or self._goal is None else self._goal
+            if item.command == known.LOITER_TURNS:
+                before = craft.path.position
             self.current = following
             self._forget()
             self._from = before
@@ -251,6 +258,8 @@ class Mission:
         return craft.go(self._goal)
 
     def _take_off(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        if self._away:
+            return self._go(item, craft)
         self.rises = True
         here = craft.seen.position_ned
         if self._goal is None:
@@ -261,18 +270,28 @@ class Mission:
             craft.turn_to(turn)
         level, up, down = craft.speeds()
         order = craft.go(self._goal, (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
-        return here[2] - self._goal[2] < HEIGHT_RADIUS, order
+        risen = here[2] - self._goal[2] < HEIGHT_RADIUS
+        if risen and self._flavour == "px4" and plan.has_place(item):
+            # PX4 flies on to the place of a take-off; ArduPilot's Copter takes nothing but its altitude.
+            place = plan.place_of(item, craft, self._goal)
+            if math.dist(place[:2], self._goal[:2]) > ELSEWHERE:
+                self._from, self._goal, self._away, self.rises = self._goal, None, True, False
+                return self._go(item, craft)
+        return risen, order
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
-            self._way = way_to(self.items, item, self._from, self._goal, craft)
-            self._lifted = craft.flies
-        goal = self._goal
-        if not self._lifted:
+            if item.command == known.LOITER_TURNS:
+                self._centre_ned, self._goal = self._goal, edge(self._goal, self._from or here, turn_radius(item))
             # From the ground it rises to the height of its first item, at least to that of a take-off.
-            top = min(goal[2], craft.home_z - craft.parameters["MIS_TAKEOFF_ALT"])
+            self._top = min(self._goal[2], craft.home_z - craft.parameters["MIS_TAKEOFF_ALT"])
+            self._lifted = craft.flies
+            begin = self._from if self._lifted else (here[0], here[1], self._top)
+            self._way = way_to(self.items, item, begin, self._goal, craft)
+        goal, top = self._goal, self._top
+        if not self._lifted:
             self._lifted = here[2] - top < HEIGHT_RADIUS
             self.rises = not self._lifted
             level, up, down = craft.speeds()
@@ -287,20 +306,20 @@ class Mission:
         else:
             turns = self._arrived is None and craft.head_to(goal[0], goal[1], radius)
         away = math.hypot(goal[0] - here[0], goal[1] - here[1])
-        level = abs(goal[2] - here[2]) < HEIGHT_RADIUS
-        near = away < radius and level
-        if item.command == known.LOITER_TURNS:
-            near = away < abs(_turn_radius(item)) + radius and level
-            if near or self._arrived is not None:
-                return self._circle(item, craft, goal)
+        circles = item.command == known.LOITER_TURNS
+        # In gusts the vehicle may stay farther from the edge than its path.
+        at_edge = away < EDGE or math.dist(craft.path.position, goal) < 0.5 * EDGE
+        near = away < radius and (at_edge or not circles) and abs(goal[2] - here[2]) < HEIGHT_RADIUS
+        if circles and (near or self._arrived is not None):
+            return self._circle(item, craft, self._centre_ned)
         if near and self._arrived is None:
             self._arrived = now
         hold = self._hold(item)
         if turns:
             _, up, down = craft.speeds()
             return False, craft.go(goal, (0.0, up, down))
-        beyond = 0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius
-        order = craft.go(goal, steep(craft, goal) if self._way.bent else None, beyond)
+        beyond = 0.0 if circles or hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius
+        order = craft.go(goal, beyond=beyond, begin=self._way.begin)
         return self._arrived is not None and now - self._arrived >= hold, order
 
     def _pass_through(self, item: Item, craft: Craft, place: Triple, onward: float) -> Order:
@@ -309,7 +328,7 @@ class Mission:
             craft.turn_to(turn)
         else:
             craft.head_to(place[0], place[1], 1.0)
-        return craft.go(place, steep(craft, place), beyond=onward)
+        return craft.go(place, beyond=onward, begin=self._way.begin)
 
     @staticmethod
     def _hold(item: Item) -> float:
@@ -320,13 +339,16 @@ class Mission:
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
         """Fly turns round a place, beginning where the vehicle is; a negative radius is the other way."""
-        radius, turns = _turn_radius(item), self._turns
+        radius, turns = turn_radius(item), self._turns
         if self._arrived is None:
             self._arrived = craft.seen.time
             turns.begin(craft, centre)
         done = turns.turned >= 2.0 * math.pi * item.params[0]
         craft.yaw = turns.tangent(radius)
-        speed = min(craft.speeds()[0], math.sqrt(0.5 * craft.parameters["MPC_ACC_HOR"] * abs(radius)))
+        most = craft.parameters["MPC_ACC_HOR"]
+        # Slow at the end, as the next line begins in any direction.
+        left = EDGE + max(2.0 * math.pi * item.params[0] - turns.turned, 0.0) * abs(radius)
+        speed = min(craft.speeds()[0], math.sqrt(0.5 * most * abs(radius)), approach(left, BRAKING * most))
         order, moves = turns.fly(craft, centre, radius, speed)
         return done and moves, order
 
@@ -339,15 +361,10 @@ class Mission:
             goal = (self._goal[0], self._goal[1], self._goal[2])
             if math.hypot(goal[0] - here[0], goal[1] - here[1]) > max(1.0, 0.5 * craft.parameters["NAV_ACC_RAD"]):
                 craft.head_to(goal[0], goal[1], 2.0)
-                return False, craft.go(goal)
+                return False, craft.go(goal, begin=self._from)
             self.lands = True
         order, landed = self.descent.fly(craft, self._goal)
         return landed, order
-
-
-def _turn_radius(item: Item) -> float:
-    """Return the radius [m] of a circle, negative for the other way; one that says none has 10 m."""
-    return item.params[2] if abs(item.params[2]) > 0.1 else 10.0
 
 
 def heading(craft: Craft, angle: float, direction: float, relative: float) -> float:

@@ -16,6 +16,8 @@ BRAKING = 0.6
 WAITS_FROM, WAITS_OVER = 2.0, 3.0
 # Largest vertical acceleration of the point [m/s^2].
 VERTICAL = 2.5
+# Least speed on a line [m/s], and its least length [m].
+SLOWEST, SHORTEST = 0.05, 0.01
 # Velocity of a goal that stands.
 STANDS: Triple = (0.0, 0.0, 0.0)
 
@@ -101,6 +103,54 @@ class Path:
         self.acceleration, self.velocity = (ax, ay, az), (vx, vy, vz)
         self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
 
+    def move_along(
+        self,
+        begin: Triple,
+        goal: Triple,
+        here: Triple,
+        speeds: Triple,
+        limits: tuple[float, float],
+        dt: float,
+        beyond: float = 0.0,
+    ) -> None:
+        """Move the point on by a step along the straight line from one place to another.
+
+        Off the line it returns to it: errors across the line are corrected before those along it.
+
+        Args:
+            begin: of the line [m].
+            goal, here, speeds, limits, dt, beyond: as of ``move``.
+        """
+        line = _minus(goal, begin)
+        length = math.hypot(*line)
+        unit = (line[0] / length, line[1] / length, line[2] / length)
+        done = min(max(_dot(_minus(self.position, begin), unit), 0.0), length)
+        nearest = (begin[0] + done * unit[0], begin[1] + done * unit[1], begin[2] + done * unit[2])
+        level, rise = math.hypot(unit[0], unit[1]), abs(unit[2])
+        vertical = speeds[1] if unit[2] < 0.0 else speeds[2]
+        # The largest speed and acceleration along the line are those of the axis that reaches its limit first.
+        most = 1.0 / max(level / limits[0], rise / VERTICAL)
+        fastest = 1.0 / max(level / max(speeds[0], SLOWEST), rise / max(vertical, SLOWEST))
+        behind = math.dist(here, self.position)
+        rate = min(max(1.0 - (behind - WAITS_FROM) / WAITS_OVER, 0.0), 1.0)
+        speed = min(fastest, approach(length - done + beyond, BRAKING * most)) * rate
+        beside = _minus(nearest, self.position)
+        off = math.hypot(*beside)
+        back = min(approach(off, BRAKING * most), fastest) * rate / max(off, 1e-9)
+        moving = _dot(self.velocity, unit)
+        across = [back * beside[i] - (self.velocity[i] - moving * unit[i]) for i in range(3)]
+        size = math.hypot(*across)
+        turn = _answer(size, most, limits[1])
+        left = math.sqrt(max(most * most - turn * turn, 0.0))
+        push = math.copysign(min(_answer(abs(speed - moving), most, limits[1]), left), speed - moving)
+        asked = [push * unit[i] + turn * across[i] / max(size, 1e-9) - self.acceleration[i] for i in range(3)]
+        share = min(1.0, limits[1] * dt / max(math.hypot(*asked), 1e-9))
+        (ax, ay, az), (vx, vy, vz), (px, py, pz) = self.acceleration, self.velocity, self.position
+        ax, ay, az = ax + asked[0] * share, ay + asked[1] * share, az + asked[2] * share
+        vx, vy, vz = vx + ax * dt, vy + ay * dt, vz + az * dt
+        self.acceleration, self.velocity = (ax, ay, az), (vx, vy, vz)
+        self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
+
 
 def approach(way: float, most: float) -> float:
     """Return the speed [m/s] at a distance [m] from a goal, from which ``most`` [m/s^2] brakes in time."""
@@ -122,3 +172,11 @@ def _answer(error: float, most: float, jerk: float) -> float:
 
 def _within(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
+
+
+def _minus(end: Triple, begin: Triple) -> Triple:
+    return end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
+
+
+def _dot(first: Triple, second: Triple) -> float:
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]

@@ -6,16 +6,22 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
+
+from qrsim.control.paths import Limits, corner_speed
 from qrsim.links.mavlink.stack.contracts import Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import TERRAIN
+from qrsim.links.mavlink.stack.path import braking_way
 from qrsim.links.mavlink.stack.plan import place_of
 from qrsim.scenarios.plans import commands as known
 from qrsim.scenarios.plans.heights import over_ground
 from qrsim.scenarios.plans.splines import NONE, end_tangent, spline_points
 
-# A difference of height that counts, and the least speed on a steep line [m], [m/s].
-FLAT, SLOWEST = 0.3, 0.2
+ORIGIN: Triple = (0.0, 0.0, 0.0)
+LIMITS = Limits()
+# Nearest to a bend that the next line begins [m].
+LEAST_CUT = 0.5
 # Items to which a spline goes on without a stop.
 _ONWARD = known.PLACES - {known.LAND, known.TAKEOFF}
 
@@ -24,16 +30,25 @@ class Way:
     """Places to pass on the way to a goal, in order; none of a straight line.
 
     Args:
+        begin: NED [m].
         places: NED [m], without the begin and the goal.
         goal: NED [m].
+        limits: acceleration and jerk of turns at the places.
 
     Attributes:
-        bent: whether it bends anywhere.
+        begin: of the straight line that is flown, NED [m].
     """
 
-    def __init__(self, places: Sequence[Triple] = (), goal: Triple = (0.0, 0.0, 0.0)):
-        self._places, self._goal = list(places), goal
-        self.bent = bool(places)
+    def __init__(
+        self,
+        begin: Triple = ORIGIN,
+        places: Sequence[Triple] = (),
+        goal: Triple = ORIGIN,
+        limits: Limits = LIMITS,
+    ):
+        self.begin, self._places, self._goal, self._limits = begin, list(places), goal, limits
+        # Of the places that are left, with the radius that it holds for.
+        self._beyond: tuple[int, float, float] | None = None
 
     def through(self, here: Triple, radius: float) -> tuple[Triple, float] | None:
         """Return the next place to pass and how far the way goes on beyond it [m]; None: the goal is next.
@@ -42,27 +57,49 @@ class Way:
             here: where the vehicle is [m].
             radius: distance at which a place counts as passed [m].
         """
-        while self._places and math.dist(here, self._places[0]) < radius:
-            del self._places[0]
+        while self._places and self._passed(here, radius):
+            self.begin = self._places.pop(0)
         if not self._places:
             return None
-        return self._places[0], sum(math.dist(a, b) for a, b in pairwise([*self._places, self._goal]))
+        left = len(self._places), radius
+        if self._beyond is None or self._beyond[:2] != left:
+            self._beyond = *left, self._onward(radius)
+        return self._places[0], self._beyond[2]
 
-    def join(self, begin: Triple, here: Triple) -> None:
-        """Leave out the places that lie behind a vehicle which joins the way from ``begin`` [m] elsewhere."""
-        ends = [begin, *self._places, self._goal]
+    def _passed(self, here: Triple, radius: float) -> bool:
+        """Return whether the next place is near enough for the line after it, or near and behind."""
+        place = self._places[0]
+        after = self._places[1] if len(self._places) > 1 else self._goal
+        away = math.dist(here, place)
+        if away >= radius:
+            return False
+        cut = 0.5 * min(math.dist(self.begin, place), math.dist(place, after))
+        behind = sum((h - b) * (b - a) for h, b, a in zip(here, place, self.begin, strict=True)) > 0.0
+        return behind or away < max(LEAST_CUT, cut)
+
+    def _onward(self, radius: float) -> float:
+        """Return how far beyond the next place the way goes on [m], so that every bend of it is slow enough.
+
+        Args:
+            radius: largest distance from a place at which the next line begins [m].
+        """
+        most, ends = self._limits.acceleration, [self.begin, *self._places, self._goal]
+        ways = [np.subtract(b, a) for a, b in pairwise(ends)]
+        lengths = [max(float(np.linalg.norm(way)), 1e-6) for way in ways]
+        found, away = sum(lengths[1:]), 0.0
+        for k in range(len(ways) - 1):
+            turned = math.acos(min(max(float(ways[k] @ ways[k + 1]) / (lengths[k] * lengths[k + 1]), -1.0), 1.0))
+            cut = min(radius, 0.5 * lengths[k], 0.5 * lengths[k + 1])
+            found = min(found, away + braking_way(corner_speed(cut, turned, self._limits), most))
+            away += lengths[k + 1]
+        return found
+
+    def join(self, here: Triple) -> None:
+        """Leave out the places that lie behind a vehicle which joins the way elsewhere than at its begin."""
+        ends = [self.begin, *self._places, self._goal]
         nearest = min(range(len(ends) - 1), key=lambda i: _apart(here, ends[i], ends[i + 1]))
+        self.begin = ends[nearest]
         del self._places[:nearest]
-
-
-def steep(craft: Craft, place: Triple) -> Triple:
-    """Return the speeds [m/s] at which a vehicle flies to a place on a straight line: level, up and down."""
-    level, up, down = craft.speeds()
-    here = craft.seen.position_ned
-    away, rise = math.dist(here[:2], place[:2]), here[2] - place[2]
-    if abs(rise) > FLAT:
-        level = min(level, max(SLOWEST, away * (up if rise > 0.0 else down) / abs(rise)))
-    return level, up, down
 
 
 def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple, craft: Craft) -> Way:
@@ -84,8 +121,9 @@ def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple
         places = spline_points(begin or here, goal, first, last)[:-1]
     elif item.frame in TERRAIN and craft.facts.ground_down and begin and before and before[-1].frame in TERRAIN:
         places = over_ground(begin, goal, craft.facts.ground_down)
-    way = Way([(place[0], place[1], place[2]) for place in places], goal)
-    way.join(begin or here, here)
+    limits = Limits(craft.parameters["MPC_ACC_HOR"], craft.parameters["MPC_JERK_AUTO"])
+    way = Way(begin or craft.path.position, [(place[0], place[1], place[2]) for place in places], goal, limits)
+    way.join(here)
     return way
 
 
