@@ -134,8 +134,9 @@ def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
                 inside[path, words] = inside.get((path, words), 0.0) + length
                 first.setdefault((path, words), where)
     for (path, words), length in inside.items():
-        north, east, _ = first[path, words]
-        yield f"{path}: {length:.4g} m of it are {words}, first at north {north:.4g}, east {east + 0.0:.4g} m"
+        # In decimetres, so that the error of a conversion is 0.
+        north, east = (round(axis, 1) + 0.0 for axis in first[path, words][:2])
+        yield f"{path}: {length:.4g} m of it are {words}, first at north {north:.4g}, east {east:.4g} m"
 
 
 def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:
