@@ -93,6 +93,9 @@ OTHERS = {
     "turbulence_line.png": "make evidence field",
     "turbulence_gust.gif": "make evidence formation_gusts",
     "turbulence_spacing.png": "make evidence formation_gusts",
+    "brief.png": "qrsim brief mission.plan --vehicle x500 --wind 7@250 --at 2026-05-01T10:00Z",
+    "real_place.png": "qrsim run examples/real_place/site.yaml",
+    "real_place_brief.png": "qrsim brief examples/real_place/operation.yaml --stage nominal --minutes 0.1",
     "zones.png": "qrsim run field_day.yaml",
 }
 

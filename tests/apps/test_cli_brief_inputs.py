@@ -72,6 +72,7 @@ def test_wrong_words(folder: Path, capsys: pytest.CaptureFixture[str], words: tu
         ({"site": {"ceiling": "high"}}, "site.ceiling: 'high'; allowed: a height above home"),
         # The route is up to 12 m high.
         ({"site": {"ceiling": 10}}, "a.plan: item 3: z = -12 m is outside world.area; allowed: -10 to 0"),
+        ({"world": {"wind": {"type": "calm"}}}, "world: the wind of an operation is its own key"),
         ({"extends": "no_such_scenario"}, "no scenario is called 'no_such_scenario'"),
         ({"contingency": {"low_battery": {"do": "retrun"}}}, "'retrun' is not allowed; allowed: warn, land, return"),
         ({"at": "10 o'clock"}, "is no time"),
@@ -88,6 +89,29 @@ def test_wrong_operations(
     }
     Path("field.yaml").write_text(yaml.safe_dump({**good, **changes}))
     assert message in refused(capsys, "field.yaml")
+
+
+def test_files_of_an_operation_are_in_its_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And the area of the scenario below holds, not the fence of the plan; the route crosses 'Barn' for 10 m."""
+    zone = {"name": "Barn", "polygon_ned": [[5, -5], [5, 5], [15, 5], [15, -5]]}
+    area = {"type": "zones", "z_min": -60, "stay_in": [{"file": "a.plan"}], "stay_out": [zone]}
+    there = folder / "there"
+    there.mkdir()
+    write_plan(there / "a.plan", fence=[(-50, -50), (-50, 50), (50, 50), (50, -50)])
+    site = {"latitude_deg": HOME[0], "longitude_deg": HOME[1], "height_amsl": HOME[2]}
+    operation = {
+        "at": "2026-05-01T10:00Z",
+        "missions": [{"plan": "a.plan", "vehicle": "x500"}],
+        "wind": {"speed": 7, "from": 250},
+    }
+    crossed = "item 2: 10 m of it are inside 'Barn'"
+    (there / "site.yaml").write_text(yaml.safe_dump({"site": site, "world": {"area": area}}))
+    (there / "field.yaml").write_text(yaml.safe_dump({**operation, "extends": "site.yaml"}))
+    found = refused(capsys, "there/field.yaml")
+    assert crossed in found
+    assert found.startswith("error: operation field: ")
+    (there / "field.yaml").write_text(yaml.safe_dump({**operation, "world": {"area": area}}))
+    assert crossed in refused(capsys, "there/field.yaml")
 
 
 def test_wrong_plans(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,7 +93,7 @@ def draw_plan(axes: Axes, paths: Paths, around: Surroundings, terrain: Terrain) 
     low, high = _with_interferers(around, low, high)
     if not terrain.level:
         _contours(axes, terrain, low, high)
-    _surroundings(axes, around)
+    draw_surroundings(axes, around)
     most = min(MOST_OF_ONE, max(40, MOST_POINTS // len(paths.names)))
     if paths.many:
         _swarm(axes, paths, most)
@@ -138,7 +138,7 @@ def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
     return bool(around.drawn or part >= SMALLEST_PART)
 
 
-def _surroundings(axes: Any, around: Surroundings) -> None:
+def draw_surroundings(axes: Any, around: Surroundings) -> None:
     """Draw area, obstacles, plume, persons and places."""
     if around.plume is not None and around.plume.values.max() > 0:
         # Over three decades: a plume falls off like a power of the distance.

@@ -102,10 +102,7 @@ def surroundings_of(run: Run) -> Surroundings:
     if not isinstance(world, dict):
         return Surroundings()
     try:
-        outline, down = _area(world.get("area"))
-        known: dict[str, Any] = {"outline": outline, "down": down, "obstacles": tuple(world.get("obstacles") or ())}
-        known["zones"] = _zones(world.get("area"))
-        known["interference"] = of_scenario(world.get("interference"))
+        known = fixed_parts(world)
     except (KeyError, TypeError, ValueError):  # of another version of qrsim
         known = {}
     known["task"] = "" if kind == "none" else kind
@@ -120,6 +117,22 @@ def surroundings_of(run: Run) -> Surroundings:
         return Surroundings(**known, **_drawn_again(run))
     except (QrsimError, OSError) as error:
         return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
+
+
+def fixed_parts(world: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of ``Surroundings`` that a scenario's world has without a run, in NED.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is of another version of qrsim.
+    """
+    outline, down = _area(world.get("area"))
+    return {
+        "outline": outline,
+        "down": down,
+        "zones": _zones(world.get("area")),
+        "obstacles": tuple(world.get("obstacles") or ()),
+        "interference": of_scenario(world.get("interference")),
+    }
 
 
 def _area(area: Any) -> tuple[Floats, tuple[float, float]]:

@@ -7,14 +7,11 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
-from qrsim.core.vectors import Vec3
-from qrsim.models.scene.contracts import down_at
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.models.scene.zone import CIRCLE_CORNERS, Triple, Zone, Zones, height_of
 from qrsim.scenarios.build import ground_if_any
 from qrsim.scenarios.missions import MISSION, ways_of
+from qrsim.scenarios.plan_ground import ground_down
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.zone_schema import MOST_ZONE_CORNERS, MOST_ZONES, zones_of
 
@@ -52,13 +49,7 @@ def zones_with_ground(scenario: ScenarioSpec) -> Zones:
     """Return the zones of a scenario in NED, with the ground where one of them is above terrain."""
     zones = zones_of(scenario.world.area)
     ground = ground_if_any(scenario) if any(zone.terrain for zone in zones) else None
-    if ground is None:
-        return Zones(zones)
-
-    def down(north: float, east: float) -> float:
-        return float(down_at(ground, Vec3(*(np.array([value], np.float64) for value in (north, east, 0.0))))[0])  # type: ignore[arg-type]
-
-    return Zones(zones, down)
+    return Zones(zones, None if ground is None else ground_down(ground))
 
 
 def _own_problems(area: Any) -> Iterator[str]:
@@ -134,7 +125,8 @@ def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
                 inside[path, words] = inside.get((path, words), 0.0) + length
                 first.setdefault((path, words), where)
     for (path, words), length in inside.items():
-        north, east = (round(axis, 2) + 0.0 for axis in first[path, words][:2])
+        # In decimetres, so that the error of a conversion is 0.
+        north, east = (round(axis, 1) + 0.0 for axis in first[path, words][:2])
         yield f"{path}: {length:.4g} m of it are {words}, first at north {north:.4g}, east {east:.4g} m"
 
 

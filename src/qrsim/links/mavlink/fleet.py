@@ -17,8 +17,6 @@ from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.control.tracks import FixedWingGuidance
-from qrsim.core.tree import record_of
-from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Item
@@ -27,10 +25,10 @@ from qrsim.links.mavlink.stack.parameters import READ_ONLY, TABLE
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.injectable import may_fail
 from qrsim.links.shared.kinds import kinds_of
-from qrsim.models.scene.contracts import Ground, down_at
+from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
-from qrsim.models.scene.zone import GroundDown, Zone
+from qrsim.models.scene.zone import Zone
 from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.vehicles.contracts import Vehicle, handling_of
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
@@ -200,7 +198,6 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         kinds=frozenset(kinds_of(fleet)),
         has_battery=fleet.battery.drains,
         zones=zones,
-        ground=_ground(world),
         z_min=ceiling,
         z_max=floor,
         ground_down=None
@@ -268,16 +265,3 @@ def _zones(area: Any) -> tuple[Zone, ...]:
     if not isinstance(area, PolygonArea):
         return ()
     return (Zone(True, (tuple((float(x), float(y)) for x, y in zip(area.north, area.east, strict=True)),)),)
-
-
-def _ground(world: World) -> GroundDown | None:
-    """Return the down coordinate of the ground by north and east [m], where zones count from it."""
-    area, ground = world.area, world.ground
-    if not (isinstance(area, ZonesArea) and any(zone.terrain for zone in area.zones)):
-        return None
-
-    def down(north: float, east: float) -> float:
-        place = record_of(Vec3, *(np.array([value], np.float32) for value in (north, east, 0.0)))
-        return float(down_at(ground, place)[0])
-
-    return down

@@ -11,10 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import SupportsFloat
 
 Point = tuple[float, float]
 Triple = tuple[float, float, float]
-GroundDown = Callable[[float, float], float]
+GroundDown = Callable[[float, float], SupportsFloat]
 # Ways are cut so finely [m] over terrain, whose height differs along them.
 TERRAIN_STEP = 2.0
 # Corners of a circle that is drawn, or that becomes a polygon.
@@ -202,7 +203,7 @@ def _stretch(
 
 def height_of(zone: Zone, north: float, east: float, down: float, ground: GroundDown | None) -> float:
     """Return the height [m] of a place NED [m] above the level from which a zone's heights count."""
-    return (ground(north, east) if zone.terrain and ground is not None else 0.0) - down
+    return (float(ground(north, east)) if zone.terrain and ground is not None else 0.0) - down
 
 
 def in_polygon(corners: Sequence[Point], north: float, east: float) -> bool:

@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.runs.picture import colours_of, new_figure
+from qrsim.runs.plan import draw_surroundings
+from qrsim.runs.surroundings import Surroundings, fixed_parts
 from qrsim.scenarios.scenario import Scenario
 from qrsim.studies.brief.judging import Row
 from qrsim.studies.brief.runs import Runs
@@ -33,7 +35,8 @@ def png(figure: Figure) -> bytes:
 
 def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> Figure:
     """Draw the density of all tracks (E, R, n, 4) with fence, planned routes, ends of lost runs and the worst runs."""
-    corners = _fence(scenario)
+    around = Surroundings(**fixed_parts(scenario.spec.world.model_dump(mode="json")))
+    corners = around.outline
     low, high = corners.min(axis=0) - 5.0, corners.max(axis=0) + 5.0
     points = _dense(tracks)
     if len(points):
@@ -48,9 +51,7 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> 
         shown = np.where(counts > 0.0, counts / counts.sum(), np.nan)
         drawn = axes.pcolormesh(edges[1], edges[0], shown, norm=LogNorm(), cmap="Blues", rasterized=True)
         figure.colorbar(drawn, ax=axes, label="share of the time in a cell", shrink=0.7)
-    ring = np.vstack([corners, corners[:1]])
-    axes.plot(ring[:, 1], ring[:, 0], color="#b3261e", lw=1.5, label="fence")
-    _obstacles(axes, scenario)
+    draw_surroundings(axes, around)
     for number, vehicle in enumerate(_vehicles(scenario)):
         line = np.array([vehicle.position_ned, *vehicle.places_ned.values()])
         axes.plot(line[:, 1], line[:, 0], color="black", lw=0.8, ls="--", label=None if number else "planned route")
@@ -61,9 +62,10 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> 
                 path[:, 1], path[:, 0], color="#b26a00", lw=0.6, label=None if number or vehicle else "worst runs"
             )
     axes.set_aspect("equal")
-    axes.set_xlabel("east [m]")
-    axes.set_ylabel("north [m]")
-    axes.legend(loc="upper left", fontsize=8)
+    axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), xlabel="east [m]", ylabel="north [m]")
+    marks = {str(artist.get_label()): artist for artist in (*axes.lines, *axes.patches)}
+    named = [mark for label, mark in marks.items() if label and not label.startswith("_")]
+    axes.legend(handles=named, loc="upper left", fontsize=8)
     return figure
 
 
@@ -75,29 +77,8 @@ def _dense(tracks: NumpyArray) -> NumpyArray:
     return found[np.isfinite(found).all(axis=1)]
 
 
-def _fence(scenario: Scenario) -> NumpyArray:
-    area: Any = scenario.spec.world.area
-    if area.type == "polygon":
-        return np.array(area.corners_ned, np.float64)
-    return np.array(
-        [[area.x_min, area.y_min], [area.x_min, area.y_max], [area.x_max, area.y_max], [area.x_max, area.y_min]]
-    )
-
-
 def _vehicles(scenario: Scenario) -> list[Any]:
     return [vehicle for fleet in scenario.spec.fleets.values() for vehicle in fleet.vehicles if vehicle.legs]
-
-
-def _obstacles(axes: Any, scenario: Scenario) -> None:
-    from matplotlib.patches import Circle, Rectangle
-
-    for each in scenario.spec.world.obstacles:
-        part: Any = each
-        if part.type == "cylinder":
-            axes.add_patch(Circle((part.y, part.x), max(part.radius, 1.0), color="#555555"))
-        elif part.type == "box":
-            size = (part.y_max - part.y_min, part.x_max - part.x_min)
-            axes.add_patch(Rectangle((part.y_min, part.x_min), *size, color="#555555"))
 
 
 def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError, did_you_mean, warn_user
+from qrsim.errors import ScenarioError, UsageError, did_you_mean, warn_user
 from qrsim.files import Content
 from qrsim.models.atmosphere.wind import ROUGHNESS_M
 from qrsim.models.site import Site
@@ -70,7 +70,10 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
     _check_homes(operation, plans)
     content = _content(operation, plans, names, assumed)
     content["duration"] = longest_s
-    scenario = load_scenario(content, quiet=True)
+    try:
+        scenario = load_scenario(content, quiet=True)
+    except ScenarioError as error:
+        raise ScenarioError(f"operation {operation.operation}", error.problems) from None
     planned = tuple(_planned_s(scenario, operation))
     wanted = SLACK * max(planned) + SLACK_S
     if max(planned) > longest_s:
@@ -141,22 +144,25 @@ def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
 
 def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str, ...], assumed: list[str]) -> Content:
     """Return the content of the scenario, its places still those of the plans."""
+    below: Content = {}
+    if operation.extends is not None:
+        _, below = read_scenario(operation.extends)
     site = {key: value for key, value in operation.site.items() if key != "ceiling"}
     content: Content = {
         "name": operation.operation,
         "duration": LONGEST_S,
         "time_step": TIME_STEP,
         "start_time": operation.at,
-        "site": site or {"plan": operation.missions[0].plan},
+        "site": site or below.get("site") or {"plan": operation.missions[0].plan},
         "world": {
-            "area": _area(operation, plans, assumed),
+            "area": _area(operation, plans, below, assumed),
             "wind": {
                 "type": "log_shear",
                 "speed_20ft": operation.wind.speed * speed_20ft(operation),
                 "wind_from_deg": bearing_deg(operation),
             },
             "turbulence": {"type": "dryden"},
-            **operation.world,
+            **{key: value for key, value in operation.world.items() if key != "area"},
         },
         "fleets": {
             name: _fleet(mission, plan, name, operation, assumed)
@@ -164,21 +170,24 @@ def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str
         },
     }
     assumed.append("Legs without a speed are flown at 5 m/s. Gusts are those of MIL-F-8785C for the mean wind.")
-    if operation.extends is None:
-        return content
-    _, below = read_scenario(operation.extends)
     return merged({key: value for key, value in below.items() if key != "fleets"}, content)
 
 
-def _area(operation: OperationSpec, plans: tuple[Plan, ...], assumed: list[str]) -> Content:
-    """Return the area: the fence of the first plan that has one, else a box around the routes."""
-    highest = max(waypoint.height_above_home for plan in plans for waypoint in plan.waypoints)
+def _area(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, assumed: list[str]) -> Content:
+    """Return the area: that of the operation or of the scenario below, else a fence of a plan, else a box."""
     ceiling = operation.site.get("ceiling")
+    if ceiling is not None and (
+        isinstance(ceiling, bool) or not isinstance(ceiling, int | float) or not 0.0 < ceiling <= 10_000.0
+    ):
+        raise UsageError(f"site.ceiling: {ceiling!r:.40}; allowed: a height above home, 0 to 10000 m")
+    under = below.get("world")
+    given = operation.world.get("area") or (under.get("area") if isinstance(under, dict) else None)
+    if isinstance(given, dict):
+        return given if ceiling is None else {**given, "z_min": -float(ceiling)}
     if ceiling is None:
+        highest = max(waypoint.height_above_home for plan in plans for waypoint in plan.waypoints)
         ceiling = math.ceil(highest + ABOVE)
         assumed.append(f"No ceiling was given: it is at {ceiling:g} m, {ABOVE:g} m above the highest item.")
-    elif isinstance(ceiling, bool) or not isinstance(ceiling, int | float) or not 0.0 < ceiling <= 10_000.0:
-        raise UsageError(f"site.ceiling: {ceiling!r:.40}; allowed: a height above home, 0 to 10000 m")
     fenced = [
         mission.plan
         for mission, plan in zip(operation.missions, plans, strict=True)

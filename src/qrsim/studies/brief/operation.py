@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
 from qrsim.files import Content
@@ -14,6 +14,7 @@ from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import dump_yaml, parse_yaml
 from qrsim.scenarios.component_schema import Finite
 from qrsim.scenarios.problems import describe
+from qrsim.scenarios.reading import anchor_files
 from qrsim.scenarios.schema import NAME
 from qrsim.studies.brief.words import LARGEST_WIND, share_of, time_of
 
@@ -133,12 +134,21 @@ class OperationSpec(Part):
     missions: list[MissionSpec] = Field(description="plans with their vehicles", min_length=1, max_length=60)
     wind: WindSpec = Field(description="forecast of the wind")
     site: dict[str, Any] = Field({}, description="'ceiling' [m above home], and keys of a scenario's site")
-    world: dict[str, Any] = Field({}, description="further keys of a scenario's world: buildings, obstacles, ground")
+    world: dict[str, Any] = Field({}, description="keys of a scenario's world but its wind: buildings, ground, area")
     uncertain: UncertainSpec = UncertainSpec.model_validate({})
     contingency: ContingencySpec = ContingencySpec.model_validate({})
     faults: list[Fault] = Field(FAULTS, description="faults to fly, each at 25, 50 and 75 % of the mission")
     criteria: CriteriaSpec = CriteriaSpec.model_validate({})
-    extends: str | None = Field(None, description="a scenario below all this")
+    extends: str | None = Field(None, description="a scenario below all this: its site and world, not its fleets")
+
+    @field_validator("world")
+    @classmethod
+    def _without_wind(cls, world: dict[str, Any]) -> dict[str, Any]:
+        if "wind" in world:
+            raise ValueError(
+                "the wind of an operation is its own key, such as wind: {speed: 7, from: 250}; leave world.wind out"
+            )
+        return world
 
     def to_yaml(self) -> str:
         """Return the file of the operation, every default written out."""
@@ -173,6 +183,10 @@ def read_operation(path: Path, changes: Content) -> OperationSpec:
             value = mission.get(key) if isinstance(mission, dict) else None
             if isinstance(value, str) and Path(value).suffix:
                 mission[key] = str(path.parent / value)
+    anchor_files(content, path.parent)
+    below = content.get("extends")
+    if isinstance(below, str) and Path(below).suffix:
+        content["extends"] = str(path.parent / below)
     return checked(content, str(path))
 
 

@@ -21,8 +21,8 @@ from qrsim.links.mavlink.stack.codes import (
     Severity,
 )
 from qrsim.links.mavlink.stack.statuses import FenceStatus, Health, Heartbeat, MissionStatus, ModeInfo, OrbitStatus
-from qrsim.models.scene.zone import GroundDown, Zone
-from qrsim.scenarios.plans.heights import GroundDown as GroundOfPlans
+from qrsim.models.scene.zone import Zone
+from qrsim.scenarios.plans.heights import GroundDown
 
 if TYPE_CHECKING:
     from qrsim.links.mavlink.stack.parameters import Parameters
@@ -56,7 +56,6 @@ class Facts:
         climb_limit, sink_limit: largest vertical speeds up and down, of its controller [m/s].
         has_battery: whether it carries a battery that drains.
         zones: zones of the scenario's area to stay in and out of; empty: none.
-        ground: down coordinate [m] of the ground at a north and an east [m], for zones above terrain.
         z_min, z_max: ceiling and floor of that area, positions down [m].
         airspeed, airspeed_min: of a fixed wing, that of its controller and that of its stall [m/s].
         loiter_radius: of the circles of a fixed wing [m]; 0: no fixed wing.
@@ -80,14 +79,13 @@ class Facts:
     sink_limit: float = 1.5
     has_battery: bool = False
     zones: tuple[Zone, ...] = ()
-    ground: GroundDown | None = None
     z_min: float = -math.inf
     z_max: float = math.inf
     airspeed: float = 0.0
     airspeed_min: float = 0.0
     loiter_radius: float = 0.0
     local_origin: LocalOrigin = "start"
-    ground_down: GroundOfPlans | None = None
+    ground_down: GroundDown | None = None
     datum: Datum = "sea"
 
 

@@ -56,7 +56,7 @@ class Craft:
 
     def __init__(self, facts: Facts, parameters: Parameters, geodesy: Geodesy):
         self.facts, self.parameters, self.geodesy = facts, parameters, geodesy
-        self.fence = self.area = Fence(facts.zones, ground=facts.ground)
+        self.fence = self.area = Fence(facts.zones, ground=facts.ground_down)
         self._texts: list[Text] = []
         self._events: list[Event] = []
         self.injector: Injector | None = None
