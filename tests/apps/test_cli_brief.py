@@ -131,3 +131,25 @@ def test_faults_end_as_the_reactions_ask(tmp_path: Path, capsys: pytest.CaptureF
     assert [each["home"] for each in by_fault["link"]] == [1.0] * 3
     assert [each["home"] for each in by_fault["low_battery"]] == [1.0] * 3
     assert rows(found)["fault motor"]["decides"] is False
+
+
+@pytest.mark.nightly
+def test_the_wind_that_an_operation_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "wind", battery={"capacity": 5.0}, criteria={"wind_limit": 20, "reserve": 0.5})
+    code, found = brief(file, "--stage", "wind", "--minutes", "20")
+    assert (code, found["verdict"], found["complete"]) == (3, "marginal", True)
+    assert rows(found)["wind"]["verdict"] == "go"
+    boundary = found["wind_boundary"]
+    assert [each["from_deg"] for each in boundary["directions"]] == [45.0 * i for i in range(8)] + [250.0]
+    # 20 speeds and 64 seeds in each direction would be 11 520 runs.
+    assert boundary["runs"] < 11_520 / 3
+    for each in boundary["directions"]:
+        assert each["low"] <= each["speed"] <= each["high"] <= each["low"] + 2.0
+        # The cascade leans up to 0.5 rad, which holds an X500 against more than the 12 m/s that its maker allows.
+        assert 10.0 < each["speed"] < 30.0
+    page = (file.parent / "out" / "brief.html").read_text()
+    assert "<h2>Wind</h2>" in page
+    # What is there is not flown again, and the numbers are the same.
+    numbers = (file.parent / "out" / "brief.json").read_bytes()
+    brief(file, "--stage", "wind")
+    assert (file.parent / "out" / "brief.json").read_bytes() == numbers

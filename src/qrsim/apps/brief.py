@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from qrsim.studies.brief.studying import Flyer
 
 PAGE, NUMBERS, OPERATION = "brief.html", "brief.json", "operation.yaml"
+# What a brief writes into its folder, and --again discards.
+OWN = ("nominal_*", "faults*", "wind*", "brief.*", OPERATION)
 # More vehicles need more than the default time.
 MANY = 20
 
@@ -51,8 +53,8 @@ class Brief:
     """Forecast at 10 m, in m/s (or kn, km/h), and the bearing that it comes from, in degrees."""
     at: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint="(default: now)")] = None
     """Start of the flights with its zone, such as 2026-05-01T10:00Z."""
-    stage: Annotated[Literal["nominal", "faults", "all"], tyro.conf.arg(metavar="STAGE")] = "all"
-    """nominal, faults or all."""
+    stage: Annotated[Literal["nominal", "faults", "wind", "all"], tyro.conf.arg(metavar="STAGE")] = "all"
+    """nominal, faults, wind (the limit in every direction), or all (of wind the forecast's direction)."""
     minutes: float = 3.0
     """Largest time for flying; the verdict may come earlier."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one for each core)")] = None
@@ -155,7 +157,13 @@ class Brief:
         if not there.exists():
             return
         if self.again:
-            for path in [*folder.glob("nominal_*"), *folder.glob("faults*"), *folder.glob("brief.*"), there]:
+            for path in [
+                *folder.glob("nominal_*"),
+                *folder.glob("faults*"),
+                *folder.glob("wind*"),
+                *folder.glob("brief.*"),
+                there,
+            ]:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
             return
         text = there.read_text("utf-8")

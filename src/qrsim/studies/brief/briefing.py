@@ -15,8 +15,8 @@ from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_yaml
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.scenarios.wind_limits import gust_sigma, mean_wind
 from qrsim.studies.brief import faults
+from qrsim.studies.brief.boundary import Boundary
 from qrsim.studies.brief.flights import Flights
 from qrsim.studies.brief.judging import Row, Verdict, judge, overall, undecided
 from qrsim.studies.brief.operation import OperationSpec
@@ -24,10 +24,11 @@ from qrsim.studies.brief.runs import Runs
 from qrsim.studies.brief.sky import Sky, sky_of, sky_row
 from qrsim.studies.brief.statistics import wilson
 from qrsim.studies.brief.studying import SCENARIO, Flyer, nominal_study, pieces
+from qrsim.studies.brief.winds import Winds, boundary_of, wind_row, winds_of
 
-STAGES = ("nominal", "faults")
-# Part of the time that the nominal stage may take if the faults follow.
-NOMINAL_PART = 0.6
+STAGES = ("nominal", "faults", "wind")
+# Parts of the time at which the stages of a whole brief end.
+PARTS = {"nominal": 0.6, "faults": 0.8, "wind": 1.0}
 # Runs whose flights are named again, and metrics that the page and the JSON give as quantiles.
 WORST = 3
 QUANTILES = {
@@ -56,6 +57,8 @@ class Brief:
         sky: GNSS of the day, None before it is computed.
         nominal: rows of the nominal stage.
         outcomes: of faults.
+        winds: that were flown, None before they are.
+        boundary: of these winds.
         complete: whether it ended by itself, and not by an interruption or its time.
     """
 
@@ -67,14 +70,17 @@ class Brief:
     sky: Sky | None = None
     nominal: list[Row] = field(default_factory=list)
     outcomes: list[faults.FaultOutcome] = field(default_factory=list)
+    winds: Winds | None = None
+    boundary: Boundary | None = None
     complete: bool = False
 
     @property
     def rows(self) -> list[Row]:
         """Every criterion with its verdict."""
         found = list(self.nominal)
-        if self.operation.criteria.wind_limit is not None:
-            found.append(wind_row(self.flights, self.operation.criteria.wind_limit))
+        wind = wind_row(self.flights, self.operation.criteria.wind_limit, self.winds, self.boundary)
+        if wind is not None:
+            found.append(wind)
         if self.sky is not None:
             found.append(sky_row(self.sky, self.flights.scenario.duration))
         return [*found, *faults.fault_rows(self.outcomes)]
@@ -84,7 +90,7 @@ class Brief:
         """The verdict and its reason; a brief without flights is marginal at best."""
         found = overall(self.rows)
         if not self.nominal and found[0] == "go":
-            return "marginal", "nothing was flown"
+            return "marginal", "no run without faults was flown in the forecast"
         return found
 
     def worst(self) -> list[int]:
@@ -130,6 +136,7 @@ class Brief:
             "shares": {kind: _share(int((runs[kind] > 0.0).sum()), total) for kind in kinds} if total else {},
             "quantiles": {name: found for name in QUANTILES if total and (found := _quantiles(runs, name))},
             "charge_cvar5": _cvar(runs["charge_end"]) if total else None,
+            "wind_boundary": self.boundary.to_json() if self.boundary is not None else None,
             "faults": [each.to_json() for each in self.outcomes],
             "worst": [{"seed": int(runs.seeds[run]), "command": self.command(run)} for run in self.worst()],
             "assumed": list(self.flights.assumed),
@@ -156,17 +163,6 @@ def _cvar(values: NumpyArray) -> float | None:
     return float(known[: max(1, len(known) // 20)].mean()) if len(known) else None
 
 
-def wind_row(flights: Flights, limit: float) -> Row:
-    """Return the verdict on the wind with three standard deviations of its gusts, at the highest leg."""
-    spec = flights.scenario.spec
-    places = [place for fleet in spec.fleets.values() for each in fleet.vehicles for place in each.places_ned.values()]
-    heights = np.array([max([-place[2] for place in places] or [0.0])])
-    wind = float((mean_wind(spec, heights) + 3.0 * gust_sigma(spec, heights))[0])
-    verdict: Verdict = "go" if wind < limit - 2.0 else "no-go" if wind > limit else "marginal"
-    told = f"wind: {wind:.1f} m/s with gusts of 3 sigma at {heights[0]:.0f} m; the maker's limit is {limit:g} m/s"
-    return Row("wind", verdict, wind, None, limit, "m/s", told)
-
-
 def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int) -> Brief:
     """Return a brief without runs, its operation and scenario written into its folder.
 
@@ -188,25 +184,30 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
         flyer: called once something has to be flown.
     """
     brief.sky = sky_of(brief.flights.scenario)
-    both = len(stages) > 1 and bool(brief.operation.faults)
     complete = True
     made = flyer()
-    if "nominal" in stages:
-        # Time is left for the faults, whose runs are few.
-        made.allow(NOMINAL_PART if both else 1.0)
-        complete = _nominal(brief, made)
-        if not complete:
-            keep(brief)
-    # What fails without a fault needs no fault.
-    if "faults" in stages and brief.operation.faults and overall(brief.nominal)[0] != "no-go":
-        made.allow(1.0)
-        complete &= _faults(brief, made)
+    for stage in stages:
+        # Time is left for the stages that follow, whose runs are few.
+        made.allow(PARTS[stage] if len(stages) > 1 else 1.0)
+        if stage == "nominal":
+            complete = _nominal(brief, made)
+            if not complete:
+                keep(brief)
+            # What fails in the forecast needs no fault and no more wind.
+            if overall(brief.nominal)[0] == "no-go":
+                break
+        elif stage == "faults" and brief.operation.faults:
+            complete &= _faults(brief, made)
+        elif stage == "wind":
+            complete &= _winds(brief, made, polar=len(stages) == 1)
     brief.complete = complete
 
 
 def keep(brief: Brief) -> None:
-    """Read the nominal runs that are there after an interruption; the verdicts of the last look hold."""
+    """Read the runs that are there after an interruption; the verdicts of the last look hold."""
     _read(brief, look=None)
+    if brief.winds is not None:
+        _winds(brief, None, polar=True)
 
 
 def _read(brief: Brief, look: int | None) -> None:
@@ -246,6 +247,14 @@ def _faults(brief: Brief, flyer: Flyer) -> bool:
     study = faults.fault_study(brief.operation, brief.flights, finished_s, brief.seed)
     complete = flyer.fly(study)
     brief.outcomes = faults.fault_outcomes(brief.folder / f"{faults.NAME}.zarr", study)
+    return complete
+
+
+def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
+    """Fly the stage of the wind, or without a flyer read it; return whether it is complete."""
+    brief.winds = brief.winds or winds_of(brief.operation, brief.flights, brief.folder)
+    reserve = brief.operation.criteria.reserve
+    brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)
     return complete
 
 
