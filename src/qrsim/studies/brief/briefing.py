@@ -59,6 +59,7 @@ class Brief:
         outcomes: of faults.
         winds: that were flown, None before they are.
         boundary: of these winds.
+        precision: width of the intervals of the shares at which the runs end, None for a verdict alone.
         complete: whether it ended by itself, and not by an interruption or its time.
     """
 
@@ -72,6 +73,7 @@ class Brief:
     outcomes: list[faults.FaultOutcome] = field(default_factory=list)
     winds: Winds | None = None
     boundary: Boundary | None = None
+    precision: float | None = None
     complete: bool = False
 
     @property
@@ -82,7 +84,7 @@ class Brief:
         if wind is not None:
             found.append(wind)
         if self.sky is not None:
-            found.append(sky_row(self.sky, self.flights.scenario.duration))
+            found.append(sky_row(self.sky, self.flights.scenario.duration + 60.0 * self.operation.window))
         return [*found, *faults.fault_rows(self.outcomes)]
 
     @property
@@ -92,6 +94,12 @@ class Brief:
         if not self.nominal and found[0] == "go":
             return "marginal", "no run without faults was flown in the forecast"
         return found
+
+    def precise(self) -> bool:
+        """Return whether the interval of every share is as narrow as it was asked to be."""
+        shares = [(self.runs[kind] > 0.0).sum() for kind in ("stopped", "not_finished")]
+        widths = [high - low for low, high in (wilson(int(hits), len(self.runs)) for hits in shares)]
+        return self.precision is None or max(widths) <= self.precision
 
     def worst(self) -> list[int]:
         """Return the numbers of the worst runs: lost ones, then by charge, fence and tracking error."""
@@ -222,7 +230,8 @@ def _read(brief: Brief, look: int | None) -> None:
     if look is not None or len(runs) > len(brief.runs):
         brief.runs = runs
         decided = {row.name: row for row in brief.nominal if row.verdict != "marginal"} if look is None else {}
-        brief.nominal = [decided.get(row.name, row) for row in judge(runs, brief.operation.criteria, look)]
+        found = judge(runs, brief.operation.criteria, look, brief.operation.energy)
+        brief.nominal = [decided.get(row.name, row) for row in found]
 
 
 def _nominal(brief: Brief, flyer: Flyer) -> bool:
@@ -231,7 +240,7 @@ def _nominal(brief: Brief, flyer: Flyer) -> bool:
         if not flyer.fly(nominal_study(piece, brief.operation, brief.flights, brief.seed)):
             return False
         _read(brief, piece.look)
-        if not undecided(brief.nominal):
+        if not undecided(brief.nominal) and brief.precise():
             return True
     return False
 
@@ -253,7 +262,7 @@ def _faults(brief: Brief, flyer: Flyer) -> bool:
 def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
     """Fly the stage of the wind, or without a flyer read it; return whether it is complete."""
     brief.winds = brief.winds or winds_of(brief.operation, brief.flights, brief.folder)
-    reserve = brief.operation.criteria.reserve
+    reserve = brief.operation.criteria.reserve if brief.operation.energy else None
     brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)
     return complete
 

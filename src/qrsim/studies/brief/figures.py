@@ -187,8 +187,8 @@ def polar_figure(boundary: Boundary, wind: WindSpec) -> Figure:
     angles = np.radians([boundary.bearings[i] for i in order])
     low, middle, high = (each[order] for each in (boundary.low, boundary.speed, boundary.high))
     random = np.random.default_rng(0)
-    speeds = np.maximum(0.0, random.normal(wind.speed, wind.std, 300))
-    cloud = np.radians(random.normal(wind.from_deg, wind.from_std, 300))
+    speeds = np.maximum(0.0, random.normal(wind.speed or 0.0, wind.std, 300))
+    cloud = np.radians(random.normal(wind.from_deg or 0.0, wind.from_std, 300))
     axes.plot(cloud, speeds, ".", ms=3, color="#1f4e8c", alpha=0.4, label="forecast with its error")
     if len(order) > 2:
         ring = [*range(len(order)), 0]

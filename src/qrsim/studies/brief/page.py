@@ -53,7 +53,7 @@ def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
         low = brief.operation.contingency.low_battery.at
         yield "Time line", time_figure(runs, tracks, low, criteria.reserve, brief.sky, TRACK_S)
     if brief.boundary is not None and brief.boundary.flown:
-        yield "Wind", polar_figure(brief.boundary, brief.operation.wind)
+        yield "Wind", polar_figure(brief.boundary, brief.flights.wind)
 
 
 def shown(value: float | None, unit: str) -> str:

@@ -54,7 +54,7 @@ def winds_of(operation: OperationSpec, flights: Flights, folder: Path) -> Winds:
     """Return the winds of a brief, and write their scenario into its folder."""
     content = copy.deepcopy(flights.content)
     content["name"] = NAME
-    factor, bearing = speed_20ft(operation), bearing_deg(operation)
+    factor, bearing = speed_20ft(flights.wind), bearing_deg(flights.wind)
     # A unit of speed here; each point gives its own.
     content["world"]["wind"] = {"type": "log_shear", "speed_20ft": factor, "wind_from_deg": bearing}
     low, high = operation.uncertain.initial_charge
@@ -99,13 +99,13 @@ def wind_study(name: str, first_seed: int, points: Sequence[Point], winds: Winds
 
 
 def boundary_of(
-    winds: Winds, reserve: float, seed: int, folder: Path, flyer: Flyer | None, polar: bool
+    winds: Winds, reserve: float | None, seed: int, folder: Path, flyer: Flyer | None, polar: bool
 ) -> tuple[Boundary, bool]:
     """Return the boundary, and whether it is complete; the direction of the forecast is flown first.
 
     Args:
         winds: of the brief.
-        reserve: charge that a run has left at its end if it succeeds.
+        reserve: charge that a run has left at its end if it succeeds; None: any.
         seed: of the first run; each round has new seeds.
         folder: of the brief.
         flyer: flies what is missing; None: only what is in the folder counts.
@@ -128,7 +128,7 @@ def boundary_of(
     return found, complete
 
 
-def _trials(path: Path, points: Sequence[Point], reserve: float) -> list[Trial]:
+def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet
@@ -136,7 +136,8 @@ def _trials(path: Path, points: Sequence[Point], reserve: float) -> list[Trial]:
     if results is None:
         return []
     good = (results.metric("stopped") == 0.0) & (results.metric("not_finished") == 0.0)
-    good &= results.metric("charge_end") >= reserve
+    if reserve is not None:
+        good &= results.metric("charge_end") >= reserve
     found = []
     for number, point in enumerate(points):
         here = results.points == number
