@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 import yaml
 from tests.studies.brief.plans import write_plan
@@ -16,6 +17,7 @@ from tests.studies.brief.plans import write_plan
 from qrsim import cli
 
 WIDE = [(-60.0, -60.0), (-60.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
+SCHEMA = json.loads((Path(__file__).parents[2] / "docs/reference/brief.schema.json").read_text())
 AWAY, ON_THE_LEG = {"x": -40.0, "y": -40.0}, {"x": 12.0, "y": 0.5}
 
 
@@ -40,10 +42,13 @@ def write(folder: Path, fence: list[tuple[float, float]] = WIDE, mast: dict[str,
 def brief(file: Path, *words: str) -> tuple[int, dict[str, Any]]:
     """Brief an operation in this process; return the exit code and the numbers."""
     out = file.parent / "out"
-    options = ("--workers", "1", "--minutes", "10", *words)
+    options = ("--workers", "1", "--minutes", "10", "--no-record", *words)
     stage = () if "--stage" in words else ("--stage", "nominal")
     code = cli.main(["brief", str(file), *stage, "--out", str(out), *options])
-    return code, json.loads((out / "brief.json").read_text())
+    found = json.loads((out / "brief.json").read_text())
+    jsonschema.validate(found, SCHEMA)
+    assert (out / "brief.pdf").read_bytes().startswith(b"%PDF")
+    return code, found
 
 
 def rows(found: dict[str, Any]) -> dict[str, dict[str, Any]]:

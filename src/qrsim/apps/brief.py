@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from qrsim.studies.brief.operation import OperationSpec
     from qrsim.studies.brief.studying import Flyer
 
-PAGE, NUMBERS, OPERATION = "brief.html", "brief.json", "operation.yaml"
+PAGE, PDF, NUMBERS, KML, OPERATION = "brief.html", "brief.pdf", "brief.json", "brief.kml", "operation.yaml"
 PLANS = (".plan", ".waypoints", ".txt", ".kml", ".kmz", ".gpx", ".geojson", ".json")
 # What a brief writes into its folder, and --again discards.
-OWN = ("nominal_*", "faults*", "wind*", "brief.*", OPERATION)
+OWN = ("nominal_*", "faults*", "wind*", "runs", "brief.*", OPERATION)
 # Seconds of vehicles that fly in a second, about.
 USUAL_SPEED = 5000.0
 # More vehicles need more than the default time.
@@ -79,6 +79,10 @@ class Brief:
     """Folder of the brief."""
     again: bool = False
     """Discard what the folder has, and begin again."""
+    kml: bool = False
+    """Write the volumes of a risk assessment (SORA) as KML too."""
+    record: bool = True
+    """Record the worst three runs, for qrsim view."""
     json: bool = False
     """Print the JSON instead of the summary."""
 
@@ -216,7 +220,7 @@ class Brief:
         )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
-        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared
+        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared, record_worst
 
         with os_error_as(RunError, f"{folder}: cannot write there"):
             brief = prepared(operation, flights, folder, self.seed)
@@ -231,6 +235,8 @@ class Brief:
             keep(brief)
             self._tell(brief, folder)
             raise
+        if self.record:
+            record_worst(brief)
         self._tell(brief, folder)
         return exit_code(brief.verdict[0])
 
@@ -249,17 +255,24 @@ class Brief:
 
         from qrsim.files.atomic import write_atomically
         from qrsim.studies.brief.page import write_page
+        from qrsim.studies.brief.pdf import write_pdf
+        from qrsim.studies.brief.volumes import write_kml
 
         found = brief.to_json()
         text = json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, content in {NUMBERS: text, PAGE: write_page(brief)}.items():
-            with os_error_as(RunError, f"cannot write {folder / name}"):
-                write_atomically(folder / name, content.encode())
+        files = {NUMBERS: text.encode(), PAGE: write_page(brief).encode(), PDF: write_pdf(brief)}
+        if self.kml:
+            files[KML] = write_kml(brief.operation.operation, brief.flights.scenario, brief.volumes).encode()
+        for name, content in files.items():
+            with os_error_as(RunError, f"{folder / name}: cannot be written"):
+                write_atomically(folder / name, content)
         if self.json:
             print(text, end="")
             return
         _print_verdict(brief)
-        print(f"page:    {folder / PAGE}\nnumbers: {folder / NUMBERS}")
+        if self.kml:
+            print(f"volumes: {folder / KML}: {brief.volumes_text()}")
+        print(f"page:    {folder / PAGE} and {PDF}\nnumbers: {folder / NUMBERS}")
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
@@ -290,7 +303,8 @@ def _print_verdict(brief: Briefing) -> None:
     if not brief.complete:
         print("\nthe brief is not complete; the same command continues it, and --minutes gives it more time")
     for run in brief.worst()[:1]:
-        print(f"\nto fly the worst run again: {brief.command(run)}")
+        seen = f"qrsim view {brief.recordings[run]}" if run in brief.recordings else brief.command(run)
+        print(f"\nto see the worst run: {seen}")
 
 
 @contextmanager

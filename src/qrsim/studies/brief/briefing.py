@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,6 +15,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_yaml
+from qrsim.runs.recorder import fly as record
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.studies.brief import faults
 from qrsim.studies.brief.boundary import Boundary
@@ -22,8 +24,9 @@ from qrsim.studies.brief.judging import Row, Verdict, judge, overall, undecided
 from qrsim.studies.brief.operation import OperationSpec
 from qrsim.studies.brief.runs import Runs
 from qrsim.studies.brief.sky import Sky, sky_of, sky_row
-from qrsim.studies.brief.statistics import wilson
+from qrsim.studies.brief.statistics import quantile, wilson
 from qrsim.studies.brief.studying import SCENARIO, Flyer, nominal_study, pieces
+from qrsim.studies.brief.volumes import Volumes, volumes_of
 from qrsim.studies.brief.winds import Winds, boundary_of, wind_row, winds_of
 
 STAGES = ("nominal", "faults", "wind")
@@ -31,6 +34,8 @@ STAGES = ("nominal", "faults", "wind")
 PARTS = {"nominal": 0.6, "faults": 0.8, "wind": 1.0}
 # Runs whose flights are named again, and metrics that the page and the JSON give as quantiles.
 WORST = 3
+# Folder of recorded runs.
+RECORDINGS = "runs"
 QUANTILES = {
     "charge_end": "1", "finished_s": "s", "wind_max_m_s": "m/s", "tracking_error_max_m": "m",
     "gnss_horizontal_rms_m": "m", "gnss_vertical_rms_m": "m", "fence_horizontal_min_m": "m", "ceiling_min_m": "m",
@@ -60,6 +65,7 @@ class Brief:
         winds: that were flown, None before they are.
         boundary: of these winds.
         precision: width of the intervals of the shares at which the runs end, None for a verdict alone.
+        recordings: folders of runs that were recorded, by their numbers.
         complete: whether it ended by itself, and not by an interruption or its time.
     """
 
@@ -74,6 +80,7 @@ class Brief:
     winds: Winds | None = None
     boundary: Boundary | None = None
     precision: float | None = None
+    recordings: dict[int, str] = field(default_factory=dict)
     complete: bool = False
 
     @property
@@ -115,6 +122,28 @@ class Brief:
                 order.append(np.nanargmin(values))
         return [int(run) for run in dict.fromkeys(order)][:WORST]
 
+    @property
+    def volumes(self) -> Volumes:
+        """Volumes of a risk assessment."""
+        return volumes_of(self.flights.scenario)
+
+    def departure(self) -> float | None:
+        """Return the distance from the path that 99 % of the runs keep [m], None without runs."""
+        found = quantile(self.runs["tracking_error_max_m"], 0.99)
+        return found if math.isfinite(found) else None
+
+    def volumes_text(self) -> str:
+        """Return the volumes in words, next to what was simulated."""
+        sizes, left = self.volumes, self.departure()
+        simulated = (
+            "" if left is None else f"; in 99 % of the runs no vehicle is farther than {left:.1f} m from its path"
+        )
+        return (
+            f"contingency volume {sizes.contingency:.1f} m wide (7 m of errors, {sizes.reaction:.1f} m of reaction, "
+            f"{sizes.braking:.1f} m of braking from {sizes.speed:g} m/s) and {sizes.contingency_height:.1f} m high, "
+            f"ground risk buffer {sizes.ground_risk:.1f} m, 1:1{simulated}"
+        )
+
     def command(self, run: int) -> str:
         """Return the command that flies a run again."""
         values = [f"{path}={value!r}" for path, value in self.runs.values_at(run).items()]
@@ -146,7 +175,11 @@ class Brief:
             "charge_cvar5": _cvar(runs["charge_end"]) if total else None,
             "wind_boundary": self.boundary.to_json() if self.boundary is not None else None,
             "faults": [each.to_json() for each in self.outcomes],
-            "worst": [{"seed": int(runs.seeds[run]), "command": self.command(run)} for run in self.worst()],
+            "volumes": {**self.volumes.to_json(), "simulated_departure": self.departure()},
+            "worst": [
+                {"seed": int(runs.seeds[run]), "command": self.command(run), "recording": self.recordings.get(run)}
+                for run in self.worst()
+            ],
             "assumed": list(self.flights.assumed),
             "not_modelled": list(NOT_MODELLED),
         }
@@ -265,6 +298,23 @@ def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
     reserve = brief.operation.criteria.reserve if brief.operation.energy else None
     brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)
     return complete
+
+
+def record_worst(brief: Brief) -> None:
+    """Fly the worst runs again and record them in the folder of the brief, unless they are there.
+
+    Raises:
+        RunError: a run cannot be written.
+    """
+    for run in brief.worst():
+        seed = int(brief.runs.seeds[run])
+        folder = brief.folder / RECORDINGS / f"seed_{seed}"
+        if not folder.exists():
+            values = [f"{path}={value!r}" for path, value in brief.runs.values_at(run).items()]
+            record(
+                load_scenario(str(brief.folder / SCENARIO), values, quiet=True), folder, seed=seed, precision="float32"
+            )
+        brief.recordings[run] = str(folder)
 
 
 def exit_code(verdict: Verdict) -> int:

@@ -36,7 +36,9 @@ def write_page(brief: Brief) -> str:
     made.filters |= {"shown": shown, "base64": lambda data: base64.b64encode(data).decode("ascii")}
     template = files("qrsim.studies.brief").joinpath(TEMPLATE).read_text("utf-8")
     pictures = [Picture(title, png(figure)) for title, figure in figures_of(brief)]
-    page: str = made.from_string(template).render(about=brief.to_json(), pictures=pictures)
+    page: str = made.from_string(template).render(
+        about=brief.to_json(), volumes=brief.volumes_text(), pictures=pictures
+    )
     return page + "\n"
 
 
