@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
@@ -17,7 +17,7 @@ from qrsim.studies.brief.page import figures_of
 
 # A4 [inch], left edge and width of the text in parts of it, size of the text [pt], its lines, and characters of one.
 PAGE, LEFT, WIDE = (8.27, 11.69), 0.06, 0.88
-SIZE, LEADING, PER_LINE = 6.6, 1.3, 158
+SIZE, LEADING, PER_LINE = 6.6, 1.3, 148
 DPI = 200
 
 
@@ -76,16 +76,27 @@ def _criteria(brief: Brief) -> Iterator[tuple[str, str]]:
 def _notes(brief: Brief) -> Iterator[tuple[str, str]]:
     about = brief.to_json()
     lines = [f"SORA: {brief.volumes_text()}"]
-    for each in brief.outcomes:
-        lines.append(
-            f"Fault {each.fault} at {100 * each.part:.0f} %: {100 * each.home:.0f} % of {each.runs} runs come home, "
-            f"{100 * each.elsewhere:.0f} % land elsewhere, {100 * each.left_area:.0f} % leave the area, "
-            f"{100 * each.crashed:.0f} % crash"
-        )
-    lines += [*about["assumed"], *about["not_modelled"], *(f"Again: {each['command']}" for each in about["worst"])]
+    for fault in dict.fromkeys(each.fault for each in brief.outcomes):
+        own = [each for each in brief.outcomes if each.fault == fault]
+        shares = {
+            "come home": [each.home for each in own],
+            "land elsewhere": [each.elsewhere for each in own],
+            "leave the area": [each.left_area for each in own],
+            "crash": [each.crashed for each in own],
+        }
+        told = ", ".join(f"{_percents(found)} {words}" for words, found in shares.items() if any(found))
+        lines.append(f"Fault {fault} at {_percents([each.part for each in own])} of the mission: {told or 'none ends'}")
+    lines += [*about["assumed"], *about["not_modelled"]]
+    if about["worst"]:
+        seeds = ", ".join(str(each["seed"]) for each in about["worst"])
+        lines.append(f"Seeds of the worst runs: {seeds}. The page brief.html has the commands that fly them again.")
     for line in lines:
         for part in textwrap.wrap(line, PER_LINE, subsequent_indent="      "):
             yield part, "#333333"
+
+
+def _percents(shares: Sequence[float]) -> str:
+    return "/".join(f"{100 * share:.0f}" for share in shares) + " %"
 
 
 def _lines(page: Figure, height: float, lines: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> float:
