@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 import yaml
 from tests.studies.brief.plans import write_plan
@@ -16,6 +17,7 @@ from tests.studies.brief.plans import write_plan
 from qrsim import cli
 
 WIDE = [(-60.0, -60.0), (-60.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
+SCHEMA = json.loads((Path(__file__).parents[2] / "docs/reference/brief.schema.json").read_text())
 AWAY, ON_THE_LEG = {"x": -40.0, "y": -40.0}, {"x": 12.0, "y": 0.5}
 
 
@@ -40,10 +42,13 @@ def write(folder: Path, fence: list[tuple[float, float]] = WIDE, mast: dict[str,
 def brief(file: Path, *words: str) -> tuple[int, dict[str, Any]]:
     """Brief an operation in this process; return the exit code and the numbers."""
     out = file.parent / "out"
-    options = ("--workers", "1", "--minutes", "10", *words)
+    options = ("--workers", "1", "--minutes", "10", "--no-record", *words)
     stage = () if "--stage" in words else ("--stage", "nominal")
     code = cli.main(["brief", str(file), *stage, "--out", str(out), *options])
-    return code, json.loads((out / "brief.json").read_text())
+    found = json.loads((out / "brief.json").read_text())
+    jsonschema.validate(found, SCHEMA)
+    assert (out / "brief.pdf").read_bytes().startswith(b"%PDF")
+    return code, found
 
 
 def rows(found: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -131,3 +136,25 @@ def test_faults_end_as_the_reactions_ask(tmp_path: Path, capsys: pytest.CaptureF
     assert [each["home"] for each in by_fault["link"]] == [1.0] * 3
     assert [each["home"] for each in by_fault["low_battery"]] == [1.0] * 3
     assert rows(found)["fault motor"]["decides"] is False
+
+
+@pytest.mark.nightly
+def test_the_wind_that_an_operation_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "wind", battery={"capacity": 5.0}, criteria={"wind_limit": 20, "reserve": 0.5})
+    code, found = brief(file, "--stage", "wind", "--minutes", "20")
+    assert (code, found["verdict"], found["complete"]) == (3, "marginal", True)
+    assert rows(found)["wind"]["verdict"] == "go"
+    boundary = found["wind_boundary"]
+    assert [each["from_deg"] for each in boundary["directions"]] == [45.0 * i for i in range(8)] + [250.0]
+    # 20 speeds and 64 seeds in each direction would be 11 520 runs.
+    assert boundary["runs"] < 11_520 / 3
+    for each in boundary["directions"]:
+        assert each["low"] <= each["speed"] <= each["high"] <= each["low"] + 2.0
+        # The cascade leans up to 0.5 rad, which holds an X500 against more than the 12 m/s that its maker allows.
+        assert 10.0 < each["speed"] < 30.0
+    page = (file.parent / "out" / "brief.html").read_text()
+    assert "<h2>Wind</h2>" in page
+    # What is there is not flown again, and the numbers are the same.
+    numbers = (file.parent / "out" / "brief.json").read_bytes()
+    brief(file, "--stage", "wind")
+    assert (file.parent / "out" / "brief.json").read_bytes() == numbers

@@ -21,6 +21,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("qrsim.studies.brief.briefing.fly", fly)
     write_plan(tmp_path / "a.plan")
+    (tmp_path / "list.yaml").write_text("[1, 2]")
     return tmp_path
 
 
@@ -49,6 +50,10 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ((*WIND, *AT, *X500, "--longest", "0.005"), "allowed: 18 s; see --longest"),
         ((*WIND, *AT, *X500, "--workers", "0"), "--workers 0: expected a positive number"),
         ((*WIND, *AT, *X500, "--seed", "-1"), "--seed -1: expected an integer"),
+        ((*WIND, *AT, *X500, "--precision", "2"), "--precision 2: allowed: above 0, below 1 (2 % is 0.02)"),
+        ((*WIND, *AT, *X500, "--battery", "no.yaml"), "--battery no.yaml: cannot be read: No such file or directory"),
+        ((*WIND, *AT, *X500, "--battery", "list.yaml"), "--battery list.yaml: expected numbers of a pack"),
+        ((*AT, *X500, "--wind", "gfs.grib2"), "gfs.grib2"),
         ((*WIND, *AT, *X500, "--write", "o.txt"), "--write o.txt: expected the name of a .yaml file"),
     ],
 )
@@ -68,8 +73,17 @@ def test_wrong_words(folder: Path, capsys: pytest.CaptureFixture[str], words: tu
         ({"uncertain": {"mass": "90 %"}}, "uncertain.mass: 0.9 is out of range; allowed: 0 to 0.5"),
         ({"uncertain": {"initial_charge": [1.0, 0.9]}}, "allowed: ascending, above 0, at most 1"),
         ({"missions": []}, "missions: "),
+        (
+            {"wind": {"speed": 7, "from": 250, "file": "w.csv"}},
+            "wind: gives 'speed' and 'file'; give speed and from, or file",
+        ),
+        ({"wind": {"speed": 7}}, "wind: gives neither 'from_deg' nor 'file'"),
+        ({"site": {"latitude_deg": 51.0}}, "gives one of latitude_deg and longitude_deg; give both, or neither"),
+        ({"site": {"keepout": ["a.kml"]}}, "did you mean 'keep_out'?"),
+        ({"site": {"terrain": ["no.hgt"]}}, "no.hgt"),
+        ({"site": {"keep_out": ["no.kml"]}}, "no.kml"),
         ({"missions": [{"plan": "a.plan", "vehicle": "x500"}] * 2}, "missions: two are called 'a'"),
-        ({"site": {"ceiling": "high"}}, "site.ceiling: 'high'; allowed: a height above home"),
+        ({"site": {"ceiling": "high"}}, "site.ceiling: 'high' is not a number (height above home [m])"),
         # The route is up to 12 m high.
         ({"site": {"ceiling": 10}}, "a.plan: item 3: z = -12 m is outside world.area; allowed: -10 to 0"),
         ({"world": {"wind": {"type": "calm"}}}, "world: the wind of an operation is its own key"),
@@ -130,7 +144,7 @@ def test_wrong_plans(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         capsys, "a.plan", "near.plan", *X500, *WIND, *AT
     )
     assert "o.yaml: no such file" in refused(capsys, "o.yaml")
-    assert "b.txt: expected a .plan" in refused(capsys, "b.txt", *X500, *WIND)
+    assert "b.csv: expected a plan (.plan, .waypoints" in refused(capsys, "b.csv", *X500, *WIND)
 
 
 def test_an_operation_is_written_and_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -158,3 +172,20 @@ def test_a_folder_of_something_else(folder: Path, capsys: pytest.CaptureFixture[
     printed = refused(capsys, *words, "--out", "other")
     assert "other: was made of another operation; --out another folder, or --again" in printed
     assert "wind.speed: 7.0 here, 8.0 there" in printed
+
+
+def test_a_forecast_is_of_the_time_of_the_flights(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = ["time,height,speed,direction", *(f"2026-05-01T{hour:02}:00Z,10,7,250" for hour in (9, 11))]
+    Path("wind.csv").write_text("\n".join(rows) + "\n")
+    printed = refused(capsys, "a.plan", *X500, "--wind", "wind.csv", "--at", "2026-05-01T12:00Z")
+    assert "wind.csv: " in printed
+    assert "2026-05-01 09:00" in printed
+    assert cli.main(["brief", "a.plan", *X500, "--wind", "wind.csv", *AT, "--write", "w.yaml"]) == 0
+    assert yaml.safe_load(Path("w.yaml").read_text())["wind"]["file"] == "wind.csv"
+
+
+def test_a_precision_has_to_fit_into_the_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    printed = refused(capsys, "a.plan", *X500, *WIND, *AT, "--precision", "0.0001")
+    # Wilson's interval of none of n is z^2/(n + z^2) wide, z = 1.96.
+    assert "--precision 0.0001: needs about 38411 runs, " in printed
+    assert "--minutes " in printed

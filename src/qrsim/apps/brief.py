@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -20,7 +21,12 @@ if TYPE_CHECKING:
     from qrsim.studies.brief.operation import OperationSpec
     from qrsim.studies.brief.studying import Flyer
 
-PAGE, NUMBERS, OPERATION = "brief.html", "brief.json", "operation.yaml"
+PAGE, PDF, NUMBERS, KML, OPERATION = "brief.html", "brief.pdf", "brief.json", "brief.kml", "operation.yaml"
+PLANS = (".plan", ".waypoints", ".txt", ".kml", ".kmz", ".gpx", ".geojson", ".json")
+# What a brief writes into its folder, and --again discards.
+OWN = ("nominal_*", "faults*", "wind*", "runs", "brief.*", OPERATION)
+# Seconds of vehicles that fly in a second, about.
+USUAL_SPEED = 5000.0
 # More vehicles need more than the default time.
 MANY = 20
 
@@ -48,13 +54,19 @@ class Brief:
     ] = field(default_factory=list)
     """Model or .yaml file of the vehicle; PLAN=NAME for each plan, several times."""
     wind: Annotated[str | None, tyro.conf.arg(metavar="SPEED@FROM", help_behavior_hint="(for plans)")] = None
-    """Forecast at 10 m, in m/s (or kn, km/h), and the bearing that it comes from, in degrees."""
+    """Forecast at 10 m, in m/s (or kn, km/h), and the bearing that it comes from, in degrees; or a weather file."""
     at: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint="(default: now)")] = None
     """Start of the flights with its zone, such as 2026-05-01T10:00Z."""
-    stage: Annotated[Literal["nominal", "faults", "all"], tyro.conf.arg(metavar="STAGE")] = "all"
-    """nominal, faults or all."""
+    battery: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: 4 cells, 5 Ah)")] = None
+    """YAML file with the numbers of every vehicle's pack."""
+    no_energy: bool = False
+    """Judge no charge."""
+    stage: Annotated[Literal["nominal", "faults", "wind", "all"], tyro.conf.arg(metavar="STAGE")] = "all"
+    """nominal, faults, wind (the limit in every direction), or all (of wind the forecast's direction)."""
     minutes: float = 3.0
     """Largest time for flying; the verdict may come earlier."""
+    precision: Annotated[float | None, tyro.conf.arg(metavar="P", help_behavior_hint="(default: a verdict)")] = None
+    """Fly on until the intervals of losses and of unfinished missions are narrower, such as 0.02."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one for each core)")] = None
     """Processes to fly with; 1: this one."""
     seed: int = 0
@@ -67,6 +79,10 @@ class Brief:
     """Folder of the brief."""
     again: bool = False
     """Discard what the folder has, and begin again."""
+    kml: bool = False
+    """Write the volumes of a risk assessment (SORA) as KML too."""
+    record: bool = True
+    """Record the worst three runs, for qrsim view."""
     json: bool = False
     """Print the JSON instead of the summary."""
 
@@ -81,6 +97,7 @@ class Brief:
 
         require("brief", "qrsim brief")
         flights = flights_of(operation, 3600.0 * self.longest)
+        self._check_precision(flights)
         folder = self.out or Path("briefs") / operation.operation
         self._clear(folder, operation)
         return self._brief(operation, flights, folder)
@@ -90,6 +107,8 @@ class Brief:
             raise UsageError("OPERATION: missing; expected plans, or an operation's .yaml file")
         if not 0.0 < self.minutes <= 10_080.0:
             raise UsageError(f"--minutes {self.minutes:g}: allowed: above 0, at most 10080")
+        if self.precision is not None and not 0.0 < self.precision < 1.0:
+            raise UsageError(f"--precision {self.precision:g}: allowed: above 0, below 1 (2 % is 0.02)")
         if not 0.0 < self.longest <= 24.0:
             raise UsageError(f"--longest {self.longest:g}: allowed: above 0, at most 24 hours")
         if self.workers is not None and self.workers < 1:
@@ -99,49 +118,76 @@ class Brief:
 
     def _operation(self) -> OperationSpec:
         """Return the operation of the command line, with a note on the time where none was given."""
-        from qrsim.studies.brief.operation import checked, read_operation
-        from qrsim.studies.brief.words import NEEDED, now_rounded, time_of, vehicles_of, wind_of
+        from qrsim.studies.brief.operation import FAULTS, checked, read_operation
+        from qrsim.studies.brief.words import NEEDED, battery_of, now_rounded, time_of, vehicles_of
 
         files = [Path(name) for name in self.operation]
         changes: dict[str, object] = {} if self.at is None else {"at": time_of(self.at)}
         if self.wind is not None:
-            speed, bearing = wind_of(self.wind)
-            changes["wind"] = {"speed": round(speed, 3), "from_deg": bearing}
-            if not self.wind.split("@")[0].replace(".", "").strip().isdigit():
-                print(f"wind: {self.wind} is {speed:.1f} m/s", file=sys.stderr)
+            changes["wind"] = self._wind()
+        if self.no_energy:
+            changes |= {"energy": False, "faults": [fault for fault in FAULTS if fault != "low_battery"]}
         if any(file.suffix in (".yaml", ".yml") for file in files):
-            if len(files) > 1 or self.vehicle:
-                raise UsageError(f"{files[0]}: an operation's file is given alone, without --vehicle")
+            if len(files) > 1 or self.vehicle or self.battery:
+                raise UsageError(f"{files[0]}: an operation's file is given alone, without --vehicle and --battery")
             return read_operation(files[0], changes)
         for file in files:
-            if file.suffix != ".plan":
-                raise UsageError(f"{file}: expected a .plan of QGroundControl, or an operation's .yaml file")
+            if file.suffix.lower() not in PLANS:
+                raise UsageError(f"{file}: expected a plan ({', '.join(PLANS)}), or an operation's .yaml file")
         if "wind" not in changes:
             raise UsageError(f"{files[0].stem}: {NEEDED}")
         if "at" not in changes:
             changes["at"] = now_rounded()
             print(f"no --at: the flights are at {changes['at']}, which decides the satellites", file=sys.stderr)
         vehicles = vehicles_of(files, self.vehicle)
-        missions = [{"plan": str(file), "vehicle": name} for file, name in zip(files, vehicles, strict=True)]
+        pack = {} if self.battery is None else {"battery": battery_of(self.battery)}
+        missions = [{"plan": str(file), "vehicle": name, **pack} for file, name in zip(files, vehicles, strict=True)]
         name = "".join(letter if letter.isalnum() or letter in "_.-" else "_" for letter in files[0].stem).strip("_.-")
         return checked({"operation": name or "brief", "missions": missions, **changes}, str(files[0]))
 
+    def _wind(self) -> dict[str, object]:
+        """Return the wind of the command line."""
+        from qrsim.studies.brief.words import WEATHER_FILES, wind_of
+
+        assert self.wind is not None
+        if Path(self.wind).suffix.lower() in WEATHER_FILES:
+            return {"file": self.wind}
+        speed, bearing = wind_of(self.wind)
+        if not self.wind.split("@")[0].replace(".", "").strip().isdigit():
+            print(f"wind: {self.wind} is {speed:.1f} m/s", file=sys.stderr)
+        return {"speed": round(speed, 3), "from_deg": bearing}
+
     def _write(self, operation: OperationSpec) -> int:
+        import os
+
         from qrsim.files.atomic import write_atomically
+        from qrsim.files.yaml_text import dump_yaml, parse_yaml
+        from qrsim.studies.brief.operation import with_paths
 
         assert self.write is not None
         if self.write.suffix not in (".yaml", ".yml"):
             raise UsageError(f"--write {self.write}: expected the name of a .yaml file")
         folder = self.write.parent.absolute()
-        missions = [
-            mission.model_copy(update={key: _relative(getattr(mission, key), folder) for key in ("plan", "vehicle")})
-            for mission in operation.missions
-        ]
-        text = operation.model_copy(update={"missions": missions}).to_yaml()
+        content = with_paths(parse_yaml(operation.to_yaml(), "operation"), lambda name: os.path.relpath(name, folder))
+        text = dump_yaml(content)
         with os_error_as(RunError, f"cannot write {self.write}"):
             write_atomically(self.write, text.encode())
         print(f"operation: {self.write}\nto brief it: qrsim brief {self.write}")
         return 0
+
+    def _check_precision(self, flights: Flights) -> None:
+        """Refuse a precision that needs far more runs than there is time for."""
+        from qrsim.studies.brief.statistics import runs_for
+
+        if self.precision is None:
+            return
+        runs = runs_for(self.precision)
+        needed = runs * len(flights.names) * max(flights.planned_s) / USUAL_SPEED / 60.0
+        if needed > self.minutes:
+            raise UsageError(
+                f"--precision {self.precision:g}: needs about {runs} runs, {needed:.0f} minutes; --minutes "
+                f"{math.ceil(1.2 * needed)} allows it"
+            )
 
     def _clear(self, folder: Path, operation: OperationSpec) -> None:
         """Empty the folder with --again; else refuse that of another operation."""
@@ -155,7 +201,13 @@ class Brief:
         if not there.exists():
             return
         if self.again:
-            for path in [*folder.glob("nominal_*"), *folder.glob("faults*"), *folder.glob("brief.*"), there]:
+            for path in [
+                *folder.glob("nominal_*"),
+                *folder.glob("faults*"),
+                *folder.glob("wind*"),
+                *folder.glob("brief.*"),
+                there,
+            ]:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
             return
         text = there.read_text("utf-8")
@@ -168,10 +220,11 @@ class Brief:
         )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
-        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared
+        from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared, record_worst
 
         with os_error_as(RunError, f"{folder}: cannot write there"):
             brief = prepared(operation, flights, folder, self.seed)
+        brief.precision = self.precision
         if not self.json:
             _print_flights(operation, flights)
         stages = STAGES if self.stage == "all" else (self.stage,)
@@ -182,6 +235,8 @@ class Brief:
             keep(brief)
             self._tell(brief, folder)
             raise
+        if self.record:
+            record_worst(brief)
         self._tell(brief, folder)
         return exit_code(brief.verdict[0])
 
@@ -200,24 +255,24 @@ class Brief:
 
         from qrsim.files.atomic import write_atomically
         from qrsim.studies.brief.page import write_page
+        from qrsim.studies.brief.pdf import write_pdf
+        from qrsim.studies.brief.volumes import write_kml
 
         found = brief.to_json()
         text = json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, content in {NUMBERS: text, PAGE: write_page(brief)}.items():
-            with os_error_as(RunError, f"cannot write {folder / name}"):
-                write_atomically(folder / name, content.encode())
+        files = {NUMBERS: text.encode(), PAGE: write_page(brief).encode(), PDF: write_pdf(brief)}
+        if self.kml:
+            files[KML] = write_kml(brief.operation.operation, brief.flights.scenario, brief.volumes).encode()
+        for name, content in files.items():
+            with os_error_as(RunError, f"{folder / name}: cannot be written"):
+                write_atomically(folder / name, content)
         if self.json:
             print(text, end="")
             return
         _print_verdict(brief)
-        print(f"page:    {folder / PAGE}\nnumbers: {folder / NUMBERS}")
-
-
-def _relative(name: str, folder: Path) -> str:
-    """Return a file's path relative to a folder; names of models unchanged."""
-    import os
-
-    return os.path.relpath(name, folder) if Path(name).suffix else name
+        if self.kml:
+            print(f"volumes: {folder / KML}: {brief.volumes_text()}")
+        print(f"page:    {folder / PAGE} and {PDF}\nnumbers: {folder / NUMBERS}")
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
@@ -230,8 +285,8 @@ def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
 
 
 def _print_flights(operation: OperationSpec, flights: Flights) -> None:
-    wind = operation.wind
-    blows = f"{wind.speed:g} m/s from {wind.from_deg:g} deg at {wind.height:g} m"
+    wind = flights.wind
+    blows = f"{wind.speed:.3g} m/s from {wind.from_deg:.3g} deg at {wind.height:g} m"
     print(f"{operation.operation}: {operation.at}, wind {blows}")
     for name, mission, planned in zip(flights.names, operation.missions, flights.planned_s, strict=True):
         print(f"  {name:<20} {mission.plan}, {mission.vehicle}: {planned:.0f} s planned")
@@ -248,7 +303,8 @@ def _print_verdict(brief: Briefing) -> None:
     if not brief.complete:
         print("\nthe brief is not complete; the same command continues it, and --minutes gives it more time")
     for run in brief.worst()[:1]:
-        print(f"\nto fly the worst run again: {brief.command(run)}")
+        seen = f"qrsim view {brief.recordings[run]}" if run in brief.recordings else brief.command(run)
+        print(f"\nto see the worst run: {seen}")
 
 
 @contextmanager

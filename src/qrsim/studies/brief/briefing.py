@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,22 +15,27 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_yaml
+from qrsim.runs.recorder import fly as record
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.scenarios.wind_limits import gust_sigma, mean_wind
 from qrsim.studies.brief import faults
+from qrsim.studies.brief.boundary import Boundary
 from qrsim.studies.brief.flights import Flights
 from qrsim.studies.brief.judging import Row, Verdict, judge, overall, undecided
 from qrsim.studies.brief.operation import OperationSpec
 from qrsim.studies.brief.runs import Runs
 from qrsim.studies.brief.sky import Sky, sky_of, sky_row
-from qrsim.studies.brief.statistics import wilson
+from qrsim.studies.brief.statistics import quantile, wilson
 from qrsim.studies.brief.studying import SCENARIO, Flyer, nominal_study, pieces
+from qrsim.studies.brief.volumes import Volumes, volumes_of
+from qrsim.studies.brief.winds import Winds, boundary_of, wind_row, winds_of
 
-STAGES = ("nominal", "faults")
-# Part of the time that the nominal stage may take if the faults follow.
-NOMINAL_PART = 0.6
+STAGES = ("nominal", "faults", "wind")
+# Parts of the time at which the stages of a whole brief end.
+PARTS = {"nominal": 0.6, "faults": 0.8, "wind": 1.0}
 # Runs whose flights are named again, and metrics that the page and the JSON give as quantiles.
 WORST = 3
+# Folder of recorded runs.
+RECORDINGS = "runs"
 QUANTILES = {
     "charge_end": "1", "finished_s": "s", "wind_max_m_s": "m/s", "tracking_error_max_m": "m",
     "gnss_horizontal_rms_m": "m", "gnss_vertical_rms_m": "m", "fence_horizontal_min_m": "m", "ceiling_min_m": "m",
@@ -56,6 +62,10 @@ class Brief:
         sky: GNSS of the day, None before it is computed.
         nominal: rows of the nominal stage.
         outcomes: of faults.
+        winds: that were flown, None before they are.
+        boundary: of these winds.
+        precision: width of the intervals of the shares at which the runs end, None for a verdict alone.
+        recordings: folders of runs that were recorded, by their numbers.
         complete: whether it ended by itself, and not by an interruption or its time.
     """
 
@@ -67,16 +77,21 @@ class Brief:
     sky: Sky | None = None
     nominal: list[Row] = field(default_factory=list)
     outcomes: list[faults.FaultOutcome] = field(default_factory=list)
+    winds: Winds | None = None
+    boundary: Boundary | None = None
+    precision: float | None = None
+    recordings: dict[int, str] = field(default_factory=dict)
     complete: bool = False
 
     @property
     def rows(self) -> list[Row]:
         """Every criterion with its verdict."""
         found = list(self.nominal)
-        if self.operation.criteria.wind_limit is not None:
-            found.append(wind_row(self.flights, self.operation.criteria.wind_limit))
+        wind = wind_row(self.flights, self.operation.criteria.wind_limit, self.winds, self.boundary)
+        if wind is not None:
+            found.append(wind)
         if self.sky is not None:
-            found.append(sky_row(self.sky, self.flights.scenario.duration))
+            found.append(sky_row(self.sky, self.flights.scenario.duration + 60.0 * self.operation.window))
         return [*found, *faults.fault_rows(self.outcomes)]
 
     @property
@@ -84,8 +99,14 @@ class Brief:
         """The verdict and its reason; a brief without flights is marginal at best."""
         found = overall(self.rows)
         if not self.nominal and found[0] == "go":
-            return "marginal", "nothing was flown"
+            return "marginal", "no run without faults was flown in the forecast"
         return found
+
+    def precise(self) -> bool:
+        """Return whether the interval of every share is as narrow as it was asked to be."""
+        shares = [(self.runs[kind] > 0.0).sum() for kind in ("stopped", "not_finished")]
+        widths = [high - low for low, high in (wilson(int(hits), len(self.runs)) for hits in shares)]
+        return self.precision is None or max(widths) <= self.precision
 
     def worst(self) -> list[int]:
         """Return the numbers of the worst runs: lost ones, then by charge, fence and tracking error."""
@@ -100,6 +121,28 @@ class Brief:
             if np.isfinite(values).any():
                 order.append(np.nanargmin(values))
         return [int(run) for run in dict.fromkeys(order)][:WORST]
+
+    @property
+    def volumes(self) -> Volumes:
+        """Volumes of a risk assessment."""
+        return volumes_of(self.flights.scenario)
+
+    def departure(self) -> float | None:
+        """Return the distance from the path that 99 % of the runs keep [m], None without runs."""
+        found = quantile(self.runs["tracking_error_max_m"], 0.99)
+        return found if math.isfinite(found) else None
+
+    def volumes_text(self) -> str:
+        """Return the volumes in words, next to what was simulated."""
+        sizes, left = self.volumes, self.departure()
+        simulated = (
+            "" if left is None else f"; in 99 % of the runs no vehicle is farther than {left:.1f} m from its path"
+        )
+        return (
+            f"contingency volume {sizes.contingency:.1f} m wide (7 m of errors, {sizes.reaction:.1f} m of reaction, "
+            f"{sizes.braking:.1f} m of braking from {sizes.speed:g} m/s) and {sizes.contingency_height:.1f} m high, "
+            f"ground risk buffer {sizes.ground_risk:.1f} m, 1:1{simulated}"
+        )
 
     def command(self, run: int) -> str:
         """Return the command that flies a run again."""
@@ -130,8 +173,13 @@ class Brief:
             "shares": {kind: _share(int((runs[kind] > 0.0).sum()), total) for kind in kinds} if total else {},
             "quantiles": {name: found for name in QUANTILES if total and (found := _quantiles(runs, name))},
             "charge_cvar5": _cvar(runs["charge_end"]) if total else None,
+            "wind_boundary": self.boundary.to_json() if self.boundary is not None else None,
             "faults": [each.to_json() for each in self.outcomes],
-            "worst": [{"seed": int(runs.seeds[run]), "command": self.command(run)} for run in self.worst()],
+            "volumes": {**self.volumes.to_json(), "simulated_departure": self.departure()},
+            "worst": [
+                {"seed": int(runs.seeds[run]), "command": self.command(run), "recording": self.recordings.get(run)}
+                for run in self.worst()
+            ],
             "assumed": list(self.flights.assumed),
             "not_modelled": list(NOT_MODELLED),
         }
@@ -156,17 +204,6 @@ def _cvar(values: NumpyArray) -> float | None:
     return float(known[: max(1, len(known) // 20)].mean()) if len(known) else None
 
 
-def wind_row(flights: Flights, limit: float) -> Row:
-    """Return the verdict on the wind with three standard deviations of its gusts, at the highest leg."""
-    spec = flights.scenario.spec
-    places = [place for fleet in spec.fleets.values() for each in fleet.vehicles for place in each.places_ned.values()]
-    heights = np.array([max([-place[2] for place in places] or [0.0])])
-    wind = float((mean_wind(spec, heights) + 3.0 * gust_sigma(spec, heights))[0])
-    verdict: Verdict = "go" if wind < limit - 2.0 else "no-go" if wind > limit else "marginal"
-    told = f"wind: {wind:.1f} m/s with gusts of 3 sigma at {heights[0]:.0f} m; the maker's limit is {limit:g} m/s"
-    return Row("wind", verdict, wind, None, limit, "m/s", told)
-
-
 def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int) -> Brief:
     """Return a brief without runs, its operation and scenario written into its folder.
 
@@ -188,25 +225,30 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
         flyer: called once something has to be flown.
     """
     brief.sky = sky_of(brief.flights.scenario)
-    both = len(stages) > 1 and bool(brief.operation.faults)
     complete = True
     made = flyer()
-    if "nominal" in stages:
-        # Time is left for the faults, whose runs are few.
-        made.allow(NOMINAL_PART if both else 1.0)
-        complete = _nominal(brief, made)
-        if not complete:
-            keep(brief)
-    # What fails without a fault needs no fault.
-    if "faults" in stages and brief.operation.faults and overall(brief.nominal)[0] != "no-go":
-        made.allow(1.0)
-        complete &= _faults(brief, made)
+    for stage in stages:
+        # Time is left for the stages that follow, whose runs are few.
+        made.allow(PARTS[stage] if len(stages) > 1 else 1.0)
+        if stage == "nominal":
+            complete = _nominal(brief, made)
+            if not complete:
+                keep(brief)
+            # What fails in the forecast needs no fault and no more wind.
+            if overall(brief.nominal)[0] == "no-go":
+                break
+        elif stage == "faults" and brief.operation.faults:
+            complete &= _faults(brief, made)
+        elif stage == "wind":
+            complete &= _winds(brief, made, polar=len(stages) == 1)
     brief.complete = complete
 
 
 def keep(brief: Brief) -> None:
-    """Read the nominal runs that are there after an interruption; the verdicts of the last look hold."""
+    """Read the runs that are there after an interruption; the verdicts of the last look hold."""
     _read(brief, look=None)
+    if brief.winds is not None:
+        _winds(brief, None, polar=True)
 
 
 def _read(brief: Brief, look: int | None) -> None:
@@ -221,7 +263,8 @@ def _read(brief: Brief, look: int | None) -> None:
     if look is not None or len(runs) > len(brief.runs):
         brief.runs = runs
         decided = {row.name: row for row in brief.nominal if row.verdict != "marginal"} if look is None else {}
-        brief.nominal = [decided.get(row.name, row) for row in judge(runs, brief.operation.criteria, look)]
+        found = judge(runs, brief.operation.criteria, look, brief.operation.energy)
+        brief.nominal = [decided.get(row.name, row) for row in found]
 
 
 def _nominal(brief: Brief, flyer: Flyer) -> bool:
@@ -230,7 +273,7 @@ def _nominal(brief: Brief, flyer: Flyer) -> bool:
         if not flyer.fly(nominal_study(piece, brief.operation, brief.flights, brief.seed)):
             return False
         _read(brief, piece.look)
-        if not undecided(brief.nominal):
+        if not undecided(brief.nominal) and brief.precise():
             return True
     return False
 
@@ -247,6 +290,31 @@ def _faults(brief: Brief, flyer: Flyer) -> bool:
     complete = flyer.fly(study)
     brief.outcomes = faults.fault_outcomes(brief.folder / f"{faults.NAME}.zarr", study)
     return complete
+
+
+def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
+    """Fly the stage of the wind, or without a flyer read it; return whether it is complete."""
+    brief.winds = brief.winds or winds_of(brief.operation, brief.flights, brief.folder)
+    reserve = brief.operation.criteria.reserve if brief.operation.energy else None
+    brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)
+    return complete
+
+
+def record_worst(brief: Brief) -> None:
+    """Fly the worst runs again and record them in the folder of the brief, unless they are there.
+
+    Raises:
+        RunError: a run cannot be written.
+    """
+    for run in brief.worst():
+        seed = int(brief.runs.seeds[run])
+        folder = brief.folder / RECORDINGS / f"seed_{seed}"
+        if not folder.exists():
+            values = [f"{path}={value!r}" for path, value in brief.runs.values_at(run).items()]
+            record(
+                load_scenario(str(brief.folder / SCENARIO), values, quiet=True), folder, seed=seed, precision="float32"
+            )
+        brief.recordings[run] = str(folder)
 
 
 def exit_code(verdict: Verdict) -> int:

@@ -16,7 +16,9 @@ from qrsim.runs.picture import colours_of, new_figure
 from qrsim.runs.plan import draw_surroundings
 from qrsim.runs.surroundings import Surroundings, fixed_parts
 from qrsim.scenarios.scenario import Scenario
+from qrsim.studies.brief.boundary import Boundary
 from qrsim.studies.brief.judging import Row
+from qrsim.studies.brief.operation import WindSpec
 from qrsim.studies.brief.runs import Runs
 from qrsim.studies.brief.sky import Sky
 
@@ -154,3 +156,31 @@ def _draw_sky(axes: Any, sky: Sky, last_s: float) -> None:
     other.set_ylim(0.0, 8.0)
     axes.set_xlim(hours[0], hours[-1])
     axes.set_xlabel("hours after the start of the flights; at the place with the worst sky")
+
+
+def polar_figure(boundary: Boundary, wind: WindSpec) -> Figure:
+    """Draw the boundary over the bearing that the wind comes from, with its interval, and the forecast as a cloud."""
+    figure = new_figure(5.4, 5.2)
+    axes: Any = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    order = sorted(boundary.flown, key=lambda i: boundary.bearings[i])
+    angles = np.radians([boundary.bearings[i] for i in order])
+    low, middle, high = (each[order] for each in (boundary.low, boundary.speed, boundary.high))
+    random = np.random.default_rng(0)
+    speeds = np.maximum(0.0, random.normal(wind.speed or 0.0, wind.std, 300))
+    cloud = np.radians(random.normal(wind.from_deg or 0.0, wind.from_std, 300))
+    axes.plot(cloud, speeds, ".", ms=3, color="#1f4e8c", alpha=0.4, label="forecast with its error")
+    if len(order) > 2:
+        ring = [*range(len(order)), 0]
+        around = np.append(angles, angles[0] + math.tau)
+        axes.fill_between(around, low[ring], high[ring], color="#b26a00", alpha=0.3)
+        axes.plot(angles[ring], middle[ring], color="#b26a00", lw=1.5, marker="o", ms=4, label="90 % succeed")
+    else:
+        bars = np.array([middle - low, high - middle])
+        axes.errorbar(angles, middle, bars, fmt="o", ms=4, color="#b26a00", capsize=3, label="90 % succeed")
+    axes.set_rlim(0.0, 1.1 * max(float(high.max()), float(speeds.max())))
+    axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
+    axes.set_xlabel(f"mean wind [m/s] at {wind.height:g} m, by the bearing that it comes from")
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(-0.15, 1.1))
+    return figure

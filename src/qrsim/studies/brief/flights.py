@@ -21,13 +21,16 @@ from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.reading import merged, read_scenario
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.vehicle_file import read_vehicle_file
-from qrsim.studies.brief.operation import MissionSpec, OperationSpec
+from qrsim.scenarios.weather import velocity
+from qrsim.studies.brief.operation import MissionSpec, OperationSpec, SiteSpec, WindSpec
 
 # Around a route without a fence, above the highest point of a route, and between two homes [m].
 AROUND, ABOVE, FARTHEST = 50.0, 30.0, 50e3
 # Largest length of a run [s], and how much longer than its path a run is.
 LONGEST_S, SLACK, SLACK_S = 3600.0, 1.5, 30.0
 TIME_STEP = 0.02
+# From seconds to the microseconds of PX4's EKF2_NOAID_TOUT.
+_NOAID = 1e6
 SENSORS: dict[str, Content] = {
     "gnss": {"type": "gnss", "preset": "f9p_single"},
     "imu": {"type": "imu", "preset": "icm42688p"},
@@ -45,6 +48,7 @@ class Flights:
         content: the scenario, every place in NED.
         scenario: the same, checked.
         names: of the vehicles, in the order of the missions.
+        wind: forecast at its height, that of a file at the start of the flights included.
         planned_s: time of the path of each vehicle [s], without wind.
         plans: of the missions.
         assumed: defaults that count, one sentence each.
@@ -53,6 +57,7 @@ class Flights:
     content: Content
     scenario: Scenario
     names: tuple[str, ...]
+    wind: WindSpec
     planned_s: tuple[float, ...]
     plans: tuple[Plan, ...]
     assumed: tuple[str, ...]
@@ -64,7 +69,7 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
     Raises:
         UsageError, ScenarioError: a plan or a vehicle cannot be flown, or takes too long.
     """
-    plans = tuple(plan_of(mission.plan) for mission in operation.missions)
+    plans = tuple(plan_of(mission) for mission in operation.missions)
     names = names_of(operation)
     assumed: list[str] = []
     _check_homes(operation, plans)
@@ -85,17 +90,40 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
         if mission.delay:
             whole["fleets"][name]["vehicles"][0]["legs"].insert(0, {"type": "loiter", "time": mission.delay})
     whole["duration"] = math.ceil(min(wanted, longest_s))
-    return Flights(whole, load_scenario(whole), names, planned, plans, tuple(assumed))
+    if operation.wind.file is None:
+        return Flights(whole, load_scenario(whole), names, operation.wind, planned, plans, tuple(assumed))
+    # The file's wind of the run alone, in numbers from here on.
+    whole["world"]["wind"] = wind_file(operation.wind.file)
+    scenario = load_scenario(whole)
+    wind = _wind_at_start(operation.wind, scenario)
+    assumed.append(
+        f"The wind is that of {Path(operation.wind.file).name} over height and time, without an error of the forecast: "
+        f"{wind.speed:.1f} m/s from {wind.from_deg:.0f} deg at {wind.height:g} m at the start."
+    )
+    return Flights(scenario.spec.model_dump(mode="json"), scenario, names, wind, planned, plans, tuple(assumed))
 
 
-def plan_of(file: str) -> Plan:
+def wind_file(file: str) -> Content:
+    """Return the wind of a scenario that a file gives: a table is a profile, all else is of a weather model."""
+    return {"type": "profile" if Path(file).suffix.lower() == ".csv" else "weather", "file": file}
+
+
+def _wind_at_start(wind: WindSpec, scenario: Scenario) -> WindSpec:
+    """Return the forecast with speed and bearing of the scenario's profile at the forecast's height."""
+    north, east = (float(axis[0, 0]) for axis in velocity(scenario.spec, np.array([wind.height]), [0.0]))
+    bearing = math.degrees(math.atan2(-east, -north)) % 360.0
+    return wind.model_copy(update={"speed": math.hypot(north, east), "from_deg": bearing})
+
+
+def plan_of(mission: MissionSpec) -> Plan:
     """Return a plan with something to fly.
 
     Raises:
         UsageError: it cannot be read, or is empty.
         ScenarioError: it is no plan that can be flown.
     """
-    plan = read_plan(file)
+    file = mission.plan
+    plan = read_plan(file, route=mission.route, height=mission.height)
     if not plan.waypoints:
         raise UsageError(f"{file}: mission.items: is empty; there is nothing to fly")
     if plan.again is not None:
@@ -118,14 +146,14 @@ def names_of(operation: OperationSpec) -> tuple[str, ...]:
     return tuple(found)
 
 
-def speed_20ft(operation: OperationSpec) -> float:
+def speed_20ft(wind: WindSpec) -> float:
     """Return the factor from the forecast's speed to that at 20 ft, by the logarithmic profile over grass."""
-    return math.log(6.096 / ROUGHNESS_M) / math.log(operation.wind.height / ROUGHNESS_M)
+    return math.log(6.096 / ROUGHNESS_M) / math.log(wind.height / ROUGHNESS_M)
 
 
-def bearing_deg(operation: OperationSpec) -> float:
+def bearing_deg(wind: WindSpec) -> float:
     """Return the bearing of the wind [deg], -180 to 180, so that its errors stay within the bounds of scenarios."""
-    return (operation.wind.from_deg + 180.0) % 360.0 - 180.0
+    return ((wind.from_deg or 0.0) + 180.0) % 360.0 - 180.0
 
 
 def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
@@ -147,21 +175,21 @@ def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str
     below: Content = {}
     if operation.extends is not None:
         _, below = read_scenario(operation.extends)
-    site = {key: value for key, value in operation.site.items() if key != "ceiling"}
     content: Content = {
         "name": operation.operation,
         "duration": LONGEST_S,
         "time_step": TIME_STEP,
         "start_time": operation.at,
-        "site": site or below.get("site") or {"plan": operation.missions[0].plan},
+        "site": _site(operation, plans[0], below),
         "world": {
             "area": _area(operation, plans, below, assumed),
             "wind": {
                 "type": "log_shear",
-                "speed_20ft": operation.wind.speed * speed_20ft(operation),
-                "wind_from_deg": bearing_deg(operation),
+                "speed_20ft": (operation.wind.speed or 0.0) * speed_20ft(operation.wind),
+                "wind_from_deg": bearing_deg(operation.wind),
             },
             "turbulence": {"type": "dryden"},
+            **_ground(operation.site),
             **{key: value for key, value in operation.world.items() if key != "area"},
         },
         "fleets": {
@@ -175,14 +203,12 @@ def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str
 
 def _area(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, assumed: list[str]) -> Content:
     """Return the area: that of the operation or of the scenario below, else a fence of a plan, else a box."""
-    ceiling = operation.site.get("ceiling")
-    if ceiling is not None and (
-        isinstance(ceiling, bool) or not isinstance(ceiling, int | float) or not 0.0 < ceiling <= 10_000.0
-    ):
-        raise UsageError(f"site.ceiling: {ceiling!r:.40}; allowed: a height above home, 0 to 10000 m")
+    ceiling = operation.site.ceiling
     under = below.get("world")
     given = operation.world.get("area") or (under.get("area") if isinstance(under, dict) else None)
     if isinstance(given, dict):
+        if operation.site.keep_out:
+            raise UsageError("site.keep_out: the area is given already; give keep-outs as its stay_out")
         return given if ceiling is None else {**given, "z_min": -float(ceiling)}
     if ceiling is None:
         highest = max(waypoint.height_above_home for plan in plans for waypoint in plan.waypoints)
@@ -196,9 +222,50 @@ def _area(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, ass
     if fenced:
         if len(fenced) > 1:
             assumed.append(f"The fence is that of {Path(fenced[0]).name}; those of other plans are not used.")
-        return {"type": "fence", "file": fenced[0], "z_min": -float(ceiling), "z_max": 0.0}
-    assumed.append(f"No fence in the plan: the area is a box {AROUND:g} m around the route.")
-    return {"type": "box", **_box(plans), "z_min": -float(ceiling), "z_max": 0.0}
+        area: Content = {"type": "fence", "file": fenced[0]}
+    else:
+        assumed.append(f"No fence in the plan: the area is a box {AROUND:g} m around the route.")
+        area = {"type": "box", **_box(plans)}
+    # In hills the floor is the ground.
+    limits = {"z_min": -float(ceiling), **({} if operation.site.terrain else {"z_max": 0.0})}
+    if not operation.site.keep_out:
+        return {**area, **limits}
+    if fenced:
+        stay_in: Content = {"file": fenced[0]}
+    else:
+        north, far_north, east, far_east = (area[key] for key in ("x_min", "x_max", "y_min", "y_max"))
+        stay_in = {
+            "name": "area",
+            "polygon_ned": [[north, east], [north, far_east], [far_north, far_east], [far_north, east]],
+        }
+    stay_out = [{"file": file} for file in operation.site.keep_out]
+    return {"type": "zones", **limits, "stay_in": [stay_in], "stay_out": stay_out}
+
+
+def _site(operation: OperationSpec, plan: Plan, below: Content) -> Content:
+    """Return the site: the operation's own, else that of the scenario below, else the home of the first plan."""
+    given = operation.site.model_dump(include={"latitude_deg", "longitude_deg", "height_amsl"}, exclude_none=True)
+    given |= {key: value for key in ("temperature_offset",) if (value := getattr(operation.site, key))}
+    under = below.get("site")
+    if not given and isinstance(under, dict):
+        return under
+    if "latitude_deg" in given:
+        return given
+    if Path(operation.missions[0].plan).suffix.lower() == ".plan":
+        return {"plan": operation.missions[0].plan, **given}
+    home = plan.home
+    height = {} if math.isnan(home.altitude_amsl) else {"height_amsl": home.altitude_amsl}
+    return {"latitude_deg": home.latitude_deg, "longitude_deg": home.longitude_deg, **height, **given}
+
+
+def _ground(site: SiteSpec) -> Content:
+    """Return the ground and the buildings of a scenario's world."""
+    found: Content = {}
+    if site.terrain:
+        found["ground"] = {"type": "dem", "file": site.terrain if len(site.terrain) > 1 else site.terrain[0]}
+    if site.buildings is not None:
+        found["buildings"] = {"file": site.buildings}
+    return found
 
 
 def _box(plans: tuple[Plan, ...]) -> Content:
@@ -224,7 +291,11 @@ def _fleet(mission: MissionSpec, plan: Plan, name: str, operation: OperationSpec
             f"{mission.plan}: has no take-off: {name} starts in the air at item {plan.waypoints[0].item}, and the "
             "energy of the climb is not counted"
         )
-    if not mission.battery:
+    route = mission.model_dump(include={"route", "height"}, exclude_none=True)
+    route = {"file": mission.plan, **route}
+    if not operation.energy:
+        assumed.append(f"The charge of {name} is not judged, and no failsafe reacts to it.")
+    elif not mission.battery:
         assumed.append(f"{name} has a full pack of 4 cells and 5 Ah, that of an X500.")
     return {
         "vehicle": _vehicle(mission, name, assumed),
@@ -234,14 +305,15 @@ def _fleet(mission: MissionSpec, plan: Plan, name: str, operation: OperationSpec
         "battery": {"type": "lithium_cells", **mission.battery},
         "sensors": {sensor: dict(numbers) for sensor, numbers in SENSORS.items()},
         "failsafes": {
-            "COM_LOW_BAT_ACT": _LOW_BATTERY[contingency.low_battery.do],
+            "COM_LOW_BAT_ACT": _LOW_BATTERY[contingency.low_battery.do if operation.energy else "warn"],
             "BAT_LOW_THR": max(0.15, critical),
             "BAT_CRIT_THR": critical,
             "BAT_EMERGEN_THR": min(0.05, critical),
             "COM_GNSSLOSS_ACT": contingency.gnss_lost.do,
+            "EKF2_NOAID_TOUT": _NOAID * contingency.gnss_lost.after,
             "RTL_RETURN_ALT": contingency.return_height,
         },
-        "vehicles": [{"plan": mission.plan, "name": name}],
+        "vehicles": [{"plan": route, "name": name}],
     }
 
 

@@ -74,17 +74,19 @@ def undecided(rows: Sequence[Row]) -> bool:
     return overall(rows)[0] != "no-go" and any(row.name in SEQUENTIAL and row.verdict == "marginal" for row in rows)
 
 
-def judge(runs: Runs, criteria: CriteriaSpec, look: int | None) -> list[Row]:
+def judge(runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = True) -> list[Row]:
     """Return a row for each criterion that the nominal runs decide.
 
     Args:
         runs: flown so far.
         criteria: of the operation.
         look: number of the look at which they are complete; None between two looks, which decide nothing.
+        energy: whether the charge is judged.
     """
     if not len(runs):
         return []
-    rows = [_loss(runs, criteria, look), _finished(runs, look), _reserve(runs, criteria, look)]
+    rows = [_loss(runs, criteria, look), _finished(runs, look)]
+    rows += [_reserve(runs, criteria, look)] if energy else []
     return [*rows, *_margins(runs, criteria)]
 
 

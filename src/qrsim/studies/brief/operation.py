@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -39,7 +41,11 @@ class Part(BaseModel):
 class MissionSpec(Part):
     """A plan and its vehicle."""
 
-    plan: str = Field(description="a QGroundControl .plan file")
+    plan: str = Field(description="a .plan of QGroundControl, .waypoints, .kml, .kmz, .gpx or .geojson")
+    route: str | None = Field(None, description="name of a route of a file with several")
+    height: Finite | None = Field(
+        None, description="height above the ground of points without an altitude [m]", gt=0.0, le=10_000.0
+    )
     vehicle: str = Field(description="a built-in multirotor, or a .yaml file with a vehicle")
     name: str | None = Field(None, description="of the vehicle; default: of the plan's file", pattern=NAME)
     battery: dict[str, Any] = Field({}, description="numbers of the pack, as of a scenario's battery 'lithium_cells'")
@@ -47,10 +53,15 @@ class MissionSpec(Part):
 
 
 class WindSpec(Part):
-    """The forecast of the wind, with its error."""
+    """The forecast of the wind, with its error: a speed and a bearing, or a file."""
 
-    speed: Finite = Field(description="mean speed [m/s]", ge=0.0, le=LARGEST_WIND)
-    from_deg: Finite = Field(description="bearing that it comes from [deg], also written 'from'", ge=0.0, le=360.0)
+    speed: Finite | None = Field(None, description="mean speed [m/s]", ge=0.0, le=LARGEST_WIND)
+    from_deg: Finite | None = Field(
+        None, description="bearing that it comes from [deg], also written 'from'", ge=0.0, le=360.0
+    )
+    file: str | None = Field(
+        None, description="instead: a file of a weather model (GRIB, NetCDF), or a .csv with a profile", min_length=1
+    )
     height: Finite = Field(10.0, description="height above the ground that the speed is of [m]", ge=1.0, le=200.0)
     std: Finite = Field(1.5, description="standard deviation of the forecast's speed [m/s]", ge=0.0, le=10.0)
     from_std: Finite = Field(15.0, description="standard deviation of its bearing [deg]", ge=0.0, le=60.0)
@@ -61,6 +72,14 @@ class WindSpec(Part):
         if isinstance(data, dict) and "from" in data and "from_deg" not in data:
             return {("from_deg" if key == "from" else key): value for key, value in data.items()}
         return data
+
+    @model_validator(mode="after")
+    def _one_way(self) -> WindSpec:
+        for name in ("speed", "from_deg"):
+            if (getattr(self, name) is None) == (self.file is None):
+                given = f"'{name}' and 'file'" if self.file is not None else f"neither '{name}' nor 'file'"
+                raise ValueError(f"gives {given}; give speed and from, or file")
+        return self
 
 
 class UncertainSpec(Part):
@@ -89,7 +108,8 @@ class LowBatterySpec(Part):
 class GnssLostSpec(Part):
     """Reaction to a lost fix."""
 
-    do: Literal["warn", "land", "return"] = Field("land", description="reaction; after 5 s without a fix: descend")
+    do: Literal["warn", "land", "return"] = Field("land", description="reaction to the lost fix")
+    after: Finite = Field(5.0, description="time without a fix until the position is lost [s]", ge=0.5, le=10.0)
 
 
 class LinkLostSpec(Part):
@@ -124,6 +144,27 @@ class CriteriaSpec(Part):
     wind_limit: Finite | None = Field(None, description="the maker's limit of the wind, gusts included [m/s]", gt=0.0)
 
 
+class SiteSpec(Part):
+    """The place of the flights; without it the home of the first plan, on flat ground."""
+
+    ceiling: Finite | None = Field(None, description="height above home [m]", gt=0.0, le=10_000.0)
+    terrain: list[str] = Field([], description="files of heights: GeoTIFF, SRTM (.hgt) and others")
+    buildings: str | None = Field(None, description="a .geojson file with buildings", min_length=1)
+    keep_out: list[str] = Field([], description="files with zones to stay out of: .kml, .geojson or .plan")
+    latitude_deg: Finite | None = Field(None, description="of the origin, instead of the home [deg]", ge=-90, le=90)
+    longitude_deg: Finite | None = Field(None, description="of the origin, instead of the home [deg]", ge=-180, le=180)
+    height_amsl: Finite | None = Field(None, description="of the origin above the sea [m]", ge=-500, le=9000)
+    temperature_offset: Finite = Field(0.0, description="of the day over the standard atmosphere [K]", ge=-80, le=50)
+
+    @model_validator(mode="after")
+    def _place(self) -> SiteSpec:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError("gives one of latitude_deg and longitude_deg; give both, or neither")
+        if self.latitude_deg is None and self.height_amsl is not None:
+            raise ValueError("gives height_amsl without latitude_deg and longitude_deg")
+        return self
+
+
 class OperationSpec(Part):
     """A field day: plans, vehicles, weather, reactions and criteria."""
 
@@ -133,7 +174,9 @@ class OperationSpec(Part):
     )
     missions: list[MissionSpec] = Field(description="plans with their vehicles", min_length=1, max_length=60)
     wind: WindSpec = Field(description="forecast of the wind")
-    site: dict[str, Any] = Field({}, description="'ceiling' [m above home], and keys of a scenario's site")
+    window: Finite = Field(0.0, description="time over which starts may be spread, for GNSS [min]", ge=0.0, le=720.0)
+    site: SiteSpec = SiteSpec.model_validate({})
+    energy: bool = Field(True, description="whether the charge is judged", strict=True)
     world: dict[str, Any] = Field({}, description="keys of a scenario's world but its wind: buildings, ground, area")
     uncertain: UncertainSpec = UncertainSpec.model_validate({})
     contingency: ContingencySpec = ContingencySpec.model_validate({})
@@ -177,17 +220,36 @@ def read_operation(path: Path, changes: Content) -> OperationSpec:
     if "fleets" in content and "missions" not in content:
         raise UsageError(f"{path}: is a scenario and no operation, which names plans; 'qrsim check {path}' flies it")
     content = {"operation": path.stem, **content, **changes}
-    missions = content.get("missions")
-    for mission in missions if isinstance(missions, list) else ():
-        for key in ("plan", "vehicle"):
-            value = mission.get(key) if isinstance(mission, dict) else None
-            if isinstance(value, str) and Path(value).suffix:
-                mission[key] = str(path.parent / value)
-    anchor_files(content, path.parent)
+    content = with_paths(content, lambda name: str(path.parent / name))
+    if isinstance(content.get("world"), dict):
+        anchor_files({"world": content["world"]}, path.parent)
     below = content.get("extends")
     if isinstance(below, str) and Path(below).suffix:
         content["extends"] = str(path.parent / below)
     return checked(content, str(path))
+
+
+def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
+    """Return the content of an operation with every path of a file changed; names of vehicles stay."""
+    found = copy.deepcopy(content)
+
+    def change(part: Any, key: Any) -> None:
+        if isinstance(part[key], str) and (key != "vehicle" or Path(part[key]).suffix):
+            part[key] = changed(part[key])
+
+    missions: Any = found.get("missions")
+    site: Any = found.get("site")
+    for mission in missions if isinstance(missions, list) else ():
+        for key in {"plan", "vehicle"}.intersection(mission if isinstance(mission, dict) else ()):
+            change(mission, key)
+    for key in {"terrain", "keep_out", "buildings"}.intersection(site if isinstance(site, dict) else ()):
+        files = site[key]
+        for i in range(len(files)) if isinstance(files, list) else ():
+            change(files, i)
+        change(site, key)
+    if isinstance(found.get("wind"), dict) and "file" in found["wind"]:
+        change(found["wind"], "file")
+    return found
 
 
 def checked(content: Content, source: str) -> OperationSpec:

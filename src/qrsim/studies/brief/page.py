@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
 from importlib.resources import files
 from typing import NamedTuple
 
+from matplotlib.figure import Figure
+
 from qrsim.extras import load
 from qrsim.studies.brief.briefing import Brief
-from qrsim.studies.brief.figures import MOST_TRACKS, map_figure, margins_figure, png, time_figure
+from qrsim.studies.brief.figures import MOST_TRACKS, map_figure, margins_figure, png, polar_figure, time_figure
 from qrsim.studies.brief.studying import TRACK_S
 
 TEMPLATE = "page.html.jinja"
@@ -32,24 +35,27 @@ def write_page(brief: Brief) -> str:
     made = jinja.Environment(autoescape=True, undefined=jinja.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     made.filters |= {"shown": shown, "base64": lambda data: base64.b64encode(data).decode("ascii")}
     template = files("qrsim.studies.brief").joinpath(TEMPLATE).read_text("utf-8")
-    page: str = made.from_string(template).render(about=brief.to_json(), pictures=_pictures(brief))
+    pictures = [Picture(title, png(figure)) for title, figure in figures_of(brief)]
+    page: str = made.from_string(template).render(
+        about=brief.to_json(), volumes=brief.volumes_text(), pictures=pictures
+    )
     return page + "\n"
 
 
-def _pictures(brief: Brief) -> list[Picture]:
-    runs = brief.runs
-    if not len(runs):
-        return []
-    scenario, criteria = brief.flights.scenario, brief.operation.criteria
-    tracks = runs.tracks(MOST_TRACKS)
-    worst = [run for run in brief.worst() if run < len(tracks)]
-    found = [Picture("Map", png(map_figure(scenario, tracks, worst)))]
-    margins = margins_figure(runs, brief.nominal)
-    if margins is not None:
-        found.append(Picture("Margins", png(margins)))
-    low = brief.operation.contingency.low_battery.at
-    line = time_figure(runs, tracks, low, criteria.reserve, brief.sky, TRACK_S)
-    return [*found, Picture("Time line", png(line))]
+def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of a brief with their titles, in the order of the page."""
+    runs, criteria = brief.runs, brief.operation.criteria
+    if len(runs):
+        tracks = runs.tracks(MOST_TRACKS)
+        worst = [run for run in brief.worst() if run < len(tracks)]
+        yield "Map", map_figure(brief.flights.scenario, tracks, worst)
+        margins = margins_figure(runs, brief.nominal)
+        if margins is not None:
+            yield "Margins", margins
+        low = brief.operation.contingency.low_battery.at
+        yield "Time line", time_figure(runs, tracks, low, criteria.reserve, brief.sky, TRACK_S)
+    if brief.boundary is not None and brief.boundary.flown:
+        yield "Wind", polar_figure(brief.boundary, brief.flights.wind)
 
 
 def shown(value: float | None, unit: str) -> str:

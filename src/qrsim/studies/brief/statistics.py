@@ -37,6 +37,13 @@ def wilson(hits: int, runs: int, confidence: float = 0.95) -> tuple[float, float
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
+def runs_for(width: float) -> int:
+    """Return the least number of runs in which the interval of a share that never occurs is no wider."""
+    z = float(norm.ppf(0.975))
+    # The upper end of Wilson's interval of none is z^2/(n + z^2).
+    return math.ceil(z * z * (1.0 / width - 1.0))
+
+
 def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
     """Return the least number of runs with so many hits whose upper bound is below a limit."""
     first, last = hits + 1, hits + 2

@@ -67,13 +67,14 @@ def pieces(p_loss: float) -> Iterator[Piece]:
 
 def varied(operation: OperationSpec, flights: Flights) -> Content:
     """Return what varies from run to run, as a study writes it: the wind, and numbers of every vehicle."""
-    wind, factor, spec = operation.wind, speed_20ft(operation), operation.uncertain
+    wind, factor, spec = flights.wind, speed_20ft(flights.wind), operation.uncertain
     found: Content = {}
-    if wind.std > 0.0:
-        low, high = (max(0.0, (wind.speed + sign * 3.0 * wind.std) * factor) for sign in (-1.0, 1.0))
+    steady, speed = wind.file is None, wind.speed or 0.0
+    if steady and wind.std > 0.0:
+        low, high = (max(0.0, (speed + sign * 3.0 * wind.std) * factor) for sign in (-1.0, 1.0))
         found["world.wind.speed_20ft"] = {"low": low, "high": min(high, 50.0), "scale": "normal"}
-    if wind.from_std > 0.0:
-        low, high = (bearing_deg(operation) + sign * 3.0 * wind.from_std for sign in (-1.0, 1.0))
+    if steady and wind.from_std > 0.0:
+        low, high = (bearing_deg(wind) + sign * 3.0 * wind.from_std for sign in (-1.0, 1.0))
         found["world.wind.wind_from_deg"] = {"low": low, "high": high, "scale": "normal"}
     for name in flights.names:
         fleet = flights.content["fleets"][name]
@@ -107,8 +108,9 @@ def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed
         "batch": BATCH,
     }
     if not vary:
-        speed = float(flights.content["world"]["wind"]["speed_20ft"])
-        return {**study, "vary": {"world.wind.speed_20ft": {"values": [speed]}}, "seeds": piece.runs}
+        mass = f"fleets.{flights.names[0]}.vehicle.mass"
+        value = float(flights.content["fleets"][flights.names[0]]["vehicle"]["mass"])
+        return {**study, "vary": {mass: {"values": [value]}}, "seeds": piece.runs}
     sampling = {"type": "latin_hypercube", "points": piece.runs, "seed": piece.look, "paired": True}
     return {**study, "vary": vary, "sampling": sampling, "seeds": 1}
 

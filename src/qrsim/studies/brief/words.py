@@ -7,13 +7,18 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.files import Content
+from qrsim.files.user_files import read_text
+from qrsim.files.yaml_text import parse_yaml
 from qrsim.models.vehicles.multirotor.sets import SETS
 
 # Largest speed of a wind [m/s], that of scenarios, and what units are in m/s.
 LARGEST_WIND = 50.0
 UNITS = {"": 1.0, "m/s": 1.0, "kn": 1852.0 / 3600.0, "kt": 1852.0 / 3600.0, "km/h": 1.0 / 3.6}
-NEEDED = "needs the wind: --wind SPEED@FROM (m/s, and the bearing in degrees that it comes from)"
+NEEDED = "needs the wind: --wind SPEED@FROM (m/s, and the bearing in degrees that it comes from) or a weather file"
+# Ends of names of files with a wind.
+WEATHER_FILES = (".csv", ".grib", ".grib2", ".grb", ".grb2", ".nc")
 _PART = re.compile(r"\s*([+-]?\d+(?:\.\d*)?|\.\d+)\s*([a-zA-Z/]*)\s*", re.ASCII)
 
 
@@ -96,3 +101,20 @@ def share_of(value: object) -> object:
     if isinstance(value, str) and (found := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%\s*", value)):
         return float(found[1]) / 100.0
     return value
+
+
+def battery_of(file: Path) -> Content:
+    """Return the numbers of a pack from a file, alone or under ``battery``.
+
+    Raises:
+        UsageError: it cannot be read.
+        ScenarioError: it is no YAML.
+    """
+    try:
+        found = parse_yaml(read_text(file), str(file))
+    except OSError as error:
+        raise UsageError(f"--battery {file}: cannot be read: {error.strerror}{did_you_mean_file(file)}") from None
+    found = found.get("battery", found) if isinstance(found, dict) else found
+    if not isinstance(found, dict) or found.get("type", "lithium_cells") != "lithium_cells":
+        raise UsageError(f"--battery {file}: expected numbers of a pack such as 'cells: 4' and 'capacity: 5.0'")
+    return {key: value for key, value in found.items() if key != "type"}
