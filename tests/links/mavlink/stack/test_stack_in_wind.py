@@ -74,7 +74,8 @@ class Field:
         columns = (believed.position_ned, believed.velocity_ned)
         place, speed = (np.stack([np.float64(getattr(part, axis)) for axis in "xyz"], 1) for part in columns)
         angles = np.stack([np.float64(getattr(believed.attitude, axis)) for axis in ("roll", "pitch", "yaw")], 1)
-        latitude, longitude, altitude = simulation.site.ned_to_geodetic(place)
+        latitude, longitude, height = simulation.site.ned_to_geodetic(place)
+        altitude = height - (simulation.site.height - self.height)
         charge = getattr(state.battery, "charge", np.full(len(place), NAN))
         standing, reasons = simulation.truth.on_ground, simulation.reasons
         return [
