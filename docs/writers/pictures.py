@@ -96,6 +96,7 @@ OTHERS = {
     "brief.png": "qrsim brief mission.plan --vehicle x500 --wind 7@250 --at 2026-05-01T10:00Z",
     "real_place.png": "qrsim run examples/real_place/site.yaml",
     "real_place_brief.png": "qrsim brief examples/real_place/operation.yaml --stage nominal --minutes 0.1",
+    "brief_wind.png": "qrsim brief mission.plan --vehicle x500 --wind 7@250 --at 2026-05-01T10:00Z --stage wind",
     "zones.png": "qrsim run field_day.yaml",
 }
 

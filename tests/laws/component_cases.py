@@ -194,7 +194,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
         "stay_in": [{"polygon_ned": [[-95.0, -90.0], [-90.0, 95.0], [97.0, 92.0], [91.0, -96.0]], "ceiling": 80.0}],
         "stay_out": [{"circle_ned": [70.0, -60.0], "radius": 9.0, "floor": 5.0}],
     },
-    ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
+    ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [10.0, 4.0], [70.0, 80.0]]},
 }
 # Where a scenario has components of each group.
 SLOTS = {

@@ -9,7 +9,7 @@ from qrsim.core.tree import cast
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.zone import Zone
 from qrsim.models.scene.zones import ZonesArea
-from qrsim.runs.export.mcap_scene import _area
+from qrsim.runs.export.mcap_scene import _area_entities
 from qrsim.runs.plan import zone_patches
 from qrsim.runs.surroundings import Surroundings, _zones
 from qrsim.view.ground import _levels, corners_of, rings_of
@@ -32,7 +32,7 @@ def test_figures_hatch_what_to_stay_out_of() -> None:
 
 def test_foxglove_has_the_edges_between_floor_and_ceiling() -> None:
     around = Surroundings(zones=(FIELD, SCHOOL), down=(-60.0, 0.0))
-    field, school = _area(around)
+    field, school = _area_entities(around)
     assert (field["id"], school["id"]) == ("stay in field", "stay out school")
     # Two levels and four upright edges, and the same of the hole: three edges.
     assert len(field["lines"]) == 2 + 4 + 2 + 3

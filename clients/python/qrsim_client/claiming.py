@@ -166,10 +166,12 @@ class SharedCalls(ABC):
         """Let something fail from the next tick on, and return what the server says of it.
 
         Args:
-            target: name of a sensor, ``rotor N``, ``battery`` or ``radio`` that is injectable; ``link``; or ``world``.
+            target: name of a sensor, ``rotor N``, ``battery``, ``radio`` or ``body`` that is injectable; ``link``; or
+                ``world``.
             kind: of a sensor ``off``, ``stuck``, ``wrong``, ``drift``, ``noisy``, ``garbage``, ``slow``, ``delayed`` or
                 ``intermittent``; of a rotor ``off``, ``weak`` or ``stuck``; of a battery ``drop`` or ``weak``;
-                of a radio ``off`` or ``weak``; of a link ``off``; of the world ``wind``, ``gusts`` or ``jam``.
+                of a radio ``off`` or ``weak``; of a link ``off``; of a body ``push``; of the world ``wind``, ``gusts``
+                or ``jam``.
             vehicles: name or names; None: all that have the target, in a shared world those that one has claimed.
             at: simulated time [s]; None: from the next tick on.
             duration: how long [s]; None: for good.
@@ -181,9 +183,14 @@ class SharedCalls(ABC):
                 request.field = str(value)
                 continue
             try:
-                request.number.add(name=name, value=float(value))
+                # A vector, such as the acceleration of a push, is sent axis by axis.
+                axes = (
+                    zip((f"{name}.{axis}" for axis in "xyz"), value, strict=True) if np.ndim(value) else [(name, value)]
+                )
+                for part, number in axes:
+                    request.number.add(name=part, value=float(number))
             except (TypeError, ValueError, OverflowError):
-                raise UsageError(f"{name}: {value!r:.100}; expected a number") from None
+                raise UsageError(f"{name}: {value!r:.100}; expected a number, or 3 of a vector") from None
         return str(self._call(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
 
     def clear(self, target: str | None = None, vehicles: object = None) -> str:

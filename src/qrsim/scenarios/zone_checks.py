@@ -148,7 +148,7 @@ def _route_ways(path: str, fleet: FleetSpec, vehicle: VehicleSpec) -> Iterator[t
         yield f"{path}.waypoints_ned.0", _triple(vehicle.position_ned), points[0]
     for j, (begin, end) in enumerate(pairwise(points), 1):
         yield f"{path}.waypoints_ned.{j}", begin, end
-    if len(points) > 1 and getattr(fleet.guidance, "repeat", False):
+    if len(points) > 1 and "repeat" in type(fleet.guidance).model_fields and fleet.guidance.repeat:
         yield f"{path}.waypoints_ned.0", points[-1], points[0]
 
 
