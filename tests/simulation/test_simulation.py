@@ -115,6 +115,11 @@ def test_every_integer_of_the_range_is_a_seed(seed: Any) -> None:
     assert simulation.seed == int(seed)
 
 
+def test_what_is_no_world_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"world: expected a World, found str; qrsim\.load\(\.\.\.\) makes"):
+        Simulation("hover")  # type: ignore[arg-type]
+
+
 def test_seeds_that_differ_only_above_32_bits_differ() -> None:
     drifts = [simulate_drift(seed) for seed in (5, 5 + 2**32, 5 + 2**62)]
     assert len({float(drift) for drift in drifts}) == 3

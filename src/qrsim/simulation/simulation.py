@@ -67,6 +67,9 @@ class Simulation(Radios, Injecting, Tabled):
 
     def __init__(self, world: World, *, seed: int = 0, number: int = 0, name: str = "world", site: Site | None = None):
         super().__init__()
+        if not isinstance(world, World):
+            kind = type(world).__name__
+            raise UsageError(f"world: expected a World, found {kind}; qrsim.load(...) makes a simulation of a scenario")
         use_compilation_cache()
         self.world = world
         self.name = name
