@@ -222,7 +222,7 @@ def test_a_server_with_a_page_has_one_session(refused):
 @pytest.mark.long
 def test_without_looking_nothing_of_the_page_is_imported():
     """So 'make run' needs no viser."""
-    code = "import sys, qrsim.cli, qrsim.runs.recorder; print('viser' in sys.modules, 'qrsim.view' in sys.modules)"
+    code = "import sys, qrsim.cli, qrsim.runs.recorder; print('viser' in sys.modules, 'qrsim.view.live' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False False\n"
     assert cli.COMMANDS["view"] is not None
