@@ -75,7 +75,7 @@ class Measured:
         self.tick, self.count = 1, vehicles * worlds
 
     def us(self, ticks: int) -> float:
-        """Return the time per vehicle and tick [us] of so many ticks."""
+        """Return the time per vehicle and tick [us], measured over a number of ticks."""
         begun = time.process_time()
         self.flight.advance(self.tick, ticks, ((), ()))
         _ = self.flight.get(lambda carry: carry.wrong_tick)

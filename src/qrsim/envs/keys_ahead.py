@@ -9,7 +9,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.envs.functional import Functional
 from qrsim.tasks.play import EpisodeKeys
 
-# Of each environment at most so many episodes, and of all together.
+# Largest number of episodes with keys: of each environment, and of all together.
 MOST_EACH, MOST = 8, 8192
 
 

@@ -171,7 +171,7 @@ def landscape(
 
 
 def filled_note(name: str, count: int) -> str:
-    """Return what a user should know of heights that ``filled`` has found."""
+    """Return a warning about the heights that ``filled`` has filled."""
     return f"{name}: {count} missing heights are those of the nearest cells, at most {FARTHEST_FILL} away"
 
 
@@ -217,7 +217,7 @@ def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, 
 
 
 def _help_to_cover(file: str, found: Elevations, origin: tuple[float, float], box: Bounds) -> str:
-    """Return what to do about a file that does not cover a box: it may be one with the coordinates of a map."""
+    """Return a hint for a file that does not cover a box; its coordinates may be those of a map."""
     rows, columns = found.rows - origin[0], found.columns - origin[1]
     overlaps = rows[0] <= box[1] and rows[-1] >= box[0] and columns[0] <= box[3] and columns[-1] >= box[2]
     if found.frame != "local" or overlaps:

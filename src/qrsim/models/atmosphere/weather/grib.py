@@ -203,7 +203,7 @@ def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:
 
 
 def _grid_section(eccodes: Any, handle: Any) -> str:
-    """Return what tells grids apart."""
+    """Return the numbers by which two grids are compared."""
     names = (
         "gridType",
         "numberOfDataPoints",
