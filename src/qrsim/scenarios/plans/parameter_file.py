@@ -14,7 +14,7 @@ _COLUMNS = 5
 
 
 def beside(plan: str) -> str | None:
-    """Return the file of parameters with the name of a plan; None where there is none."""
+    """Return the file of parameters with the name of a plan, or None."""
     path = Path(plan).expanduser().with_suffix(SUFFIX)
     return str(Path(plan).with_suffix(SUFFIX)) if path.is_file() else None
 
