@@ -30,7 +30,7 @@ from tests.wrong_input.handing_in import KINDS, Workshop, silence
 from tests.wrong_input.mutating import SPENT_S
 
 from evidence import ROOT
-from evidence._processes import peak_bytes, resident_bytes
+from evidence._processes import peak_bytes, reset_peak, resident_bytes
 from qrsim.errors import QrsimError
 
 DOC = "10 000 mutations of scenarios, plans, fences, studies, states, runs, logs, bags, maps and ephemerides"
@@ -61,11 +61,6 @@ def _alarm(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _reset_peak() -> None:
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
 def kind_of(number: int) -> str:
     """Return the kind of a case: spread evenly, so that any hundred in a row have all."""
     names = [name for name, (share, _) in KINDS.items() for _ in range(share)]
@@ -83,7 +78,7 @@ def case(shop: Workshop, number: int, held: int = 0) -> dict[str, Any]:
     kind = kind_of(number)
     rng = np.random.default_rng([SEED, number])
     found: dict[str, Any] = {"case": number, "kind": kind, "outcome": "taken"}
-    _reset_peak()
+    reset_peak()
     began, before = time.process_time(), SPENT_S[0]
     try:
         with silence(), _alarm(COMPILING_S if kind == "flight" else PATIENCE_S):

@@ -14,7 +14,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,10 @@ from qrsim import cli
 from qrsim.files.interruptions import WORDS, Interruption, calling, exit_code, heard, run_until_signal, word
 
 # ruff: noqa: PT012 (it is raised somewhere in a block)
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals")
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="needs signals"),
+    pytest.mark.usefixtures("heeded"),
+]
 BOTH = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
 
@@ -40,14 +42,6 @@ def wait() -> None:
     """Go on for as long as nobody wants an end."""
     for _ in range(2000):
         time.sleep(0.005)
-
-
-@pytest.fixture(autouse=True)
-def heeded() -> Iterator[None]:
-    """Ctrl-C, which a child of a background process inherits as ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 class Dying:

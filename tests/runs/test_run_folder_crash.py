@@ -142,6 +142,7 @@ def test_a_second_signal_does_not_keep_the_end_from_disk(start: Start, monkeypat
     assert (run.info.state, run.info.message) == ("interrupted", "stopped by the user")
 
 
+@pytest.mark.usefixtures("heeded")
 @pytest.mark.parametrize("moment", ["fsync", "replace"])
 def test_ctrl_c_in_the_middle_of_a_flush_neither_loses_nor_repeats_rows(
     start: Start, monkeypatch: pytest.MonkeyPatch, moment: str

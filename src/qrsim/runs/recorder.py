@@ -88,6 +88,26 @@ class Flyer(Protocol):
         """Fly at most so many ticks and return their states."""
 
 
+def run_info(
+    scenario: Scenario,
+    simulation: Simulation,
+    *,
+    every: Mapping[str, int] | None = None,
+    command_line: Sequence[str] | None = None,
+) -> RunInfo:
+    """Return what ``run.json`` says of a run of this simulation that starts now; see ``RunInfo.collect``."""
+    return RunInfo.collect(
+        scenario=scenario.name,
+        seed=simulation.seed,
+        precision=simulation.precision,
+        time_step=simulation.world.time_step,
+        vehicles=simulation.vehicle_names,
+        every=every,
+        command_line=command_line,
+        components=scenario.outside,
+    )
+
+
 def fly(
     scenario: Scenario,
     folder: Path,
@@ -132,16 +152,7 @@ def fly(
     begun = time.perf_counter() if begun is None else begun
     check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
-    info = RunInfo.collect(
-        scenario=scenario.name,
-        seed=seed,
-        precision=precision,
-        time_step=scenario.spec.time_step,
-        vehicles=simulation.vehicle_names,
-        every=every,
-        command_line=command_line,
-        components=scenario.outside,
-    )
+    info = run_info(scenario, simulation, every=every, command_line=command_line)
     make_parent(folder)
     simulation.reset()
     referee = _referee(scenario, simulation)

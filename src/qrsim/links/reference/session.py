@@ -21,7 +21,8 @@ from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Events
 from qrsim.links.reference.readout import States
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.sensors import SensorReadout
-from qrsim.runs import Column, EpisodesWriter, RunInfo, RunWriter
+from qrsim.runs import Column, EpisodesWriter, RunWriter
+from qrsim.runs.recorder import run_info
 from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.scenario import Scenario
@@ -192,14 +193,7 @@ class Session:
     def _new_writer(self, folder: Path) -> RunWriter:
         """Create the run folder of the present episode, and return its writer."""
         simulation = self.simulation
-        info = RunInfo.collect(
-            scenario=self.scenario.name,
-            seed=simulation.seed,
-            precision=simulation.precision,
-            time_step=self.time_step,
-            vehicles=simulation.vehicle_names,
-            components=self.scenario.outside,
-        )
+        info = run_info(self.scenario, simulation)
         if self._recording is None:
             stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
             name = f"{stamp}-{self.scenario.name}-session{self.number}".replace("/", "-")
