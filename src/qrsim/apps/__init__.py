@@ -40,10 +40,12 @@ def seconds_of(text: str) -> float:
 
 
 def _optional(words: list[str]) -> float | None:
+    """Return the time [s] of an option's word; None for "None"."""
     return None if words == ["None"] else seconds_of(words[0])
 
 
 def _spec(parse: Any) -> object:
+    """Return how tyro reads an option that is a time: one word, which ``parse`` turns into seconds."""
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="SECONDS",

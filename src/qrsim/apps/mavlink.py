@@ -137,6 +137,7 @@ class Mavlink:
             log.close()
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not (math.isfinite(self.realtime) and 1e-3 <= self.realtime <= 1e3):
             raise UsageError(f"--realtime {self.realtime:g}: expected 0.001 to 1000")
         if not 0 <= self.seed < 2**63:
@@ -170,6 +171,7 @@ class Mavlink:
         return address
 
     def _describe(self, world: FlownWorld, ports: Ports, ground: str, say: Callable[[str], None]) -> None:
+        """Tell the user the systems and the UDP and TCP ports on which programs reach them."""
         from qrsim.links.mavlink.ports import GROUND, GROUND_PEER, ONBOARD, TCP
 
         systems = world.systems
@@ -191,6 +193,7 @@ class Mavlink:
 
 
 def _warn() -> None:
+    """Print a warning that other machines can fly the vehicles."""
     print(
         "warning: every machine that can reach this one can fly these vehicles; nothing is encrypted", file=sys.stderr
     )

@@ -169,6 +169,7 @@ class Ros2:
         return types, world.simulation, Flown(types, world, self.api, self.namespaces, self.rate)  # type: ignore[arg-type]
 
     def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:
+        """Return the node of the chosen transport: over zenoh, or a participant of DDS."""
         if self.transport == "zenoh":
             from qrsim.links.ros2.zenoh_node import ZenohNode
 
@@ -181,6 +182,7 @@ class Ros2:
         return Participant(types, domain, resend=self.reliable)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not (math.isfinite(self.realtime) and 1e-3 <= self.realtime <= 1e3):
             raise UsageError(f"--realtime {self.realtime:g}: expected 0.001 to 1000")
         if self.transport not in TRANSPORTS:

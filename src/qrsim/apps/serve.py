@@ -137,6 +137,7 @@ class Serve:
             log.close()
 
     def _options(self) -> Options:
+        """Return the options of the server; raise UsageError for those out of range."""
         from qrsim.links.pacing import checked_factor
         from qrsim.links.reference.roles import Options
         from qrsim.links.reference.seeds import EPISODES
@@ -200,6 +201,7 @@ class Serve:
         return {"pace": self.pace, "silence": silence, "barrier_timeout": self.timeout}
 
     def _page(self) -> LiveView | None:
+        """Return the 3-D page that shows the simulation; None without --view."""
         if not self.view:
             return None
         if self.sessions:
@@ -210,6 +212,7 @@ class Serve:
         return LiveView(self.view_port, host=self.view_host)
 
     def _check_host(self) -> None:
+        """Refuse a host that other machines can reach without --allow-remote; warn with it."""
         if self.host == "localhost":
             return
         try:
@@ -228,6 +231,7 @@ class Serve:
         )
 
     def _scenario(self) -> Scenario | None:
+        """Return the scenario to serve; None if none is named, and then refuse options that need one."""
         if self.scenario is None:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")

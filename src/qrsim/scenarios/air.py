@@ -82,5 +82,6 @@ def convection_speed(scenario: ScenarioSpec) -> float:
 
 
 def _speed_20ft(scenario: ScenarioSpec) -> float:
+    """Return the mean wind speed at 20 ft [m/s] that turbulence takes: its own, or that of the wind, or 0."""
     own = vars(scenario.world.turbulence).get("speed_20ft")
     return float(own if own is not None else vars(scenario.world.wind).get("speed_20ft", 0.0))

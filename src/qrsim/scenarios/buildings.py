@@ -113,6 +113,7 @@ def _prism(building: Building, height: float, ground: Ground | None) -> object:
 
 
 def _matters(building: Building, height: float, bounds: tuple[float, float, float, float] | None) -> bool:
+    """Return whether a building rises above 5 deg of elevation within ``bounds``: south, north, west, east [m]."""
     if bounds is None:
         return True
     corners = np.array(building.rings[0])
@@ -125,6 +126,7 @@ def _matters(building: Building, height: float, bounds: tuple[float, float, floa
 
 
 def _elsewhere(found: BuildingsFile, bounds: object) -> str:
+    """Return the problem of a file with no building near the area: the extent of its buildings [m]."""
     corners = np.concatenate([np.array(building.rings[0]) for building in found.buildings])
     (south, west), (north, east) = corners.min(axis=0), corners.max(axis=0)
     return (

@@ -128,6 +128,7 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
 
 
 def _content(file: str) -> Content:
+    """Return the GeoJSON object of a file; raise UsageError if it is not JSON, or not GeoJSON with polygons."""
     with readable(file):
         text = read_text(file, LARGEST_TABLE)
     try:
@@ -203,10 +204,12 @@ def trees_left_out(found: BuildingsFile) -> str:
 
 
 def _has(properties: Mapping[str, object], *tags: str) -> bool:
+    """Return whether one of some OpenStreetMap tags is set, to anything but "no"."""
     return any(properties.get(tag) not in (None, False, "", "no") for tag in tags)
 
 
 def _is_tree(properties: Mapping[str, object]) -> bool:
+    """Return whether a feature is a tree or a wood by its OpenStreetMap tags."""
     return properties.get("natural") in ("wood", "tree") or properties.get("landuse") == "forest"
 
 
@@ -226,6 +229,7 @@ def _polygons(geometry: Mapping[str, object]) -> list[object]:
 
 
 def _points(geometry: Mapping[str, object]) -> int:
+    """Return the number of coordinates in the rings of a GeoJSON geometry; 1 for a point."""
     return int(geometry.get("type") == "Point") + sum(
         len(ring) if isinstance(ring, list) else 0
         for rings in _polygons(geometry)

@@ -113,6 +113,7 @@ def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, fl
 
 
 def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the numbers of turbulence that would come from the wind, which has none."""
     turbulence = scenario.world.turbulence
     cls = known.TURBULENCES[turbulence.type]
     for field in dataclasses.fields(cls):
@@ -125,6 +126,7 @@ def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the problems of each fleet, and of the start and names of its vehicles."""
     area = scenario.world.area
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
@@ -175,6 +177,7 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield vehicles that start on a ground that ends their flight, and fleets that cannot park."""
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.on_ground and not (rides(fleet) or stands(fleet)):
@@ -240,6 +243,7 @@ def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
+    """Yield path and value of each leaf of a part of a scenario."""
     for name in type(part).model_fields:
         value = getattr(part, name)
         if isinstance(value, BaseModel):
@@ -276,6 +280,7 @@ def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec)
 
 
 def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
+    """Yield the axes of vehicle i's initial body velocity [m/s] that exceed the fleet's limit."""
     limits = fleet.limits.velocity
     limit = limits[i] if isinstance(limits, list) and i < len(limits) else limits
     if isinstance(limit, list):
@@ -297,6 +302,7 @@ def _quantity(sensor: str) -> str:
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the sensors that a fleet lacks for its estimator, or for the feed of its controller."""
     kind = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
     feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
@@ -337,6 +343,7 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why the wind of a scenario cannot be built."""
     try:
         wind_of(scenario)
     except UsageError as error:

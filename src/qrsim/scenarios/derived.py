@@ -80,6 +80,7 @@ def _level_flight(vehicle: FixedWing) -> dict[str, float]:
 
 
 def _first(leaf: Any) -> Any:
+    """Return the first number of an array: the one of the first vehicle."""
     return np.float32(np.ravel(leaf)[0])
 
 
@@ -91,6 +92,7 @@ def _hover_on_battery(vehicle: Vehicle, battery: Battery) -> dict[str, float]:
     zero = np.zeros(1, np.float32)
 
     def hover(vehicle: Vehicle, battery: Battery, zero: Array) -> tuple[Load, object, Array | None]:
+        """Return load, battery state and voltage of a vehicle that hovers in still air."""
         still = Vec3(zero, zero, zero)
         load = vehicle.load(vehicle.initial_state(still, Euler(zero, zero, zero), still, still))
         state = battery.init(zero)

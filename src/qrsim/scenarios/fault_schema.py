@@ -15,10 +15,12 @@ ALL = "all"
 
 
 def _in_a_list(value: object) -> object:
+    """Return ["all"] for "all", and any other value unchanged."""
     return [ALL] if value == ALL else value
 
 
 def _first_rotors(value: object) -> object:
+    """Return the numbers of as many rotors as may fail for "all", and any other value unchanged."""
     return list(range(MOST_FAILED_ROTORS)) if value == ALL else value
 
 
@@ -115,6 +117,7 @@ class RadioFaultSpec(Strict):
 
     @model_validator(mode="after")
     def _share_if_weak(self) -> RadioFaultSpec:
+        """Refuse a weak radio without a share, and a share for any other kind."""
         if (self.kind == "weak") != (self.share is not None):
             raise ValueError(
                 "share is missing; kind 'weak' needs it" if self.kind == "weak" else "share is for kind 'weak' only"

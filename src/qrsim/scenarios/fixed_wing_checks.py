@@ -54,6 +54,7 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _stalls(stall: float) -> str:
+    """Return the words of a problem: an airspeed is below the stall speed ``stall`` [m/s]."""
     return f"is below its stall at {stall:.3g} m/s; allowed: above that"
 
 
@@ -73,6 +74,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
 
 
 def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
+    """Yield a problem if the product of inertia is larger than that of any body."""
     x, z, xz = (np.asarray(part, float) for part in (vehicle.inertia_x, vehicle.inertia_z, vehicle.inertia_xz))
     if np.any(x * z <= xz * xz):
         yield (

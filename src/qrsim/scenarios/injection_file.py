@@ -109,6 +109,7 @@ def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequenc
 
 
 def _entries(path: Path) -> list[object]:
+    """Return the entries of a YAML list of injections; raise UsageError for any other content."""
     try:
         text = read_text(path, LARGEST_BYTES)
     except OSError as error:
@@ -161,6 +162,7 @@ def _rotor(target: str) -> int | None:
 
 
 def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
+    """Return whether a fleet has the target of an injection: a rotor, a sensor, link, radio, body or battery."""
     rotor = _rotor(target)
     if rotor is not None:
         return rotor < rotors_of(fleet)
@@ -206,6 +208,7 @@ def _targets(scenario: Scenario) -> list[str]:
 
 
 def _numbers(entry: Content) -> Content:
+    """Return the numbers of an entry: all that it gives but the keys that every entry has."""
     return {name: value for name, value in entry.items() if name not in KEYS and value is not None}
 
 

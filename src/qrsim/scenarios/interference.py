@@ -85,6 +85,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
 
 
 def _built(spec: Any, ephemeris: Ephemeris) -> object:
+    """Build an interferer from its part of a scenario, with no limit of time or radius where none is given."""
     cls = _CLASSES[spec.kind]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -150,6 +151,7 @@ def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[s
 
 
 def _outage_problems(path: str, spec: Any, ephemeris: Ephemeris) -> Iterator[str]:
+    """Yield the problems of an outage: systems or satellites that the orbits do not have, or both."""
     if (spec.systems is None) == (spec.satellites is None):
         yield f"{path}: an outage is either of systems or of satellites; give one of the two"
     if spec.systems is not None:

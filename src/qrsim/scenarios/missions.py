@@ -66,6 +66,7 @@ class _Author:
         return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs[first:], first)]
 
     def _parts(self, spec: LegSpec, j: int) -> list[Leg]:
+        """Return the legs that entry j of a mission becomes, and note what is wrong with its order."""
         where = f"{self.path}.{j}"
         if self.endless:
             self.problems.append(f"{where}: is never flown, because {self.endless}, a loiter, does not end")
@@ -85,14 +86,17 @@ class _Author:
         return {**own, "sink": spec.sink_speed, "accept_radius": self.guidance.accept_radius}
 
     def _line(self, place: Sequence[float], spec: LegSpec, **more: object) -> Leg:
+        """Return a straight leg to a place in NED [m]; ``more`` overrides the values of its entry."""
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
     def _fly(self, spec: FlyLeg, where: str) -> list[Leg]:
+        """Return the leg to a waypoint; a hold implies a stop."""
         radius = spec.accept_radius or self.guidance.accept_radius
         return [self._line(spec.to_ned, spec, hold=spec.hold, stop=spec.stop or spec.hold > 0.0, accept_radius=radius)]
 
     def _take_off(self, spec: TakeOffLeg, where: str) -> list[Leg]:
+        """Return the vertical leg to the height over z = 0; note a height that is not above the vehicle."""
         north, east, down = self.place
         if -spec.height > down + SAME_PLACE:
             self.problems.append(
@@ -102,6 +106,7 @@ class _Author:
         return [self._line((north, east, -spec.height), spec, stop=True, speed=speed)]
 
     def _land(self, spec: LandLeg, where: str) -> list[Leg]:
+        """Return the legs of a landing, at a place or below the last one."""
         north, east = spec.at_ned or self.place[:2]
         return self._down_to(north, east, spec, where, hold=spec.hold)
 
@@ -126,6 +131,7 @@ class _Author:
         return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
 
     def _loiter(self, spec: LoiterLeg, where: str) -> list[Leg]:
+        """Return the legs of a circle, or of a hold without a radius; note a loiter that does not end."""
         centre = tuple(spec.to_ned or self.place)
         ends = spec.time is not None or spec.turns is not None
         if not ends:
@@ -150,6 +156,7 @@ class _Author:
         return [to_it, self._line(ends[1], spec, kind="circle", centre_ned=(centre[0], centre[1]), angle=turn)]
 
     def _return(self, spec: ReturnLeg, where: str) -> list[Leg]:
+        """Return the legs back to the start: a climb where a height is given, and a landing if asked for."""
         parts = []
         if spec.height is not None and -spec.height < self.place[2] - SAME_PLACE:
             parts.append(self._line((*self.place[:2], -spec.height), spec, stop=True))
@@ -178,6 +185,7 @@ def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
 
 
 def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: object, path: str) -> _Author:
+    """Return an author that turns the entries of one vehicle's mission into legs from its start."""
     north, east, down = vehicle.position_ned
     return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
 

@@ -38,6 +38,7 @@ def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the problems of a multirotor's rotors and feet: number, axes, directions and control authority."""
     rotors, feet = fleet.vehicle.rotors, fleet.vehicle.feet
     if not 4 <= len(rotors) <= MOST_ROTORS:
         yield f"{path}.rotors: {len(rotors) or 'no'} rotors; allowed: 4 to {MOST_ROTORS}"

@@ -155,6 +155,7 @@ class _Constants:
         self._spec, self.size = fleet.vehicle, len(fleet.vehicles)
 
     def __getattr__(self, name: str) -> Any:
+        """Return a parameter of the vehicle type for each vehicle (n,)."""
         return np.broadcast_to(np.asarray(getattr(self._spec, name), np.float64), (self.size,))
 
 
@@ -165,6 +166,7 @@ def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
 
 
 def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the odds of gravity, mass and thrust: vehicles that cannot stay up, or cannot come down."""
     of, volts = _Constants(fleet), voltages(fleet)
     if not ((of.gravity >= EARTH[0]) & (of.gravity <= EARTH[1])).all():
         i, where = _worst(path, "vehicle.gravity", fleet.vehicle.gravity, np.abs(of.gravity - 9.81))
@@ -231,6 +233,7 @@ def _loops(path: str, fleet: FleetSpec, dt: float) -> Iterator[str]:
 
 
 def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) -> Iterator[str]:
+    """Yield the control loops of vehicle i that are unstable, or too fast for a time step of ``dt`` [s]."""
     for axis, names, stiffness, damping in _axes(fleet, of, i):
         where = f"{path}.vehicle.{names}"
         numbers = f"stiffness {stiffness:g} 1/s^2 and damping {damping:g} 1/s"

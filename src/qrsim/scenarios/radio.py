@@ -31,6 +31,7 @@ def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | No
     sizes = [len(fleet.vehicles) for fleet in scenario.fleets.values()]
 
     def each(name: str) -> NumpyArray:
+        """Return a parameter of the fleets' own radios for each vehicle (n,), NaN where not given."""
         values = [np.nan if spec is None or getattr(spec, name) is None else getattr(spec, name) for spec in own]
         return np.repeat(np.array(values, np.float64), sizes)
 

@@ -87,6 +87,7 @@ def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
 
 
 def _path_problem(scenario: ScenarioSpec, path: str) -> str:
+    """Return why the number at a path cannot be drawn for each episode; "" if it can."""
     parts = path.split(".")
     value, problem = _value_at(scenario, parts)
     if problem:
@@ -120,6 +121,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
+    """Return the types of component that a path without its last part may name; None if it takes no component."""
     if parts[:2] == ["world", "updrafts"]:
         return known.UPDRAFTS
     if parts[0] == "world":
@@ -136,6 +138,7 @@ def _group(parts: list[str]) -> Mapping[str, type] | None:
 
 
 def _static(owner: Any, names: list[str]) -> bool:
+    """Return whether a field of a component, or of one nested in it, is compiled and cannot vary."""
     fields = {field.name: field for field in dataclasses.fields(owner)}
     # What a scenario says of every sensor, as its delay, is no field of the sensor and is compiled.
     if names[0] not in fields:

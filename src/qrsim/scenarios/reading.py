@@ -210,6 +210,7 @@ def _spell_out(content: Content, path: list[str]) -> None:
 
 
 def _anchor(content: object, folder: Path) -> None:
+    """Make the file names in a scenario's content absolute, in place; relative ones start in ``folder``."""
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for part in parts:
         _anchor(part, folder)
@@ -224,11 +225,13 @@ def _anchor(content: object, folder: Path) -> None:
 
 
 def _anchored(name: str, folder: Path) -> str:
+    """Return a file name as an absolute one; a public recording that is not in ``folder`` is in the data folder."""
     file = Path(os.path.abspath(folder / os.path.expanduser(name)))
     return str(data_folder() / name if name in RECORDINGS and not file.exists() else file)
 
 
 def _as_mapping(content: object, source: str) -> Content:
+    """Return a content that is a mapping; raise ScenarioError for any other."""
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
@@ -329,6 +332,7 @@ def _check_name(target: Content, parts: list[str], depth: int, assignment: str) 
 
 
 def _index(target: list[object], parts: list[str], depth: int, assignment: str) -> int:
+    """Return the list index that part ``depth`` of a --set path names; raise UsageError if it has none."""
     text = parts[depth]
     if re.fullmatch("[0-9]{1,9}", text) and int(text) < len(target):
         return int(text)

@@ -131,6 +131,7 @@ def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: Sce
 
 
 def _takes_base(sensor: Any) -> bool:
+    """Return whether a receiver takes the corrections of a base station."""
     return sensor.corrections in BASED
 
 

@@ -91,6 +91,7 @@ class VehicleSpec(Strict):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> VehicleSpec:
+        """Refuse a vehicle with two starts or two routes, or without a start."""
         places, routes = (
             [name for name in names if name in self.model_fields_set and getattr(self, name)]
             for names in (("position_ned", "position_geodetic"), ROUTES)
@@ -264,6 +265,7 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: object) -> Any:
+        """Fill in controller and guidance: the vehicle's controller and what fits it."""
         if not isinstance(data, dict):
             return data
         data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})

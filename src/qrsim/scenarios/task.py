@@ -86,6 +86,7 @@ def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None)
 
 
 def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the sensors that a task names and its fleet lacks, or has of another type."""
     task = scenario.task
     yield from _senses_problems(task, fleet)
     for field, types in SENSORS.items():

@@ -21,6 +21,7 @@ MOST_UPDRAFTS = 20
 
 @cache
 def _model(name: str, kind: type) -> type[Strict]:
+    """Return the pydantic model of a type of updraft, thermals with a list of places; made once for each."""
     if not issubclass(kind, Thermals):
         return component_model(name, kind)
     text = "[north, east] [m] of each at the start; empty: drawn once an episode"

@@ -81,6 +81,7 @@ def insert_vehicle_models(content: Content, source: str) -> list[str]:
 
 
 def _note(odd: list[str], fleet: str, words: str) -> None:
+    """Append a finding about a fleet's own vehicle model to ``odd``."""
     odd.append(f"fleets.{fleet}.vehicle.own.{words}")
 
 

@@ -38,6 +38,7 @@ def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
+    """Return how long the printed wind holds: steady, or interpolated between two times in UTC."""
     if not times:
         return "steady:"
     begin, end = (

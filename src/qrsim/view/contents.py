@@ -152,6 +152,7 @@ class Plume(Contents):
 
 
 def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any, places: Any) -> jax.Array:
+    """Return the concentration of plumes (k,) at places (k, 3) in NED [m] at a tick."""
     from qrsim.core.vectors import Vec3
     from qrsim.world.episode import surroundings
 

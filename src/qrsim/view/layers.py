@@ -212,6 +212,7 @@ class Vehicles(Layer):
         """Call a function with the number of a vehicle that is clicked (None: not known which), and the event."""
 
         def clicked(members: Floats, event: Any) -> None:
+            """Call back with the number of the vehicle among all; None where it has none."""
             # The outline of what the mouse is over has no number.
             index = event.instance_index
             call(None if index is None else int(members[index]), event)
@@ -307,6 +308,7 @@ class Names(Layer):
 
 
 def _finite(values: Floats, instead: Floats) -> Floats:
+    """Return values with those of ``instead`` where they are not finite."""
     return np.where(np.isfinite(values), values, instead)
 
 

@@ -70,6 +70,7 @@ class Paths(Layer):
         self._forget()
 
     def _restart(self, time: float, point: Floats) -> None:
+        """Begin the path of each vehicle again at a time [s] and its point (n, 3) in NED [m]."""
         self._points[:] = np.where(np.isfinite(point), point, self.stage.cast.start_ned)
         self._from[:], self._to[:] = time, -np.inf
         self._newest, self._known, self._corner_at = 0, 1, time
@@ -113,10 +114,12 @@ class Paths(Layer):
         self._changed.clear()
 
     def _segments(self, number: int) -> Floats:
+        """Return the path of a vehicle as line segments (corners, 2, 3) in NED [m]."""
         points = self._points[number]
         return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
     def _colours(self) -> Any:
+        """Return one colour for all segments, or one for each end of each."""
         colours = self.stage.colours
         if (colours == colours[0]).all():
             return tuple(colours[0].tolist())

@@ -85,6 +85,7 @@ def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, F
 
 
 def _filled(rows: Floats, room: int, filler: Floats) -> Floats:
+    """Return rows filled up to ``room`` of them with copies of ``filler``."""
     return np.concatenate([rows, np.broadcast_to(filler, (room - len(rows), len(filler)))])
 
 

@@ -67,6 +67,7 @@ class Rebuilt:
         self._cameras = _cameras(run, world)
 
     def _precision(self) -> Any:
+        """Return a context with the precision in which the run was flown."""
         return jax.enable_x64(self._wide)
 
     def at(self, time: float) -> Beside:
@@ -137,6 +138,7 @@ def _blown(world: World, keys: Any, puffs: Any, done: object, wanted: object) ->
     ticks = period_ticks(plume.period, world.time_step)
 
     def step(number: Any, puffs: Any) -> Any:
+        """Return the puffs after one step of the plume, the same as in the flight."""
         return plume.step(puffs, Draw(stream, (number + 1) * ticks, jnp.zeros((), puffs.age.dtype)))
 
     return lax.fori_loop(done, wanted, step, puffs)

@@ -95,6 +95,7 @@ class Scene:
         self.overlay.hold()
 
     def _begin(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
+        """Set where the camera of a new browser is: ``distance`` [m] from a place, in a direction in NED."""
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
         camera.look_at = tuple(at)
@@ -130,6 +131,7 @@ class Scene:
                 self._draw(*max(waiting, key=lambda late: self._due[late[0]]))
 
     def _draw(self, number: int, layer: Layer) -> None:
+        """Draw a layer that is due, and count that as done."""
         self._due[number] %= 1.0
         assert self.frame is not None
         layer.draw(self.frame)

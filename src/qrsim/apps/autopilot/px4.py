@@ -143,6 +143,7 @@ class Px4:
             raise RunError(f"{len(flight.lost)} of {len(flight.links)} PX4s ended in flight: {', '.join(flight.lost)}")
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not (math.isfinite(self.rate) and self.rate % FRAME_HZ == 0 and FRAME_HZ <= self.rate <= FASTEST_HZ):
             raise UsageError(f"--rate {self.rate:g}: expected {FRAME_HZ} Hz or a multiple of it, up to {FASTEST_HZ} Hz")
         if self.model.startswith(ELSEWHERE):
@@ -167,6 +168,7 @@ class Px4:
     def _print_environment(
         self, scenario: Scenario, fleets: tuple[str, ...], port: int, own: dict[str, int | float], build: str
     ) -> None:
+        """Print for each vehicle the shell commands that start its PX4: exports and the program."""
         from qrsim.links.autopilot.px4_flight import listed
         from qrsim.links.autopilot.px4_parameters import environment
         from qrsim.simulation.simulation import Simulation

@@ -89,6 +89,7 @@ class Check:
         return 1 if found[-1].runs else 0
 
     def _use_cores(self) -> None:
+        """Let JAX use as many cores as asked for, or all; an option below 1 is refused."""
         from contextlib import suppress
 
         from qrsim.engine.settings import available_cores, configure
@@ -103,6 +104,7 @@ class Check:
             configure(cpu_devices=available_cores())
 
     def _scenario(self) -> Scenario:
+        """Load the scenario with --set and --duration."""
         from qrsim.scenarios.scenario import load_scenario
 
         overrides = list(self.set)
@@ -113,6 +115,7 @@ class Check:
         return load_scenario(self.scenario, overrides)
 
     def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
+        """Fly the scenario with every seed; return the rollout and the wall time [s]."""
         import time
 
         from qrsim.interface.mission_metrics import MISSION_METRICS
@@ -143,6 +146,7 @@ class Check:
     def _report(
         self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float, picture: Path | None
     ) -> None:
+        """Print outcomes, margins and consistency of all runs as text or JSON."""
         from qrsim.apps.check.consistency import consistency, print_consistency
         from qrsim.apps.check.outcomes import UNFINISHED, margins
 
@@ -204,6 +208,7 @@ def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) 
 
 
 def _print_outcomes(found: list[Outcome], runs: int) -> None:
+    """Print a table: in how many runs each outcome occurred, with its interval, seeds and place."""
     width = max(len(outcome.name) for outcome in found)
     print(f"  {'in a run, any vehicle ...':<{width + 6}} {'runs':>5} {'fraction':>9}   95 % interval")
     for outcome in found:
@@ -217,6 +222,7 @@ def _print_outcomes(found: list[Outcome], runs: int) -> None:
 
 
 def _where(moment: Any) -> str:
+    """Return seed, vehicle, time and place of a moment, in words."""
     north, east, down = moment.position_ned
     place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"
     return f"seed {moment.seed}, {moment.vehicle}, {moment.time_s:.2f} s, {place}"

@@ -73,6 +73,7 @@ def consistency(flown: Rollout) -> list[Row]:
 
 
 def _row(name: str, runs: NumpyArray) -> Row:
+    """Return mean and confidence interval of a number that each run has one of; NaN bounds for one run."""
     from scipy import stats
 
     mean, count = float(runs.mean()), len(runs)

@@ -171,6 +171,7 @@ class Run:
         page: LiveView | None,
         injections: tuple[Injection, ...],
     ) -> Pace:
+        """Fly the scenario into a run folder; return its pace: simulated and wall time, late chunks."""
         from qrsim.runs.recorder import fly
         from qrsim.runs.waiting import waiting_since
 
@@ -210,6 +211,7 @@ class Run:
             raise
 
     def _report(self, folder: Path, pace: Pace) -> None:
+        """Print the summary of a run and draw its figure; raise if the figure could not be drawn."""
         from qrsim.runs import open_run
         from qrsim.runs.summary import summarise
 
@@ -226,6 +228,7 @@ class Run:
     def _print_result(
         self, recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, figure: Path | None
     ) -> None:
+        """Print the table of vehicles, the speed, and where run folder and figure are."""
         _print_table(recorded, summaries)
         factor = f"{pace.real_time_factor:.0f} times real time" if not self.realtime else "real time"
         print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({factor}), start-up {pace.start_up_s:.1f} s")
@@ -255,6 +258,7 @@ def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | No
 
 
 def _new_folder(name: str, seed: int) -> Path:
+    """Return a path runs/NAME-seedN-TIME that does not exist yet."""
     from datetime import datetime
 
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -283,6 +287,7 @@ at the time of the fix, RMS over the fixes; wind max: gusts included."""
 
 
 def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
+    """Print a row for each vehicle: distance, errors, wind, waypoints and when it stopped."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -344,12 +349,14 @@ def _print_events(recorded: RecordedRun) -> None:
 
 
 def _number(value: float, digits: int = 2) -> str:
+    """Return a number with some digits as text, "-" if it is not finite."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _print_json(
     recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, folder: Path, figure: Path | None
 ) -> None:
+    """Print the result of a run as JSON."""
     import json
     from dataclasses import asdict
 
