@@ -179,6 +179,7 @@ class CascadeController(Controller):
         return state, vehicle.tilt_command(pitch, roll, throttle, turn)
 
     def _vehicle(self) -> tuple[Vehicle, Handling]:
+        """Return the vehicle that the controller was fitted to; raise UsageError if to none."""
         known = None if self.nominal is None else self.nominal.handling()
         if self.nominal is None or known is None:
             raise UsageError("this cascade knows no vehicle; fit it first: controller.fitted(vehicle)")
@@ -255,6 +256,7 @@ class CascadeController(Controller):
 
 
 def _within(value: Array, limit: Array) -> Array:
+    """Clip values to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)
 
 

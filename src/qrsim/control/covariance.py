@@ -163,6 +163,7 @@ def _by_blocks(sensitivity: Sparse) -> Iterator[tuple[int, list[tuple[int, Array
 
 
 def _diagonal(variances: Sequence[Array]) -> Array:
+    """Return a block (3, 3, n) with variances (n,) on its diagonal."""
     return jnp.asarray(_EYE) * jnp.stack(variances)[:, None]
 
 
@@ -180,10 +181,12 @@ def _times(move: Array | float, block: Array) -> Array:
 
 
 def _transposed(block: Array) -> Array:
+    """Return a block (3, 3, n) with its rows and columns exchanged."""
     return jnp.swapaxes(block, -3, -2)
 
 
 def _sum(parts: Sequence[Array]) -> Array:
+    """Return the sum of arrays, added in order."""
     total = parts[0]
     for part in parts[1:]:
         total = total + part

@@ -253,6 +253,7 @@ def _estimate(state: FilterState) -> Estimate:
 
 
 def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> FilterState:
+    """Return the state after corrections of position [m], velocity [m/s] and bias."""
     position, low = added(state.position_ned, state.position_low_ned + moved)
     return replace(
         state,

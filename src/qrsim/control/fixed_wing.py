@@ -120,6 +120,7 @@ class FixedWingController(Controller):
         return state, AttitudeCommand(roll, pitch, throttle)
 
     def _vehicle(self) -> Aeroplane:
+        """Return the vehicle that the controller was fitted to; raise UsageError if to none."""
         if self.nominal is None:
             raise UsageError("this controller knows no vehicle; fit it first: controller.fitted(vehicle)")
         found: Aeroplane = self.nominal
@@ -214,4 +215,5 @@ class FixedWingController(Controller):
 
 
 def _course(north: Array, east: Array) -> Array:
+    """Return the direction [rad] of a horizontal vector; 0 for none."""
     return arctan2(east, jnp.where((north == 0.0) & (east == 0.0), 1.0, north))

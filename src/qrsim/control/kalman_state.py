@@ -208,6 +208,7 @@ def injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
 
 
 def _inner(inner: Inner, errors: Array) -> Inner:
+    """Return the inner states with the estimated errors added."""
     places = Places.of(inner)
     inner = replace(
         inner,
@@ -263,4 +264,5 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
 
 
 def _three(errors: Array, first: int) -> Vec3:
+    """Return three errors from number ``first`` as a vector."""
     return Vec3(errors[first], errors[first + 1], errors[first + 2])

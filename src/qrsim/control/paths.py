@@ -160,6 +160,7 @@ def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again:
 
 
 def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> list[_Part]:
+    """Return a part for each leg: direction, length [m] and largest speed [m/s]."""
     place, parts = np.asarray(start_ned, np.float64), []
     for leg in legs:
         goal = np.asarray(leg.position_ned, np.float64)
@@ -196,6 +197,7 @@ def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits
 
 
 def _flown_through(part: _Part, after: _Part) -> bool:
+    """Return whether a line runs into another without a stop."""
     lines = part.leg.kind == after.leg.kind == "line" and min(part.length, after.length) > SHORTEST
     return lines and not part.leg.stop and part.leg.hold == 0.0
 
@@ -353,6 +355,8 @@ def _is_level(part: _Part) -> bool:
 
 
 def _circles(table: Any) -> Orbits:
+    """Return the circles of all vehicles as arrays, zeros for straight lines."""
+
     def is_circle(part: _Part) -> bool:
         return part.leg.kind == "circle"
 
@@ -372,6 +376,7 @@ def _circles(table: Any) -> Orbits:
 
 
 def _facing(table: Any) -> Facing:
+    """Return the places that the vehicle faces on each leg, as arrays."""
     return Facing(
         faced=table(lambda part: part.leg.facing_ned is not None, bool),
         north=table(lambda part: (part.leg.facing_ned or (0.0, 0.0))[0]),

@@ -171,6 +171,7 @@ class RoverController(Controller):
 
 
 def _level(velocity: Vec3) -> Array:
+    """Return the horizontal speed [m/s]."""
     return root(velocity.x * velocity.x + velocity.y * velocity.y)
 
 

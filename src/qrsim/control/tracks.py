@@ -120,5 +120,6 @@ class FixedWingGuidance(RouteGuidance):
         return TrackSetpoint(begin, end, radius, zero + self.airspeed, zero)
 
     def _circles(self, state: RouteState, route: Route) -> Array:
+        """Return for each vehicle (n,) whether it circles its waypoint, the last one."""
         final = state.index + 1 >= route.count
         return final & (route.count < 2) if self.repeat else final

@@ -13,6 +13,7 @@ Slope = Callable[[S], tuple[S, A]]
 
 
 def _advance(state: S, slope: S, dt: float) -> S:
+    """Return state + dt slope, leaf by leaf."""
     return jax.tree.map(lambda x, d: x + dt * d, state, slope)
 
 

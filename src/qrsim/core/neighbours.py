@@ -56,6 +56,7 @@ def always_room(points: int, count: int, room: int | None = None) -> bool:
 
 
 def _capacity(count: int) -> int:
+    """Return the usual ``room``: the largest number of points in three columns side by side."""
     return max(2 * count, 32)
 
 

@@ -253,6 +253,7 @@ def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
 
 
 def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
+    """Yield name, array and field of each leaf of a field's value."""
     if isinstance(value, tuple):
         for number, part in enumerate(value):
             yield from _walked(part, f"{name}.{number}", info)

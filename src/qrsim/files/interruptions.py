@@ -195,6 +195,7 @@ def _installed(handler: Any) -> dict[int, Any]:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
+    """Handle a signal: raise Interruption, or send it again later where code must not be interrupted."""
     if _state["listener"] is None:
         return  # its work is done
     now = time.monotonic()
@@ -224,6 +225,7 @@ _LOADING = (ExtensionFileLoader.exec_module.__code__, ExtensionFileLoader.create
 
 
 def _send_again(number: int) -> None:
+    """Send the signal once more in a moment."""
     if _state["waiting"]:
         return
     _state["waiting"] = True
@@ -233,6 +235,7 @@ def _send_again(number: int) -> None:
 
 
 def _send(number: int, listener: object) -> None:
+    """Send the signal to the main thread, if it is still listened for."""
     with _sending:
         if _state["listener"] is not listener:
             return

@@ -194,6 +194,7 @@ class ActionChecker:
         return which, jax.tree.map(lambda *leaves: library.concatenate(leaves), *ones)
 
     def _cut(self, whole: T) -> list[T]:
+        """Return a command of all vehicles in parts, one for each fleet."""
         if len(self.fleets) == 1:
             return [whole]
         parts, first = [], 0
@@ -203,6 +204,7 @@ class ActionChecker:
         return parts
 
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
+        """Return a command or set-point of some fleets, checked and cast; raise UsageError for others."""
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
         if isinstance(command, Some | Piloted):
@@ -241,6 +243,7 @@ class ActionChecker:
         return self.kinds[kind]
 
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
+        """Return a checked set-point; raise UsageError if a fleet's controller does not take its type."""
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
                 name = _command_name(type(setpoint), article=True)
@@ -282,6 +285,7 @@ class ActionChecker:
         return jax.tree_util.tree_map_with_path(convert, record)
 
     def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
+        """Return an array (n, fields) as a command of a kind; raise UsageError for another shape."""
         shape = (len(names), len(kind.fields))
         try:
             array: Floats = (jnp if self.traced else np).asarray(command, self.dtype)

@@ -118,9 +118,11 @@ def _truth(fleet: FleetState) -> Truth:
 
 
 def _minus(reported: Vec3, truth: Truth) -> Vec3:
+    """Return reported minus true position [m]."""
     position, low = truth
     return reported - position if low is None else reported - position - low
 
 
 def _differs(new: Vec3, old: Vec3) -> Array:
+    """Return whether vectors differ; NaN differs from itself."""
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))

@@ -335,6 +335,7 @@ def _distance_from_circle(offset: Vec3, radius: Array) -> Array:
 
 
 def _differs(new: Vec3, old: Vec3) -> Array:
+    """Return whether vectors differ; NaN differs from itself."""
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))
 
 

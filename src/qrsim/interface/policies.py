@@ -222,6 +222,7 @@ def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[s
 
 
 def _check_arguments(what: str, name: str, function: Callable[..., object], arguments: list[str]) -> None:
+    """Raise UsageError if a user's function cannot be called with these arguments."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):

@@ -185,6 +185,8 @@ class EventFinder:
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
+        """Return by name a function of what events are found in: arrays (ticks, vehicles)."""
+
         def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
             return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
 
@@ -354,9 +356,11 @@ class EventFinder:
         return found
 
     def _at(self, history: History, row: int, vehicle: int) -> Content:
+        """Return time, tick and vehicle of an event."""
         return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
 
     def _event(self, key: str, history: History, row: int, vehicle: int) -> Content:
+        """Return the event of a change at a tick: stop, waypoint or clipped command."""
         event = self._at(history, row, vehicle)
         name, time = event["vehicle"], event["time"]
         if key == "reached":
@@ -376,6 +380,7 @@ class EventFinder:
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:
+        """Return the name of the vehicle nearest to another."""
         own = self._positions(history, row)[vehicle]
         return self.names[self._nearest_to(history, row, own, vehicle)]
 

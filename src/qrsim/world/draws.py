@@ -48,6 +48,7 @@ def stream_keys(fleet: Fleet, key: Key) -> StreamKeys:
 
 
 def _stream_names(fleet: Fleet, suffix: str) -> list[str]:
+    """Return the names of a fleet's random streams."""
     return [f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names]
 
 

@@ -134,6 +134,7 @@ def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Reco
 
 
 def _fitted(state: FleetState, number: int) -> Fitted | None:
+    """Return the state of how a sensor is fitted; None if no sensor of the fleet has one."""
     return state.fitted[number] if state.fitted else None
 
 

@@ -171,6 +171,7 @@ def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
 
 
 def _is_soft(speed: Array, tilt: Array) -> Array:
+    """Return whether a touch-down is soft enough to land: speed [m/s] and tilt [rad]."""
     return (speed < SOFT_SPEED) & (tilt < SOFT_TILT)
 
 

@@ -145,6 +145,7 @@ def step(
 
 
 def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
+    """Return the sky after a tick: common and satellite errors, if they are due."""
     draw = draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)

@@ -246,6 +246,7 @@ def _sum(vectors: list[Vec3]) -> Vec3:
 
 
 def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
+    """Return the jets below the rotors of a fleet's vehicles; None for vehicles without any."""
     wake = fleet.vehicle.wake()
     if wake is None:
         return None
@@ -293,6 +294,7 @@ def _sum_at(jets: Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:
 
 
 def _vector(point: Point, like: Array) -> Vec3:
+    """Return a point as a vector of arrays in the shape of ``like``."""
     return Vec3(*(jnp.broadcast_to(jnp.asarray(part, like.dtype), like.shape) for part in point))
 
 

@@ -92,6 +92,7 @@ class Failures:
     def _inject(
         self, targets: list[str], what: str, instances: Sequence[int], word: str, asked: tuple[str, dict[str, Any]]
     ) -> tuple[Result, str]:
+        """Inject a fault into the named instances, counted from 1, or all; return result and words for the client."""
         if not targets:
             return Result.DENIED, f"Not injectable: {what}; start qrsim mavlink with --injectable all"
         if any(not 0 < number <= len(targets) for number in instances):

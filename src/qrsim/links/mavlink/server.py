@@ -96,6 +96,7 @@ class Server:
         return self._pacer.report()
 
     async def _open(self, sock: Any, system: System, rates: dict[str, float], peer: Address, phase: float) -> None:
+        """Serve a system on a UDP socket; ``peer`` is where messages go before anybody has sent one."""
         loop = asyncio.get_running_loop()
         await loop.create_datagram_endpoint(lambda: _Datagrams(self, system, rates, peer, phase), sock=sock)
 
@@ -146,6 +147,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         """Nobody listens there yet."""
 
     def _send(self, data: bytes) -> None:
+        """Send bytes to the peer that was heard last."""
         if self._transport is not None:
             self._transport.sendto(data, self._peer)
 
@@ -195,9 +197,11 @@ class _Connection(asyncio.Protocol):
             self._give_up("sends no MAVLink")
 
     def _has_room(self) -> bool:
+        """Return whether the client reads fast enough for telemetry to be sent."""
         return self._transport is not None and self._transport.get_write_buffer_size() < MOST_STALE
 
     def _send(self, data: bytes) -> None:
+        """Send bytes to the client; one that does not read is given up."""
         if self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > MOST_WAITING:
@@ -206,6 +210,7 @@ class _Connection(asyncio.Protocol):
         self._transport.write(data)
 
     def _give_up(self, why: str) -> None:
+        """Close the connection and log why."""
         if self._transport is not None:
             self._server.say(f"a client by TCP {why}, and is given up")
             self._transport.abort()

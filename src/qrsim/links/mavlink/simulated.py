@@ -60,6 +60,7 @@ class SimWind:
         self.now = self._of_world()
 
     def _of_world(self) -> tuple[float, float] | None:
+        """Return speed [m/s] at 20 ft and direction [deg] of the wind; None if it has no such numbers."""
         found = self._simulation.world.wind
         if not isinstance(found, LogShear | VeeringShear):
             return None
@@ -185,6 +186,7 @@ class SimParameters:
         self._air.shoves[self._name] = (self._simulation.time + seconds, self._values)
 
     def _drop(self, volts: float) -> None:
+        """Lower the battery's charge to that of a cell voltage."""
         if self._volts is None:
             raise UsageError("there is no battery that could lose charge")
         numbers = {"charge": float(np.interp(volts, self._volts, CHARGES))}
@@ -223,6 +225,7 @@ def _nonzero(values: Values, name: str, field: str, factor: float = 1.0) -> dict
 
 
 def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the GNSS receiver that SIM_GPS parameters ask for, by target."""
     place = UNITS[GPS].field
     rates = _nonzero(values, "GPS1_GLTV", place)
     north, east, up = (values[f"SIM_GPS1_GLTCH_{axis}"] + values[f"SIM_GPS_GLITCH_{axis}"] for axis in AXES)
@@ -241,6 +244,7 @@ def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the barometer that SIM_BARO parameters ask for, by target."""
     height = UNITS[BARO].field
     fault: Fault | None = None
     if values["SIM_BARO_DISABLE"]:
@@ -259,6 +263,7 @@ def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Faul
 
 
 def _magnetometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the magnetometer that SIM_MAG1 parameters ask for, by target."""
     # SIM_Compass.cpp subtracts the offsets.
     bias = _nonzero(values, "MAG1_OFS", UNITS[MAG].field, -UT_PER_MGAUSS)
     fault: Fault | None = ("wrong", {"bias": bias}) if bias else None
@@ -284,18 +289,21 @@ def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _pitot(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the airspeed sensor that SIM_ARSPD_FAIL asks for, by target."""
     speed = values["SIM_ARSPD_FAIL"]
     numbers = {"field": UNITS[AIRSPEED].field, "scale": 0.0, "bias": speed}
     return {_target(fleet, AIRSPEED): ("wrong", numbers) if speed else None}
 
 
 def _sonar(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the rangefinder that SIM_SONAR parameters ask for, by target."""
     share, offset = values["SIM_SONAR_GLITCH"], values["SIM_SONAR_OFFSET"]
     fault: Fault | None = ("wrong", {"field": UNITS[SONAR].field, "bias": offset}) if offset else None
     return {_target(fleet, SONAR): ("intermittent", {"share": share}) if share else fault}
 
 
 def _engines(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the faults of the rotors in the mask SIM_ENGINE_FAIL, by target; None for healthy ones."""
     mask, health = int(values["SIM_ENGINE_FAIL"]), values["SIM_ENGINE_MUL"]
     rotors = motor_order(fleet)
     if mask >> len(rotors):

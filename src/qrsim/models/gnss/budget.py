@@ -32,10 +32,12 @@ class BudgetState:
 
 
 def _std(default: float, unit: str, doc: str) -> Array:
+    """Return the declaration of a parameter that is a standard deviation, from 0."""
     return parameter(default=default, unit=unit, doc=doc, minimum=0.0)
 
 
 def _time(default: float, doc: str) -> Array:
+    """Return the declaration of a parameter that is a time constant [s], above 0."""
     return parameter(default=default, unit="s", doc=doc, above=0.0)
 
 

@@ -245,6 +245,7 @@ class SlottedSky(Sky):
 
 
 def _between(first: Array, last: Array, part: Array) -> Array:
+    """Interpolate linearly: ``first`` at part 0, ``last`` at part 1."""
     return first + part * (last - first)
 
 

@@ -222,6 +222,7 @@ class Network(Channel, Radio):
 
     @staticmethod
     def _stream(keys: StreamKeys, which: int, ids: object, frame: object) -> Stream:
+        """Return the random stream of one purpose for senders in a frame."""
         low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
@@ -233,6 +234,7 @@ class Network(Channel, Radio):
         return self._stream(keys, which, receiver, frame), sender
 
     def _chance(self, keys: StreamKeys, near: Neighbours, ids: object, frame: Array) -> Array:
+        """Return a uniform number in [0, 1) for each pair of receiver and sender in a frame."""
         stream, sender = self._pair(keys, PACKET, near, ids, frame)
         return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
 

@@ -135,6 +135,7 @@ class Pieces:
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
+    """Return the distance of values outside the range from low to high; 0 inside."""
     return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
 
 
@@ -190,6 +191,7 @@ class Prisms:
 
 
 def _finite(lib: ModuleType, value: Array) -> Array:
+    """Return values with 0 where they are not finite."""
     return lib.where(lib.isfinite(value), value, 0.0)
 
 

@@ -293,6 +293,7 @@ class Camera(Sensor):
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
+        """Return whether pixel coordinates are within the picture."""
         return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
 
 

@@ -70,6 +70,7 @@ class BatteryFault:
         return None if voltage is None else jnp.where(self._weak(tick), voltage * self.health, voltage)
 
     def _weak(self, tick: Array) -> Array:
+        """Return for each vehicle (n,) whether its battery is weak at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick) & (self.health < 1.0)
 
 

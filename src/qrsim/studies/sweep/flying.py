@@ -46,6 +46,7 @@ def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
 
 @lru_cache(maxsize=8)
 def _group(dumped: bytes) -> Any:
+    """Unpickle a group in a worker, with its components from outside; kept for the next batches."""
     from qrsim.errors import UsageError
     from qrsim.scenarios.providing import provide_components
 

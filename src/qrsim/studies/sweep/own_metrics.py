@@ -40,6 +40,7 @@ def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
 
 
 def _metric(source: str, name: str, about: object) -> Metric:
+    """Return a metric of the user's class; raise UsageError for a wrong name, unit, doc or reduction."""
     where = f"own_metrics: {source}: numbers: {name}"
     if name in METRICS or not name.isidentifier():
         raise UsageError(f"{where}: the name is {'a built-in metric' if name in METRICS else 'no name'}; give another")

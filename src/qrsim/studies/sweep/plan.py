@@ -185,6 +185,7 @@ class Plan:
                 yield axis, rows[axis.path], len(self.crossed)
 
     def _of(self, axis: Axis, part: slice) -> NumpyArray:
+        """Return the values of a part of an axis; numbers of the choices if it changes the structure."""
         assert axis.values is not None
         if axis.path in self.structural:
             return np.arange(part.start, part.stop)

@@ -44,6 +44,7 @@ class _Policy(BaselinePolicy):
     """A baseline that begins anew without being compiled anew."""
 
     def again(self, seed: int) -> None:
+        """Begin an episode with another seed."""
         self.seed, self._memory = seed, None
         self._baseline = baseline(self.play, seed)
 

@@ -173,10 +173,12 @@ def _by_halving(ordered: Sequence[object], wrong: Callable[[object], str]) -> di
 
 
 def _key(value: object) -> str | int | float:
+    """Return a value as the key of a dict, its text if it cannot be one."""
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
 def _described(axis: Axis, bad: Mapping[object, str]) -> list[str]:
+    """Return a line for each bad value of an axis, the first few of them."""
     total = len(axis.values or ())
     lines = [f"{value!r}: {text}" for value, text in list(bad.items())[:MOST_LISTED]]
     if len(bad) > MOST_LISTED:
@@ -211,6 +213,7 @@ def _is_structural(study: Study, axis: Axis, axes: Sequence[Axis]) -> bool:
 
 
 def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...]) -> dict[tuple[int, ...], Group]:
+    """Return a group for each structural choice, by its numbers; raise ScenarioError for choices that fail."""
     listed = study.spec.sampling is not None and study.spec.sampling.type == "list"
     wrong: list[str] = []
     groups = {}
@@ -230,6 +233,7 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
 
 
 def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]) -> Group:
+    """Return the group of a structural choice: the world, and where the varied numbers are in it."""
     if study.spec.policy != BASELINE:
         return make_group(study.content, chosen, numbers, study.spec.precision)
     # Flown one by one from its scenario.
@@ -243,6 +247,7 @@ def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]
 
 
 def _point(values: Mapping[str, object]) -> str:
+    """Return the values of a point as text."""
     return ", ".join(f"{path} = {value!r}" for path, value in values.items())
 
 

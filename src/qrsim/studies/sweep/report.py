@@ -95,6 +95,7 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
 
 
 def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | None:
+    """Return the two parameters of the map: the named ones, or two with several levels; None without."""
     for name in names:
         if name not in results.parameters:
             raise UsageError(f"--map {name}: no parameter is called so{did_you_mean(name, results.parameters)}")
@@ -228,6 +229,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> Content:
 
 
 def _plain(values: object) -> list[float | None]:
+    """Return numbers as a list for JSON, None for those that are not finite."""
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
@@ -269,11 +271,13 @@ def _ranked_by(report: Report) -> str:
 
 
 def _named(results: Results, episode: int) -> Content:
+    """Return the values of an episode by the names that the study gives them."""
     values = results.values_at(episode)
     return {results.spec.vary[path].name or path: value for path, value in values.items()}
 
 
 def _value(value: object) -> str:
+    """Return a value as text of at most 30 characters."""
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 30 else f"{text[:27]}..."
 

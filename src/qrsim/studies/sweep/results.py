@@ -193,6 +193,7 @@ class Results:
         return {name: self._parameter(name) for name in names}
 
     def _parameter(self, name: str) -> Parameter:
+        """Return a parameter of the store: its levels, and which of them each point has."""
         coordinate = self.dataset[name]
         unit = str(coordinate.attrs.get("units", ""))
         numeric = coordinate.dtype.kind in "fiu"

@@ -64,6 +64,7 @@ class VarySpec(Part):
 
     @model_validator(mode="after")
     def _one_way(self) -> VarySpec:
+        """Refuse values given in several ways, or bounds and scale that do not go together."""
         ends = self.low is not None or self.high is not None or self.count is not None
         if (self.values is not None) + (self.conditions is not None) + ends != 1:
             raise ValueError("give either values, or conditions, or low and high")

@@ -102,6 +102,7 @@ class Failsafes:
         return int(link_action(True, int(craft.parameters.values["NAV_RCL_ACT"]))) or HOLD
 
     def _look_at_battery(self, craft: Craft) -> int:
+        """Return the action for a battery level that was just reached, and tell the client."""
         charge, values = craft.seen.charge, craft.parameters.values
         if not charge <= values["BAT_LOW_THR"]:
             return NOTHING
@@ -116,6 +117,7 @@ class Failsafes:
         return asked
 
     def _look_at_fence(self, craft: Craft) -> int:
+        """Return the action for a breach of the fence that has just begun, and tell the client."""
         seen, values = craft.seen, craft.parameters.values
         action = int(values["GF_ACTION"])
         breach, why = beyond(craft) if seen.valid else (Breach.NONE, "")

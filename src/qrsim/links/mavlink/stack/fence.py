@@ -158,5 +158,6 @@ def bad_place(item: Item) -> PlanResult | None:
 
 
 def _point(item: Item, geodesy: Geodesy) -> Point:
+    """Return (north, east) [m] of a fence item in latitude and longitude."""
     north, east, _ = geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, geodesy.height)
     return north, east

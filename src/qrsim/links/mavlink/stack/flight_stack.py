@@ -111,6 +111,7 @@ class FlightStack(Flight):
         return self.craft.thrust_of(throttle)
 
     def _refuse(self, what: str, why: str) -> None:
+        """Warn the client that something is denied, and why."""
         self.craft.say(Severity.WARNING, f"{what} denied: {why}")
 
     def go_to(self, item: Item) -> bool:

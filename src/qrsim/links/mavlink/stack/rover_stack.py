@@ -33,6 +33,7 @@ class Drive(Mission):
         return super().accept(items, craft)
 
     def _stay(self, craft: Craft) -> Order | None:
+        """Return no order: a rover stops by itself where its path ends."""
         return None
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
@@ -86,6 +87,7 @@ class RoverStack(FlightStack):
         return self._stand()
 
     def _stand(self) -> Order | None:
+        """Return the order to stop, once; None after that."""
         if self._stands:
             return None
         self._stands = True

@@ -63,6 +63,7 @@ class WingStack(FlightStack):
         return self._fly()[0] if seen.valid else None
 
     def _end(self, why: str) -> None:
+        """End the run after a crash or a touch-down: disarm and tell the client why."""
         craft = self.craft
         if craft.landed is Landed.ON_GROUND:
             return
@@ -102,6 +103,7 @@ class WingStack(FlightStack):
             self._goal = (goal[0], goal[1], max(self._return_z(), craft.facts.z_min + orbits.BELOW))
 
     def _return_z(self) -> float:
+        """Return z of the return to home [m], down."""
         return self.craft.home_z - self.parameters["RTL_RETURN_ALT"]
 
     def _home_below(self) -> None:

@@ -269,6 +269,7 @@ class Services:
         return next((place for place in places if place[0].rpartition(".")[0] in nets), places[0])
 
     def _forget(self, prefix: bytes) -> None:
+        """Forget a participant and its clients; it is identified by the prefix of its GUIDs."""
         self._peers.pop(prefix, None)
         self._received = {key: value for key, value in self._received.items() if key[0] != prefix}
         self._clients = {guid: service for guid, service in self._clients.items() if guid[:12] != prefix}

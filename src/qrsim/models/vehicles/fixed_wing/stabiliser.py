@@ -80,4 +80,5 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
 
 
 def _within(value: Array, limit: Array | float) -> Array:
+    """Clip values to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)

@@ -122,6 +122,7 @@ def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
 
 @jax.jit
 def _balance(model: Aeroplane, y: Array, flight: Array) -> tuple[Array, Array]:
+    """Return what is missing to steady flight at y, and its derivatives by y."""
     return _missing(y, model, flight), jax.jacfwd(_missing)(y, model, flight)
 
 
@@ -164,6 +165,7 @@ def stall_speed(model: Aeroplane) -> float:
 
 
 def _still() -> Vec3:
+    """Return a zero vector."""
     zero = jnp.zeros(())
     return Vec3(zero, zero, zero)
 

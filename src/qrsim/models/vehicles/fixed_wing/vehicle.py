@@ -174,6 +174,7 @@ class FixedWing(Aeroplane, Vehicle):
 
 
 def _motion_of(state: FixedWingState) -> Motion:
+    """Return the motion of a state, with its origin at the vehicle."""
     zero = jnp.zeros_like(state.airspeed)
     return Motion(Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body)
 

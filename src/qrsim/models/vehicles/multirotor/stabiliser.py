@@ -129,4 +129,5 @@ def _by_axes(inertia: Vec3, vector: Vec3) -> Vec3:
 
 
 def _parts(vector: Vec3) -> tuple[Array, Array, Array]:
+    """Return the three arrays of a vector."""
     return vector.x, vector.y, vector.z

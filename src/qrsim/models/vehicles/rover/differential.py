@@ -162,5 +162,6 @@ class DifferentialRover(Vehicle):
 
 
 def _motion_of(state: DifferentialRoverState) -> _Motion:
+    """Return the motion of a state, with its origin at the vehicle."""
     zero = jnp.zeros_like(state.left)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.left, state.right)
