@@ -90,7 +90,7 @@ class Score:
         self._tell(batch.functional.name, found, kept)
 
     def _makers(self, play: Play) -> dict[str, Any]:
-        """Return what makes each policy, by the policy's name."""
+        """Return a function that makes each policy, by the name of the policy."""
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
 

@@ -97,7 +97,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 
 
 def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problem of ``world.events``, if any, of a scenario that has no other: building its world raises it."""
+    """Yield the problem of ``world.events`` that building the world raises; the scenario has no other problem."""
     if scenario.world.events:
         try:
             build_world(scenario, "float64")
@@ -122,7 +122,7 @@ def _area(scenario: ScenarioSpec, ground: object) -> Any:
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
-    """Return what obstacles do to satellites, and, where somebody jams them, to jammers."""
+    """Return what obstacles hide of satellites and, if there are jammers, of those."""
     found = skyline(scenario)
     jams = any(entry.kind == "jammer" for entry in scenario.world.interference)
     return replace(found, solids=obstacles) if found is not None and jams else found

@@ -72,7 +72,7 @@ def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[Scenari
 
 
 def _tell(file: str, found: BuildingsFile, default: float) -> None:
-    """Warn of buildings without a height, and of what is no building."""
+    """Warn of buildings without a height, and of features that were left out."""
     unread = [building for building in found.buildings if building.unread]
     if unread:
         first, *others = unread
@@ -136,7 +136,7 @@ def _elsewhere(found: BuildingsFile, bounds: object) -> str:
 
 
 def prism_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the prisms whose outlines are no polygons; those of files have been looked at."""
+    """Yield the prisms with an outline that is not a polygon; those of files were checked when they were read."""
     for i, obstacle in enumerate(scenario.world.obstacles):
         if obstacle.type == "prism":
             for name, ring in (

@@ -145,7 +145,7 @@ def _content(file: str) -> Content:
 
 
 def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
-    """Refuse a file that says it has other coordinates than it is taken to have."""
+    """Refuse a file that states other coordinates than it is read with."""
     crs = content.get("crs")
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
@@ -388,7 +388,7 @@ def _levels(properties: Mapping[str, object], *names: str) -> float | None:
 
 
 def _plain(value: object) -> float | None:
-    """Return a finite number that a property is, or None."""
+    """Return the finite number in a property, or None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:

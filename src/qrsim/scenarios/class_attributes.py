@@ -15,7 +15,7 @@ from qrsim.tasks.agents import Axis
 
 
 def is_record(value: Any) -> bool:
-    """Return whether a class is a record: a frozen dataclass that JAX looks into."""
+    """Return whether a class is a record: a frozen dataclass that is a PyTree of JAX."""
     own = vars(value).get("__dataclass_params__") if isinstance(value, type) else None
     if own is None or not own.frozen:
         return False

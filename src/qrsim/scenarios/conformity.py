@@ -216,7 +216,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
 
 
 def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield the required methods of a kind: name, and what is handed in by place and by name; "..." is not known."""
+    """Yield the required methods of a kind: name, positional and named arguments; "..." where they are unknown."""
     contract = CONTRACTS.get(kind)
     if contract is None:
         for name, arguments in CALLS.get(kind, {}).items():
@@ -233,7 +233,7 @@ def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[st
 
 
 def _arguments(component: object, function: Callable[..., object]) -> tuple[list[str], list[str]]:
-    """Return the names of what a method is called with by place and by name."""
+    """Return the names of a method's positional and named arguments."""
     positional: list[str] = []
     named: list[str] = []
     for part in list(inspect.signature(function).parameters.values())[1:]:
@@ -249,7 +249,7 @@ def _arguments(component: object, function: Callable[..., object]) -> tuple[list
 
 
 def _reads(component: object) -> tuple[str, ...]:
-    """Return what a class reads; nothing is known of one whose objects read this or that."""
+    """Return the names in a class's ``reads``; () if only its objects know them."""
     reads = getattr(component, "reads", ())
     return () if isinstance(reads, property) else reads
 
@@ -276,7 +276,7 @@ def _meant(component: type, name: str, method: bool = False) -> str:
 
 
 def _complete(kind: str, component: type) -> None:
-    """Give a class the defaults of its contract that it has not."""
+    """Add to a class the defaults of its contract that it lacks."""
     contract = CONTRACTS.get(kind)
     if contract is None or contract in component.__mro__:
         return

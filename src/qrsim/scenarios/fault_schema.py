@@ -25,7 +25,7 @@ def _first_rotors(value: object) -> object:
 
 
 def _all_of(value: object) -> object:
-    """Return what "all" is of: it is of as much as a vehicle has."""
+    """Return every target that a vehicle has for "all", and any other value unchanged."""
     return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True, "body": True} if value == ALL else value
 
 

@@ -87,13 +87,13 @@ def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator
 
 
 def _in_flight(entry: Content) -> bool:
-    """Return whether an entry can only be a request: faults of a scenario have one number for all fields."""
+    """Return whether an entry can only be injected in flight: by its tick, kind, target or numbers by field."""
     by_field = any(isinstance(value, dict) for value in entry.values())
     return "tick" in entry or entry["kind"] == OK or entry["target"] == LINK or by_field
 
 
 def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequence[str]) -> Iterator[Injection]:
-    """Yield requests with the vehicles that they are of, in the order of their ticks.
+    """Yield requests with the names of their vehicles, by tick.
 
     Raises:
         UsageError: one is not possible.
@@ -176,7 +176,7 @@ def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
 
 
 def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, list[str] | None]]:
-    """Return the fleets that an entry is of, and which of their vehicles; None: all."""
+    """Return the fleets of an entry, and which of their vehicles; None: all."""
     target, vehicles = entry["target"], entry.get("vehicles")
     found, placed = [], set[str]()
     for name, fleet in scenario.spec.fleets.items():

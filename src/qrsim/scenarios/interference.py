@@ -64,7 +64,7 @@ InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PL
 
 
 def interference(scenario: object, ephemeris: Ephemeris) -> Interference | None:
-    """Build what interferes; a jammer without power does not, and None is nothing."""
+    """Build the interference of a world, without jammers of no power; None if nothing is left."""
     kept = _kept(scenario)
     if not kept:
         return None
@@ -100,7 +100,7 @@ def _built(spec: Any, ephemeris: Ephemeris) -> object:
 
 
 def _failing(spec: Any, ephemeris: Ephemeris) -> NumpyArray:
-    """Return which satellites (S,) an outage is of."""
+    """Return which satellites (S,) an outage silences, bool."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
     return np.array([name in names or letter in systems for name, letter in pairs])

@@ -26,7 +26,7 @@ SAME_PLACE = 0.01
 
 
 def limits_of(guidance: Any) -> Limits:
-    """Return what the paths of a fleet may ask for, as its guidance says."""
+    """Return the limits of speed and acceleration of a fleet's paths, from its guidance."""
     return Limits(
         acceleration=guidance.acceleration,
         jerk=guidance.jerk,
@@ -79,7 +79,7 @@ class _Author:
         return parts
 
     def _own(self, spec: LegSpec) -> Content:
-        """Return what every leg says about speed and heading."""
+        """Return speeds, heading and radius of acceptance of a leg, which all kinds of leg share."""
         facing = tuple(spec.facing_ned) if spec.facing_ned else None
         speed = spec.speed or self.guidance.speed
         own = {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "climb": spec.climb_speed}
@@ -113,7 +113,7 @@ class _Author:
     def _down_to(
         self, north: float, east: float, spec: LandLeg | ReturnLeg, where: str, hold: float = 0.0
     ) -> list[Leg]:
-        """Return the way to above a place, and down."""
+        """Return the legs to above a place, and down to the ground."""
         down = self.ground_down(north, east)
         if not self.can_stand:
             self.problems.append(
@@ -141,7 +141,7 @@ class _Author:
         return self._circle(centre, spec)
 
     def _circle(self, centre: tuple[float, ...], spec: LoiterLeg) -> list[Leg]:
-        """Return the way to a circle and the circle; it begins where it is next to where the vehicle comes from."""
+        """Return the leg to the nearest point of a circle, and the circle."""
         north, east = self.place[0] - centre[0], self.place[1] - centre[1]
         first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
         radius = abs(spec.radius)
@@ -168,7 +168,7 @@ class _Author:
 
 
 def _short(path: str) -> str:
-    """Return the end of a path, such as legs.3."""
+    """Return the last two parts of a path, such as legs.3."""
     return ".".join(path.split(".")[-2:])
 
 

@@ -116,7 +116,7 @@ class _Places:
         self.on_ground = False
 
     def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
-        """Return the points a function gives; where something is wrong, keep that and return none."""
+        """Return the points of a function; if it raises UsageError, note the problem and return none."""
         try:
             return convert()
         except ScenarioError as error:
@@ -126,7 +126,7 @@ class _Places:
         return []
 
     def _place(self, site: SiteSpec) -> SiteSpec:
-        """Return a site in numbers: those of the home of its plan, where it has one."""
+        """Return the site in numbers, those of its plan's home if it has a plan."""
         homes = self._attempt("site.plan", lambda: [home_of(site)]) if site.plan else []
         for latitude, longitude, height in homes:
             named = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": height, "plan": None}
@@ -332,7 +332,7 @@ class _Places:
         return corners
 
     def warn(self) -> None:
-        """Tell what is not flown: one warning for each kind of item of each plan, one for all that change no path."""
+        """Warn of items of plans that are not flown, one warning for each kind and plan."""
         for file, plan in {**self.fences, **self.flown}.items():
             by_route = file in self.by_route
             notes = [note for note in plan.ignored if note.item is None or file in self.flown]

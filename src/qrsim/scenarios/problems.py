@@ -188,7 +188,7 @@ class _Fault:
         return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
 
     def _swapped(self) -> str:
-        """Return a hint where a latitude is one beside which there is no longitude but a latitude."""
+        """Return a hint that latitude and longitude are swapped; "" if they are not."""
         if self.path[-1] != "latitude_deg" or not isinstance(self.beside, dict):
             return ""
         return swapped_hint(self.details["input"], self.beside.get("longitude_deg"))
@@ -296,7 +296,7 @@ def _given(annotation: object) -> Any:
 
 
 def _bare(annotation: object) -> object:
-    """Return a type without what Annotated says about it, and without null."""
+    """Return a type without its Annotated metadata and without null."""
     annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
@@ -325,13 +325,13 @@ def _rules(annotation: object) -> list[object]:
 
 
 def _slot(annotation: object) -> type[Slot] | None:
-    """Return the slot that a place is, None where it is none."""
+    """Return the ``Slot`` that an annotation contains, None if it contains none."""
     bare = _bare(annotation)
     return bare if isinstance(bare, type) and issubclass(bare, Slot) else None
 
 
 def _models(annotation: object) -> list[type[BaseModel]]:
-    """Return the parts of a scenario that may stand in a place; none for a number, a list or a mapping."""
+    """Return the pydantic models that an annotation allows; [] for a number, a list or a mapping."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if slot := _slot(annotation):

@@ -64,7 +64,7 @@ def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[
 
 
 def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[str]:
-    """Yield why a guidance that knows of whom its radio has heard would never hear of anybody."""
+    """Yield guidances with ``knows: heard`` in fleets that cannot receive anything."""
     guidance = f"{path}.guidance.knows: 'heard' is by radio"
     if network is None:
         yield f"{guidance}, and there is no world.radio; give one, or knows: all"
@@ -78,7 +78,7 @@ def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[s
 
 
 def _times(network: Network, dt: float) -> Iterator[str]:
-    """Yield what does not fit into a period, or into a slot."""
+    """Yield delays and packets that do not fit into a period or a slot of the radio."""
     mac, air = network.mac, network.air_time
     path = "world.radio.mac"
     if not is_multiple(mac.period, dt):

@@ -210,7 +210,7 @@ def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
 
 
 def _heirs(scenario: ScenarioSpec, path: str) -> Iterator[Path]:
-    """Yield where in a World a number is that is taken from this one."""
+    """Yield the places in a World of numbers that are inherited from this one."""
     parts = path.split(".")
     if parts[0] == "fleets" and parts[2] == "faults":
         fleet = list(scenario.fleets).index(parts[1])

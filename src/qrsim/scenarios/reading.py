@@ -45,7 +45,7 @@ def read_scenario(source: str | Path | Content) -> tuple[str, Content]:
 
 
 def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, Content]:
-    """Read a source that ``children``, as (identity, what to call it), extend, the first of them the user's."""
+    """Read a source that ``children`` (identity, label) extend, the first of them the user's; refuse a circle."""
     identity, folder = _origin(source)
     name = "scenario" if isinstance(source, dict) else source
     if identity in (known for known, _ in children):
@@ -191,7 +191,7 @@ def anchor_files(content: Content, folder: Path) -> None:
 
 
 def _with_plans(content: Content) -> Iterator[object]:
-    """Yield the site and the vehicles, whatever the user gave for them."""
+    """Yield the parts of a content that may name a plan: the site and each vehicle."""
     yield content.get("site")
     fleets = content.get("fleets")
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -270,7 +270,7 @@ def apply_override(content: Content, assignment: str) -> None:
 
 
 def _without_a_space(value: object) -> str | None:
-    """Return a key such as 'type:gnss' of {type:gnss}, which was meant as a key and its value; None: there is none."""
+    """Return a key such as 'type:gnss', which lacks the space before its value; None if there is none."""
     if isinstance(value, list):
         return next(filter(None, map(_without_a_space, value)), None)
     if not isinstance(value, dict):
@@ -323,7 +323,7 @@ def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
 
 
 def _check_name(target: Content, parts: list[str], depth: int, assignment: str) -> None:
-    """A mistyped fleet or sensor would otherwise be made, and complained about for what it lacks."""
+    """Raise UsageError for a fleet or sensor that is not in the scenario, which an override would create."""
     is_fleet = depth == 1 and parts[0] == "fleets"
     is_sensor = depth == 3 and parts[0] == "fleets" and parts[2] == "sensors" and parts[4:] != ["type"]
     if (is_fleet or is_sensor) and parts[depth] not in target:

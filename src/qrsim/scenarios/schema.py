@@ -324,7 +324,7 @@ class RangeSpec(Strict):
 
 
 def _only_in_a_source(value: object) -> object:
-    """Whoever reads a scenario takes the key out; what arrives here comes too late."""
+    """Refuse a key that only a scenario's source may have: reading a scenario removes it."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 
 

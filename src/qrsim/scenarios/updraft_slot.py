@@ -35,7 +35,7 @@ def updraft_slot(choices: Mapping[str, type]) -> object:
 
 
 def footprint(solid: BoxObstacle | CylinderObstacle | PrismObstacle) -> Footprint:
-    """Return an obstacle as an updraft sees it."""
+    """Return the outline [m] and the heights of an obstacle, for updrafts at its sides."""
     heights = float(solid.z_min), float(solid.z_max)
     if isinstance(solid, CylinderObstacle):
         return Footprint(np.array([[float(solid.x), float(solid.y)]]), float(solid.radius), *heights)

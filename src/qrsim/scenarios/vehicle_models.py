@@ -90,7 +90,7 @@ SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
 
 
 def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
-    """Return a multirotor with its parameters in place of what stands for them.
+    """Return a multirotor's content with the parameters that its model, preset or numbers imply.
 
     Raises:
         UsageError: its message begins with the path below the vehicle.
@@ -112,7 +112,7 @@ def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
 
 
 def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
-    """Give a cascade, in place, the gains that a vehicle can follow which leans as fast as it does, where none are."""
+    """Set, in place, the missing gains of a cascade, as fast as the vehicle can lean."""
     controller = fleet.setdefault("controller", {"type": "cascade"})
     if isinstance(controller, dict) and controller.get("type") == "cascade":
         controller.setdefault("position_gain", min(1.2, attitude_bandwidth / 7.0))

@@ -63,7 +63,7 @@ def voltages(fleet: FleetSpec) -> NumpyArray:
 
 
 def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
-    """Return what a fleet holds; None where its vehicle takes no tilt, or is from outside and has no envelope."""
+    """Return the wind that a fleet can hold; None if its vehicle takes no tilt or has no envelope."""
     size = len(fleet.vehicles)
     try:
         vehicle = vehicle_of(fleet, scenario)
@@ -151,7 +151,7 @@ def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield for each fleet that flies what steady airspeed it holds, and the wind where it is to fly."""
+    """Yield a line for each flying fleet: the steady airspeed that it holds, and the wind along its route."""
     for name, fleet in scenario.fleets.items():
         limits = limits_of(fleet, scenario)
         if limits is None:

@@ -90,7 +90,7 @@ def _most_frames(recording: Recording) -> int:
 
 
 def _frames(recording: Recording) -> int:
-    """Return how many frames a film would have that may have any number."""
+    """Return the number of frames of a film at its usual rate, without a maximum."""
     return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 

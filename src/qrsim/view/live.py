@@ -92,7 +92,7 @@ class LiveView:
         return len(self._server.get_clients())
 
     def wait_for(self, what: str) -> None:
-        """Say on a page without a world what it waits for."""
+        """Show on a page without a world the thing that it waits for."""
         if self._page is not None:
             return
         if self._waiting is None:
@@ -181,7 +181,7 @@ class LiveView:
             self._world = simulation.world
 
     def ask(self, request: Request) -> None:
-        """Have something done at the next tick; returns at once."""
+        """Queue a request for the next tick; returns at once."""
         self._asked.append(request)
         if self.clock is not None and not self.clock.playing:
             self.note("Asked for; it acts from the next tick on.")
@@ -239,7 +239,7 @@ class LiveView:
         return due
 
     def _draw(self, offered: _Offered, row: int, span: float) -> int:
-        """Draw the state whose turn it is of those that came in a time ``span`` [s], and return its number."""
+        """Draw the state that is due of those offered, which came in ``span`` [s], and return its number."""
         assert self._page is not None
         share = (time.perf_counter() - offered.arrived + FRAME_S) / max(span, FRAME_S)
         now = min(offered.count - 1, max(0, int(share * offered.count) - 1))

@@ -117,7 +117,7 @@ class Overlay:
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
-        """Let pages begin where they are told to, in place of where all vehicles are seen."""
+        """Let pages begin with the camera of the scene, not with a view of all vehicles."""
         self._data["frame"] = False
         self._send()
 

@@ -77,7 +77,7 @@ class Paths(Layer):
         self._changed = set(range(len(self._points)))
 
     def _keep_corner(self, time: float) -> None:
-        """Let what was the tip be a corner; a piece that is full, or long enough, is the newest no more."""
+        """Make the tip a corner, and begin a new piece if the newest is full or long enough."""
         self._known, self._corner_at = self._known + 1, time
         if self._known > self._corners or time - self._from[self._newest] >= self._piece_s * (1.0 - 1e-6):
             tip = self._points[self._newest, -1]
@@ -87,7 +87,7 @@ class Paths(Layer):
             self._changed.add(self._newest)
 
     def _forget(self) -> None:
-        """Let pieces vanish that ended more than a minute ago."""
+        """Remove pieces that ended more than a minute ago."""
         assert self._time is not None
         for number in np.flatnonzero(np.isfinite(self._to) & (self._to < self._time - LENGTH_S)).tolist():
             self._points[number], self._to[number] = self._points[number, -1], -np.inf
@@ -134,7 +134,7 @@ class Routes(Layer):
     every = 1000.0
 
     def begin(self) -> None:
-        """Add them all as one node; they stay where they are."""
+        """Add all routes as one node."""
         pairs = [np.stack([route[:-1], route[1:]], axis=1) for route in self.stage.cast.routes]
         legs = np.concatenate(pairs).astype(np.float32)
         colours = np.repeat(shapes.linear(self.stage.colours), [len(own) for own in pairs], axis=0)

@@ -137,7 +137,7 @@ class Scene:
         layer.draw(self.frame)
 
     def _strained(self) -> float:
-        """Return how many times less often than usual things beside the vehicles are drawn, for slow links."""
+        """Return the factor by which slow links reduce how often layers besides the vehicles are drawn."""
         self._strain = min(MOST_STRAIN, max(1.0, self.lag_s() / LAG_S, STRAIN_LEFT * self._strain))
         return self._strain
 
@@ -191,7 +191,7 @@ class Scene:
 
 
 def _span(cast: Cast) -> float:
-    """Return how large vehicles are drawn at first [m]."""
+    """Return the size [m] in which vehicles are drawn at first."""
     largest = LARGEST_SPAN
     if cast.size > MANY:
         room = float(np.sqrt(np.prod(np.ptp(cast.start_ned[:, :2], axis=0)) / cast.size))

@@ -53,7 +53,7 @@ class Timeline:
         self._run("time", f"window.qrsimTime?.({time:.3f}, {playing}, {self._clock.speed:g})")
 
     def wish(self, wish: object) -> None:
-        """Do what a browser asks for; nonsense is not heard."""
+        """Seek, play, pause or change the speed as a browser requests; malformed requests are ignored."""
         if not isinstance(wish, dict):
             return
         time, clock = wish.get("time"), self._clock

@@ -197,7 +197,7 @@ class Check:
 
 
 def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> RunError | None:
-    """Return why there is no picture: the numbers of a long check must not be lost with it."""
+    """Draw the picture; return the error, if any, so that a failure does not lose the numbers of a check."""
     from qrsim.apps.check.picture import save_picture
 
     try:

@@ -60,7 +60,7 @@ class Row:
 
 
 def consistency(flown: Rollout) -> list[Row]:
-    """Return a row for each block of errors of which something is stated, [] where no estimator states anything."""
+    """Return a row for each block of errors with a stated covariance, [] if no estimator states one."""
     found = []
     for name, metric in ROWS.items():
         values = np.asarray(flown[metric], np.float64)

@@ -153,7 +153,7 @@ def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
 
 
 def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[NumpyArray, NumpyArray]:
-    """Return the (T, 5) values and the (T,) lines, or name the first fault."""
+    """Return the (T, 5) values and their (T,) line numbers; raise UsageError for the first fault."""
     reader = CsvRows(io.StringIO(_decode(path, content), newline=""))
     # Flat arrays: a million small lists would keep the garbage collector busy.
     numbers, lines = array("d"), array("q")

@@ -247,7 +247,7 @@ class Run:
 
 
 def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | None]:
-    """Return where the figure is, or why there is none: the numbers of a long run must not be lost with it."""
+    """Draw the figure; return its path, or the error, so that a failure does not lose the numbers of a run."""
     from qrsim.runs.figure import save_figure
 
     try:
