@@ -83,6 +83,7 @@ class _Cluster:
         return [node for number, node in self.inside.items() if number in needed]
 
     def _fits(self, node: Node) -> bool:
+        """Return whether a node can be computed row by row: same last axis, no reduction across rows."""
         domain = node.domain
         return (
             bool(domain)
@@ -92,6 +93,7 @@ class _Cluster:
         )
 
     def _with_what_they_need(self, nodes: Iterable[Node]) -> set[int]:
+        """Return the numbers of nodes and of all nodes of the cluster that they depend on."""
         found: set[int] = set()
         stack = list(nodes)
         while stack:
