@@ -173,7 +173,7 @@ class FixedWingController(Controller):
         return self.l1_period * self.l1_damping / math.pi * over_ground
 
     def _turned(self, speed: Array, eta: Array) -> Array:
-        """Return the acceleration (n,) [m/s^2] to the right for an angle (n,) [rad] to what is flown to."""
+        """Return the acceleration to the right (n,) [m/s^2] of the L1 law for an angle (n,) [rad] to the goal."""
         sine = sincos(jnp.clip(eta, -0.5 * math.pi, 0.5 * math.pi))[0]
         return 4.0 * self.l1_damping * self.l1_damping * speed * speed / self._reach(speed) * sine
 

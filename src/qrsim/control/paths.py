@@ -385,5 +385,5 @@ def _facing(table: Any) -> Facing:
 
 
 def renumbered(legs: Sequence[Leg], number: int) -> list[Leg]:
-    """Return the parts of what is one leg to its author."""
+    """Return parts of one leg of a mission with the number of the leg, the last part marked."""
     return [replace(leg, number=number, last=i == len(legs) - 1) for i, leg in enumerate(legs)]

@@ -211,7 +211,7 @@ def _blamed(team: str, call: Callable[[], T]) -> T:
 
 
 def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[str]) -> None:
-    """Add what a policy asks of a fleet or vehicle, or of single vehicles of its fleet, to what all ask."""
+    """Add the commands of one policy to ``asked``; refuse vehicles of others and a second command."""
     each = theirs if isinstance(theirs, Mapping) else {team: theirs}
     for name, command in each.items():
         if name not in names:

@@ -224,7 +224,7 @@ class _Side:
         self._arrays: dict[str, NumpyArray] = {}
 
     def fill(self) -> bool:
-        """Read on where nothing is left; return whether there is something."""
+        """Read the next rows if none are left; return whether there are any."""
         while not len(self.keys):
             batch = next(self._batches, None)
             if batch is None:

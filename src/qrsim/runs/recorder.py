@@ -219,7 +219,7 @@ def fly(
 
 
 def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
-    """Return who judges the flight, None for a scenario without a task."""
+    """Return the referee of the task, None for a scenario without one."""
     if not scenario.steps:
         return None
     # Imported here, because most runs have none.
@@ -232,7 +232,7 @@ def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
 
 @contextmanager
 def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Iterator[None]:
-    """Note the score of what is flown meanwhile, also of a flight that is interrupted."""
+    """Note the score of the flight in this context, also if it is interrupted."""
     try:
         yield
     except KeyboardInterrupt:

@@ -111,7 +111,7 @@ def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
 
 
 def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any, str, str]]:
-    """Return what vehicles with electric motors take, as ``_tree`` does, without columns that there are."""
+    """Return thrust, power and voltage of electric vehicles, as ``_tree`` does, without existing columns."""
     if not fleet.vehicle.gives_power:
         return []
     load = _load(fleet.vehicle, state.vehicle)
@@ -323,7 +323,7 @@ class EventFinder:
         return found
 
     def _persons(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return who was found, by the vehicle that was nearest."""
+        """Return the events of found persons, each with row and nearest vehicle."""
         persons = history.state.contents.persons
         if persons is None:
             return []
@@ -338,7 +338,7 @@ class EventFinder:
         return found
 
     def _landings(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return who has come to stand on the ground, or has left it."""
+        """Return the events of landings and take-offs, each with row and vehicle."""
         found, first = [], 0
         for number, (fleet, state) in enumerate(zip(self.world.fleets, history.state.fleets, strict=True)):
             standing = on_ground(fleet, state)

@@ -291,13 +291,13 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
 
 
 def _estimated(estimator: str) -> dict[str, str]:
-    """Return what an estimator needs, and for each quantity a sensor that measures it."""
+    """Return the quantities that an estimator needs, each with a sensor that measures it."""
     kind = known.FILTERS[estimator]
     return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
 
 
 def _quantity(sensor: str) -> str:
-    """Return what a kind of sensor measures."""
+    """Return the quantity that a type of sensor measures."""
     return next(quantity for quantity, types in PROVIDED.items() if sensor in types)
 
 

@@ -178,7 +178,7 @@ TIMES = ("start", "end", "at")
 
 
 def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | int, ...]]:
-    """Return where a Fleet has a number of one of its faults that an episode may draw; nowhere if it may not."""
+    """Return the paths in a Fleet of a number of one of its faults that an episode may draw; [] for others."""
     chosen = fleet.faults[number]
     place = sum(isinstance(fault, type(chosen)) for fault in fleet.faults[:number])
     if not isinstance(chosen, FaultSpec):
@@ -192,7 +192,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
 
 
 def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
-    """Return what of a fleet may be made to fail in flight; of all, what it has.
+    """Return the targets of a fleet that may fail in flight, with "all" replaced by those it has.
 
     Args:
         fleet: of a scenario.

@@ -196,7 +196,7 @@ def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, l
 
 
 def _targets(scenario: Scenario) -> list[str]:
-    """Return what may fail in any fleet."""
+    """Return the names of all targets that may fail in any fleet."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
     rotors = [f"rotor {i}" for i in range(max(map(rotors_of, fleets)))]

@@ -109,7 +109,7 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
 
 
 def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
-    """Return whether a number is structural; the class of its component says so."""
+    """Return whether a number is a setting of its component, which is compiled."""
     parts = path.split(".")
     for depth in range(len(parts) - 1, 0, -1):
         spec, _ = _value_at(scenario, parts[:depth])

@@ -51,7 +51,7 @@ def _written(value: object) -> object:
 
 
 def insert_vehicle_models(content: Content, source: str) -> list[str]:
-    """Replace, in place, what names or derives the parameters of each multirotor by these; others beside it count.
+    """Replace, in place, model, own numbers and geometry of each multirotor by the parameters they imply.
 
     That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
 

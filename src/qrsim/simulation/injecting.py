@@ -320,7 +320,7 @@ class Injecting(Alone):
             self.world, self._ticks = world, OneWorld(world)
 
     def _note(self, injection: Injection) -> bool:
-        """Keep an injection in place of those of its target and vehicles; return False for an end of nothing."""
+        """Keep an injection in place of earlier ones of its target and vehicles; return False if it ends none."""
         kept, ended, concerned = [], False, set(injection.vehicles)
         for one in self._injections:
             left = one.vehicles

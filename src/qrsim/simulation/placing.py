@@ -74,7 +74,7 @@ def _vehicles(fleet: Fleet, rows: Any) -> Any:
 
 
 def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
-    """Return the fleets with what is wrong with each vehicle that was placed."""
+    """Return the states of the fleets with the violation of each vehicle that was placed."""
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
     collided = collisions(together, world.collision_distance, world.radii)
     checked, first = [], 0

@@ -136,7 +136,7 @@ def of_all(sides: tuple[Side, ...], values: Any) -> Array:
 
 
 def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
-    """Return what one agent sees, leaves (B, ...), of what all do: leaves (B, n, ...), of several fleets by fleet."""
+    """Return one agent's observation, leaves (B, ...), from that of all, leaves (B, n, ...), by fleet if several."""
     side = side_of(sides, number)
     mine = seen if len(sides) == 1 else seen[side.fleet]
     return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)

@@ -36,7 +36,7 @@ class CoverageGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def centroid(self, position_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the centroids [m] north and east (n,) of the vehicles' parts; of who has none, where it is."""
+        """Return north and east (n,) [m] of the centroid of each vehicle's cell; without one, its position."""
         middle = (jnp.arange(self.cells, dtype=position_ned.x.dtype) + 0.5) / self.cells
         (south, far_north), (west, far_east) = (
             [jnp.atleast_1d(edge)[None] for edge in edges]

@@ -255,7 +255,7 @@ class Emitter(Loops):
             self.copy(access, shape, moved)
 
     def _running(self, node: Node) -> None:
-        """Write what becomes of the elements before each one along an axis, itself included."""
+        """Write a cumulative operation along an axis, such as a running sum."""
         axis, backwards, how = node.attributes
         self.open_scope(node.shape)
         lanes, (last, dtype) = self._lanes_of(node), (node.shape[axis] - 1, node.dtype)

@@ -90,7 +90,7 @@ class Loops(Writer):
         return True
 
     def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
-        """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
+        """Return a value, but for the worlds in the mask ``keep`` the one that is in memory at ``to``."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
         value = self.widened((value, lanes), dtype, self.lanes)

@@ -57,7 +57,7 @@ class Neighbours:
     # Who is near anybody
 
     def _near(self, node: Node) -> tuple[str, str]:
-        """Write who has somebody near; return where their numbers lie and how many there are."""
+        """Write the list of points that may have a neighbour; return the addresses of the list and of its length."""
         writer, count, lanes = self.writer, node.shape[0], self.writer.lanes
         words = 1 << (_BITS_FOR_A_POINT * count // 32 - 1).bit_length()
         marks, near = self._memory(8 * words), self._memory(4 * (count + lanes))
@@ -176,7 +176,7 @@ class Neighbours:
         self.do(f"call void @llvm.memset.p0.i64(ptr {place}, i8 {byte}, i64 {size}, i1 false)")
 
     def _measure(self, reach: str) -> None:
-        """Compute what turns a coordinate into cubes."""
+        """Write the factor that scales a coordinate to cubes, from the reach."""
         smallest = literal(_SMALLEST_WIDTH if self.dtype.itemsize == 8 else np.float32(_SMALLEST_WIDTH), self.dtype)
         factor = literal(_WIDTH_IN_REACHES if self.dtype.itemsize == 8 else np.float32(_WIDTH_IN_REACHES), self.dtype)
         width = self.emit(f"fmul {self.of} {reach}, {factor}")

@@ -205,7 +205,7 @@ class Draft:
         self._place_carries()
 
     def _place_carries(self) -> None:
-        """What a while hands from turn to turn lies where its results do, and so do the changes made in place."""
+        """Place the carries of while loops, and values changed in place, in the memory of their results."""
         for node in all_nodes([*self.prologue, *self.body]):
             if node.op == "while":
                 for carry, output in zip(*node.attributes, strict=True):

@@ -269,7 +269,7 @@ class Arena:
 
 
 def readers(steps: list[Step]) -> dict[int, list[Reading]]:
-    """Return for each node number who reads it."""
+    """Return for each node number the steps and nodes that read it."""
     found: dict[int, list[Reading]] = defaultdict(list)
     for i, step in enumerate(steps):
         for reader, access in step.accesses:

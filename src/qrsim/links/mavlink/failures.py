@@ -62,7 +62,7 @@ class Failures:
         self._fleet = next(fleet for fleet in simulation.world.fleets if name in fleet.vehicle_names)
 
     def inject(self, unit: int, kind: int, instances: Sequence[int], critical: float) -> tuple[Result, str]:
-        """Let something fail, and return the answer and what to say.
+        """Inject a failure that a client requests; return the result and a text for it.
 
         Args:
             unit: FAILURE_UNIT.

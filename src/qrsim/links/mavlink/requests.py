@@ -49,7 +49,7 @@ def data_stream(system: System, link: Link, frame: Frame) -> None:
 
 
 def _number(value: float) -> int:
-    """Return the number of a message that a command names; -1 for what is none."""
+    """Return the parameter of a command as the number of a message; -1 if it is not a number."""
     return int(value) if math.isfinite(value) and abs(value) < 2**24 else -1
 
 

@@ -67,7 +67,7 @@ class SimWind:
         return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
 
     def ask(self, speed: float, bearing: float, constant: float, asked_by: str) -> None:
-        """Let the wind change; raises UsageError where it cannot be like that, and nothing has changed."""
+        """Let the wind approach a speed [m/s] and bearing [deg]; raise UsageError, without a change, if too fast."""
         most = wind_limit(self._simulation.world)
         if speed > most:
             raise UsageError(f"{speed:g} m/s; allowed: 0 to {most:g} m/s")
@@ -79,7 +79,7 @@ class SimWind:
             table["SIM_WIND_SPD"], table["SIM_WIND_DIR"] = speed, bearing
 
     def again(self) -> None:
-        """Let it be what the parameters say, after a reset, which ends shoves."""
+        """Apply the wind parameters again after a reset, and end all shoves."""
         self.now = self._of_world()
         for _, values in self.shoves.values():
             values["SIM_SHOVE_TIME"] = 0.0
@@ -132,7 +132,7 @@ class SimParameters:
         craft.parameters.changed = self._changed
 
     def _changed(self, name: str) -> bool:
-        """Do what a parameter says now; return whether that can be done, and say why not."""
+        """Apply a parameter that has changed; return whether it could be applied, and tell the client why not."""
         values, family = self._values, name.split("_")[1]
         try:
             if family == "WIND":
@@ -150,7 +150,7 @@ class SimParameters:
         return True
 
     def again(self) -> None:
-        """Do again what the parameters say, after a reboot or a reset, which end faults."""
+        """Apply all parameters again after a reboot or a reset, which end faults."""
         self._faults.clear()
         self._air.shoves.pop(self._name, None)
         self._values["SIM_SHOVE_TIME"] = 0.0

@@ -123,7 +123,7 @@ class FlownWorld:
                     stack.parameters.set(name, value)
 
     def _warm(self) -> None:
-        """Compile what is flown, and what puts a vehicle back."""
+        """Compile the programs of flight and of restarts before the first tick."""
         self.simulation.advance(self._latches.actions())
         self.simulation.set_state(np.full_like(self.simulation.truth.state, np.nan))
         self.simulation.reset()

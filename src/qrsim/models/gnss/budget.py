@@ -163,5 +163,5 @@ def _stepped(
 
 
 def one_for_all(draw: Draw) -> Draw:
-    """Return the draw (1,) of what all satellites of a stream share."""
+    """Return the draw (1,) for errors that all satellites of a stream share."""
     return draw.alone(ALL)

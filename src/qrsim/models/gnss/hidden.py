@@ -57,7 +57,7 @@ class Tracking:
 
     @property
     def held(self) -> Array:
-        """Time [s] (K, n) that counts for the weight, 0 of what is blocked."""
+        """Time [s] (K, n) since each satellite was last blocked, for its weight; 0 while it is blocked."""
         return jnp.where(self.since < AWAY, 0.0, self.since)
 
     @property

@@ -333,7 +333,7 @@ class GnssReceiver(Sensor):
 
 
 def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the solution of receivers (n,), the true position and what the solution leaves out, as a state has them.
+    """Return a solution (n,) in a state's parts: rounded position, true position, and the rounded-off rest.
 
     From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
     """

@@ -166,7 +166,7 @@ class SlottedSky(Sky):
         return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
 
     def _knot(self, state: SkyState, draw: Draw) -> tuple[object, ...]:
-        """Advance to a knot: what was to come is here, and the next one is computed."""
+        """Advance to a knot: the next one becomes the present one, and a new next one is computed."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
         here = memory.after_ned
         ahead = self.orbits.positions_ned(*split_time(tick + self.knot_ticks, self.time_step, draw.like.dtype))

@@ -165,7 +165,7 @@ def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
 def _disturbance(
     network: Channel, power: Array, begin: Array, sends: Array, there: Array, comes: Array
 ) -> tuple[Array, Array]:
-    """Return the power (K, n) [mW] of all others while a packet comes in, and who sends itself then."""
+    """Return the power (K, n) [mW] of other packets during each packet, and whether its receiver sends then."""
     air, period = network.air_time, network.mac.period
     theirs = begin.at[there].get(mode="promise_in_bounds")
 

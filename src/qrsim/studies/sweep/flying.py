@@ -80,7 +80,7 @@ def _function(what: str, source: str, digest: str) -> Any:
 
 
 def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
-    """Return the user's metrics of a job, and what each of its numbers is of an episode."""
+    """Return the user's metrics object of a job, and its ``Metric`` by name."""
     from qrsim.studies.sweep.study import OWN
 
     if job.own_metrics is None:

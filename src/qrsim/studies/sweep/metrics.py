@@ -83,7 +83,7 @@ def _end_error(found: Found) -> NumpyArray:
 
 
 def _of_narrowest(margin: str, part: str) -> Callable[[Found], NumpyArray]:
-    """Return what gives a part of the narrowest margin: its time or leg, or the number of the vehicle."""
+    """Return a function for a part of the narrowest margin: its time or leg, or the number of the vehicle."""
 
     def of(found: Found) -> NumpyArray:
         values = np.asarray(found[f"{margin}_m"], np.float64)

@@ -24,7 +24,7 @@ EXAMPLE = "numbers = {'speed_max_m_s': {'unit': 'm/s', 'doc': 'largest speed', '
 
 
 def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
-    """Load a user's metrics, and say what each of its numbers is of an episode.
+    """Load a user's metrics object; return it and its ``Metric`` by name.
 
     Args:
         source: FILE.py:NAME, MODULE:NAME, or a registered name of kind ``metric``.
@@ -59,7 +59,7 @@ def _metric(source: str, name: str, about: object) -> Metric:
 
 
 def _episode(source: str, name: str, reduce: Callable[..., NumpyArray]) -> Callable[[Found], NumpyArray]:
-    """Return what makes a number of each episode (W,) of those of its vehicles (W, n), or of itself."""
+    """Return a function that reduces a number of vehicles (W, n) to episodes (W,), or returns one that is (W,)."""
 
     def of(found: Found) -> NumpyArray:
         if name not in found:

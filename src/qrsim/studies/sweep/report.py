@@ -260,7 +260,7 @@ def print_report(report: Report, folder: Path) -> None:
 
 
 def _ranked_by(report: Report) -> str:
-    """Return by what the worst episodes are the worst."""
+    """Return the metrics that rank the worst episodes, in words."""
     parts = []
     for metric, low_is_bad in report.ranking.items():
         unit = report.results.unit(metric)

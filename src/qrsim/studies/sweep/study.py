@@ -170,7 +170,7 @@ class Study:
     own_metrics: dict[str, Metric] = field(default_factory=dict)
 
     def metric(self, name: str) -> Metric:
-        """Return what is known of a metric of the study."""
+        """Return a metric of the study by name: the user's, else the built-in one."""
         return self.own_metrics[name] if name in self.own_metrics else METRICS[name]
 
     @property
@@ -312,7 +312,7 @@ def _thinned(values: list[object], most: int) -> list[Any]:
 
 
 def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
-    """Load the user's metrics of a study, and see that it names what there is."""
+    """Load the user's metrics of a study; raise UsageError for metrics that do not exist."""
     _, own = own_metrics(source)
     for name in [*spec.metrics, spec.failure.metric]:
         if name not in METRICS and name not in own:

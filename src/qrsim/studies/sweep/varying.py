@@ -24,7 +24,7 @@ class Condition(str):
     settings: dict[str, object]
 
     def __new__(cls, name: str, settings: dict[str, object]) -> Condition:
-        """Return the name, which knows what it sets."""
+        """Return the name of a condition as a string with its settings."""
         made = super().__new__(cls, name)
         made.settings = settings
         return made

@@ -114,7 +114,7 @@ def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
 
 
 def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
-    """Return how many corners a polygon has that begins at an item, and what is wrong with them."""
+    """Return the number of corners of a polygon that begins at an item, the result, and the item at fault."""
     begin = items[first]
     count = begin.params[0]
     if not (math.isfinite(count) and count == int(count) and 3 <= count <= MOST_ITEMS):

@@ -219,9 +219,9 @@ class FlightStack(Flight):
         return self.failsafes.fence()
 
     def texts(self) -> list[Text]:
-        """Return what there is to say since the last call."""
+        """Return the texts for clients since the last call."""
         return self.craft.texts()
 
     def events(self) -> list[Event]:
-        """Return what has changed since the last call."""
+        """Return the events since the last call."""
         return self.craft.events()

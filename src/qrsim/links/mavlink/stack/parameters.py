@@ -160,7 +160,7 @@ class Parameters:
         return self._index[name]
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return what is known of a parameter, None where there is none of that name."""
+        """Return the entry of a parameter by name, None if there is none."""
         return self._table.get(name)
 
     def set(self, name: str, value: float, type: int | None = None) -> Outcome:

@@ -95,7 +95,7 @@ def _bad_numbers(item: Item, total: int) -> PlanResult | None:
 
 
 def has_place(item: Item) -> bool:
-    """Return whether an item says a latitude and longitude; (0, 0) does not, nor do numbers that are not set."""
+    """Return whether an item has a latitude and longitude; (0, 0) and unset numbers do not count."""
     unset = (UNSET_INT, -UNSET_INT - 1)
     return item.x not in unset and item.y not in unset and not (item.x == 0 and item.y == 0)
 

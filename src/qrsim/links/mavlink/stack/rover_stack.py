@@ -136,7 +136,7 @@ class RoverStack(FlightStack):
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; what ends a flight on the ground has a rover stand."""
+        """Change the mode; for modes that a rover lacks it holds."""
         if mode in self.flavour.modes:
             super().switch(mode, goal)
         else:

@@ -142,7 +142,7 @@ class WingStack(FlightStack):
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; what would land a vehicle has a wing return, which it does for ever."""
+        """Change the mode; LAND becomes a return without end, and modes that a wing lacks become HOLD."""
         if mode is Mode.LAND:
             mode = Mode.RTL
         if mode not in self.flavour.modes:
@@ -151,7 +151,7 @@ class WingStack(FlightStack):
         super().switch(mode, self._way_home() if mode is Mode.RTL else goal)
 
     def _way_home(self) -> Triple | None:
-        """Return round what to circle: home or the nearest rally point, not lower than it is."""
+        """Return the centre of the circle of a return: home or the nearest rally point, not below the vehicle."""
         craft = self.craft
         here = craft.seen.position_ned
         places = [craft.home.position_ned] if craft.home else [here]

@@ -314,6 +314,7 @@ class Services:
         service.waiting.append((Request(answer, b""), payload))
 
     def _take_heartbeat(self, message: w.Submessage) -> None:
+        """Answer a writer's HEARTBEAT with the numbers that are missing here."""
         reader, writer = message.body[:4], message.body[4:8]
         is_builtin = writer in (_PUBLICATIONS[0], _SUBSCRIPTIONS[0])
         if is_builtin:
@@ -327,6 +328,7 @@ class Services:
         self._sockets.send(w.packet(self._prefix, answer, to=message.prefix), place)
 
     def _take_acknack(self, message: w.Submessage) -> None:
+        """Send a reader again what it lacks, and forget what it has."""
         reader, writer = message.body[:4], message.body[4:8]
         base, missing = w.numbers_at(message, 8)
         peer = self._peers[message.prefix]

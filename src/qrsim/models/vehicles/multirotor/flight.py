@@ -167,7 +167,7 @@ def surroundings(
 def stabilised(
     model: Airframe, state: MultirotorState, command: object, dt: float, count: int, around: Around | None
 ) -> tuple[Array | None, Loops, Motors]:
-    """Return the heading that is held after a step, None for that of the vehicle, and what tells the motors.
+    """Return the held heading after a step, or None, the state of the loops, and the function for motor speeds.
 
     Args:
         model, state, command, around: as of ``Vehicle.step``.
