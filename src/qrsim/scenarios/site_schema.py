@@ -108,7 +108,7 @@ class SiteSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Leave out a height above mean sea level that there is not."""
+        """Write the site without ``height_amsl`` if that is None."""
         found: Content = handler(self)
         if self.height_amsl is None:
             found.pop("height_amsl", None)

@@ -153,7 +153,7 @@ def _write_element(file: BinaryIO, name: str, text: str) -> None:
 
 
 def _readings(recording: Recording) -> Iterator[str]:
-    """Yield what each vehicle measured, and the truth."""
+    """Yield measured and true values of each vehicle as text, for the plots of the page."""
     for measured, true in Readings(recording.run, recording.end).of_vehicles():
         packing = Packing()
         yield packing.text({"measured": packing.array(measured), "true": packing.array(true)})

@@ -265,7 +265,7 @@ class Wind(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one arrow for each vehicle."""
+        """Make one wind arrow for each vehicle."""
         self._handle = self.batch("arrows", shapes.arrow(), np.tile(shapes.PALETTE[0], (self.stage.cast.size, 1)))
 
     def draw(self, frame: Frame) -> None:
@@ -282,7 +282,7 @@ class Gusts(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one arrow for each vehicle."""
+        """Make one gust arrow for each vehicle."""
         self._handle = self.batch("arrows", shapes.arrow(), GUST_COLOUR)
 
     def draw(self, frame: Frame) -> None:

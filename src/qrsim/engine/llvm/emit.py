@@ -192,6 +192,7 @@ class Emitter(Loops):
     # Reductions
 
     def _reduced_width(self, node: Node) -> int:
+        """Return the number of lanes in which a reduction is accumulated."""
         operand = node.args[0].node
         if self.side_by_side:
             return self._lanes_of(operand) if operand.op != "constant" else 1

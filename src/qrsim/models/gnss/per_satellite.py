@@ -35,7 +35,7 @@ def with_satellites(
     skyline: Skyline | None,
     slow: Array,
 ) -> GnssFix:
-    """Return a reading with what each satellite in a slot is to receivers (n,).
+    """Return a reading with number, C/N0, state, azimuth and elevation of the satellite in each slot.
 
     Args:
         receiver: a ``Gnss``.

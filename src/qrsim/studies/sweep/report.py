@@ -192,11 +192,13 @@ def to_json(report: Report, folder: Path) -> Content:
 
 
 def _response_json(item: analysis.Response) -> Content:
+    """Return the mean and interval of a metric at each level of a parameter, as a dict for JSON."""
     numbers = {name: _plain(getattr(item, name)) for name in ("mean", "low", "high")}
     return {"levels": item.parameter.levels.tolist(), **numbers}
 
 
 def _boundary_json(found: analysis.Boundary) -> Content:
+    """Return a fitted boundary of failure as a dict for JSON."""
     crossings = {p.name: found.crossing(i) for i, p in enumerate(found.parameters)}
     return {
         "terms": "squares" if found.squares else "linear",
@@ -209,6 +211,7 @@ def _boundary_json(found: analysis.Boundary) -> Content:
 
 
 def _sensitivity_json(found: analysis.Sensitivity) -> Content:
+    """Return the Sobol indices of each parameter, with their half intervals, as a dict for JSON."""
     columns = (found.first, found.first_half, found.total, found.total_half)
     names = ("first", "first_half", "total", "total_half")
     return {
@@ -218,6 +221,7 @@ def _sensitivity_json(found: analysis.Sensitivity) -> Content:
 
 
 def _worst_json(report: Report, episode: int, folder: Path) -> Content:
+    """Return seed, values, metrics and the command that repeats an episode, as a dict for JSON."""
     results = report.results
     return {
         "seed": int(results.seeds[episode]),
@@ -293,6 +297,7 @@ def _print_response(item: analysis.Response, what: str) -> None:
 
 
 def _print_boundary(found: analysis.Boundary | str) -> None:
+    """Print where half of the episodes fail for each parameter, or why there is no boundary."""
     if isinstance(found, str):
         print(f"  none: {found}")
         return
@@ -306,6 +311,7 @@ def _print_boundary(found: analysis.Boundary | str) -> None:
 
 
 def _print_sensitivity(found: analysis.Sensitivity | str) -> None:
+    """Print the first and total Sobol index of each parameter, or why there are none."""
     if isinstance(found, str):
         print(f"  none: {found}")
         return
