@@ -6,7 +6,9 @@ them with a <= b: half a matrix. Measurements are scalars and sparse, so that no
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial, reduce
+from operator import add
 from typing import TypeAlias
 
 import jax.numpy as jnp
@@ -20,6 +22,8 @@ Covariance: TypeAlias = tuple[Array, ...]
 Sparse: TypeAlias = Mapping[int, Array]
 # The blocks of F - 1 that are not zero, by their rows and columns: (3, 3, n), or one factor for a multiple of 1.
 Moves: TypeAlias = Mapping[tuple[int, int], Array | float]
+# Adds arrays in their order.
+_sum: Callable[[Sequence[Array]], Array] = partial(reduce, add)
 
 
 def variances(covariance: Covariance) -> list[Array]:
@@ -183,14 +187,6 @@ def _times(move: Array | float, block: Array) -> Array:
 def _transposed(block: Array) -> Array:
     """Return a block (3, 3, n) with its rows and columns exchanged."""
     return jnp.swapaxes(block, -3, -2)
-
-
-def _sum(parts: Sequence[Array]) -> Array:
-    """Return the sum of arrays, added in order."""
-    total = parts[0]
-    for part in parts[1:]:
-        total = total + part
-    return total
 
 
 _EYE = np.eye(BLOCK, dtype=np.float32)[:, :, None]

@@ -52,7 +52,7 @@ class FixErrors:
             ]
         )
         # A receiver repeats itself between two fixes; with a delay of one period, once after the start too.
-        counts = jnp.isfinite(error.x) & flying & _differs(reported, self.fix_ned)
+        counts = jnp.isfinite(error.x) & flying & differs(reported, self.fix_ned)
         lost = has & flying & ~jnp.isfinite(error.x)
         first = lost & (self.loss.tick < 0)
         position = concatenated([fleet.vehicle.position_ned for fleet in state.fleets])
@@ -123,6 +123,6 @@ def _minus(reported: Vec3, truth: Truth) -> Vec3:
     return reported - position if low is None else reported - position - low
 
 
-def _differs(new: Vec3, old: Vec3) -> Array:
+def differs(new: Vec3, old: Vec3) -> Array:
     """Return whether vectors differ; NaN differs from itself."""
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))

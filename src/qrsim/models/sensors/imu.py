@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import reduce
+from operator import add
 from typing import Any, ClassVar, Literal, cast
 
 import jax.numpy as jnp
@@ -156,7 +158,7 @@ class Imu(Sensor):
     def bias(self, state: ImuState) -> tuple[Vec3, Vec3]:
         """Return the true bias (n,) of gyroscope [rad/s] and accelerometer [m/s^2]."""
         found = [
-            scale * _sum(slow) + walk
+            scale * reduce(add, slow) + walk
             for scale, slow, walk in zip(self.bias_scale, state.wandering, state.walk, strict=True)
         ]
         return Vec3(*found[:3]), Vec3(*found[3:])
@@ -365,11 +367,3 @@ def _rows(given: Iterator[Array], diagonal: Array, beside: Array) -> tuple[Vec3,
 def _times(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
     """Return the product of a matrix, given by its rows, and a vector."""
     return Vec3(*(row.dot(vector) for row in rows))
-
-
-def _sum(values: Six) -> Array:
-    """Return the sum of six arrays, added in order."""
-    total = values[0]
-    for value in values[1:]:
-        total = total + value
-    return total

@@ -15,7 +15,8 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.errors import QrsimError
 from qrsim.studies.sweep.job import Job, goals
 from qrsim.studies.sweep.metrics import METRICS, Metric, of_episodes
-from qrsim.studies.sweep.plan import TRACK, track_ticks
+from qrsim.studies.sweep.plan import TRACK
+from qrsim.world.state import period_ticks
 
 # The engine keeps its programs in one place for a process.
 _ALONE = threading.Lock()
@@ -115,7 +116,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
             setup, fixed, own = setup_of(worlds, **functions, policy_ticks=job.policy_ticks)
         else:
             setup, fixed, own = _stacked(group, job, functions)
-        every = 0 if job.track is None else track_ticks(job.track, group.time_step)
+        every = 0 if job.track is None else period_ticks(job.track, group.time_step)
         record = _recorder(job.group) if every else None
         engine = Engine(setup, group.world, fixed, own, Schedule(group.ticks, every), record, None, lambda done: None)
         found, recorded = engine.fly(np.arange(len(job.seeds)), job.seeds, np.zeros_like(job.seeds))

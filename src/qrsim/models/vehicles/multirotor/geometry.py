@@ -91,6 +91,11 @@ def reach(points: Sequence[Triple]) -> float:
     return max(math.hypot(*point) for point in points)
 
 
+def square_feet(side: float, down: float) -> tuple[Triple, ...]:
+    """Return four contact points at the corners of a square, in body axes [m]: (+/-side, +/-side, down)."""
+    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
+
+
 def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number, Number]:
     """Return collective thrust [N] and torque about the body axes [N m] for each newton of a rotor's thrust."""
     (x, y, z), (a, b, c) = rotor.position, rotor.axis

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean, warn_user
-from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.geometry import Rotor, ring, square_feet
 from qrsim.models.vehicles.multirotor.motor_table import MOST_EFFICIENT, MotorTable
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
@@ -185,7 +185,7 @@ def own_parameters(
         "throttle_curve": _curve(hover_throttle, thrust_to_weight) if curve is None else curve,
         "stabiliser": Stabiliser(**gains),
         "rotors": rotors_of(geometry or USUAL[rotors], arm),
-        "feet": _feet(0.5 * arm, 0.3 * arm + 0.02),
+        "feet": square_feet(0.5 * arm, 0.3 * arm + 0.02),
         "top": (0.0, 0.0, -0.3 * arm - (0.2 * arm if kind.coaxial else 0.0)),
     }
 
@@ -351,8 +351,3 @@ def _check_bandwidth(attitude: float, spin_up: float) -> None:
             f"attitude_bandwidth: {attitude:g} rad/s; rotors of a time constant of {spin_up:.3g} s allow {fastest:.3g} "
             "rad/s at most; give spin_up if yours are faster"
         )
-
-
-def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
-    """Return four contact points at the corners of a square, in body axes [m]."""
-    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
