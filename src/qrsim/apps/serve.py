@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import SECONDS
+from qrsim.apps import SECONDS, check_seed
 from qrsim.errors import RunError, UsageError, did_you_mean, nearest, os_error_as
 from qrsim.extras import require
 
@@ -144,8 +144,7 @@ class Serve:
 
         if not 0 <= self.port <= 65535:
             raise UsageError(f"--port {self.port}: expected 0 to 65535")
-        if not 0 <= self.seed < 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        check_seed(self.seed)
         if self.episodes not in EPISODES:
             near = did_you_mean(self.episodes, EPISODES)
             raise UsageError(f"--episodes {self.episodes}: expected {' or '.join(EPISODES)}{near}")

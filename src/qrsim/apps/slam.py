@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import SECONDS, progress_bar
+from qrsim.apps import SECONDS, check_seed, progress_bar
 from qrsim.errors import RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
@@ -93,8 +93,7 @@ class SlamCommand:
         """Raise UsageError for options that are out of range or do not go together."""
         if self.seeds < 1:
             raise UsageError(f"--seeds {self.seeds}: expected a positive number of flights")
-        if not 0 <= self.first_seed < 2**63 - self.seeds:
-            raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
+        check_seed(self.first_seed, "--first-seed", self.seeds)
         if not 0.0 < self.duration <= 1e7:
             raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds, at most 10 000 000")
         from qrsim.studies.slam.team_report import check_together

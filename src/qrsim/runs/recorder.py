@@ -132,16 +132,7 @@ def fly(
     begun = time.perf_counter() if begun is None else begun
     check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
-    info = RunInfo.collect(
-        scenario=scenario.name,
-        seed=seed,
-        precision=precision,
-        time_step=scenario.spec.time_step,
-        vehicles=simulation.vehicle_names,
-        every=every,
-        command_line=command_line,
-        components=scenario.outside,
-    )
+    info = RunInfo.of_flight(scenario, simulation, every=every, command_line=command_line)
     make_parent(folder)
     simulation.reset()
     referee = _referee(scenario, simulation)

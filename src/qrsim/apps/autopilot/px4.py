@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS, with_duration
 from qrsim.apps.autopilot.shared import Injecting, check, fresh_folder, recorded, report, say
 from qrsim.errors import RunError, UsageError
 from qrsim.links.pacing import FASTEST, SLOWEST
@@ -107,7 +107,7 @@ class Px4:
 
         own = checked(self.param)
         build = None if self.px4 is None else Build(self.px4)
-        overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
+        overrides = with_duration(self.set, self.duration)
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         start_usec = round(scenario.spec.start_time.timestamp() * 1e6)
         port = FIRST_PORT + self.first_instance if self.port is None else self.port

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, progress_bar
+from qrsim.apps import OPTIONAL_SECONDS, check_seed, progress_bar, with_duration
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -74,8 +73,7 @@ class Check:
             raise UsageError(f"--seeds {self.seeds}: expected a positive number of runs")
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
-        if not 0 <= self.first_seed < 2**63 - self.seeds:
-            raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
+        check_seed(self.first_seed, "--first-seed", self.seeds)
         if self.out is not None:
             _check_picture(self.out)
         self._use_cores()
@@ -107,12 +105,7 @@ class Check:
         """Load the scenario with --set and --duration."""
         from qrsim.scenarios.scenario import load_scenario
 
-        overrides = list(self.set)
-        if self.duration is not None:
-            if not (math.isfinite(self.duration) and self.duration > 0):
-                raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
-            overrides.append(f"duration={self.duration!r}")
-        return load_scenario(self.scenario, overrides)
+        return load_scenario(self.scenario, with_duration(self.set, self.duration))
 
     def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
         """Fly the scenario with every seed; return the rollout and the wall time [s]."""

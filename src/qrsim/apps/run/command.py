@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, progress_bar
+from qrsim.apps import OPTIONAL_SECONDS, check_seed, progress_bar, with_duration
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.files.interruptions import word
@@ -125,18 +125,12 @@ class Run:
         from qrsim.apps.run.every import parse_every
         from qrsim.scenarios.scenario import load_scenario
 
-        if self.seed < 0 or self.seed >= 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        check_seed(self.seed)
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
         if self.policy_ticks != 1 and self.policy == BASELINE:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: the baseline is called once per step of its task")
-        overrides = list(self.set)
-        if self.duration is not None:
-            if not (math.isfinite(self.duration) and self.duration > 0):
-                raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
-            overrides.append(f"duration={self.duration!r}")
-        scenario = load_scenario(self.scenario, overrides)
+        scenario = load_scenario(self.scenario, with_duration(self.set, self.duration))
         injections: tuple[Injection, ...] = ()
         if self.injectable:
             if self.view == OFF:

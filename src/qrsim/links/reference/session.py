@@ -192,14 +192,7 @@ class Session:
     def _new_writer(self, folder: Path) -> RunWriter:
         """Create the run folder of the present episode, and return its writer."""
         simulation = self.simulation
-        info = RunInfo.collect(
-            scenario=self.scenario.name,
-            seed=simulation.seed,
-            precision=simulation.precision,
-            time_step=self.time_step,
-            vehicles=simulation.vehicle_names,
-            components=self.scenario.outside,
-        )
+        info = RunInfo.of_flight(self.scenario, simulation)
         if self._recording is None:
             stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
             name = f"{stamp}-{self.scenario.name}-session{self.number}".replace("/", "-")

@@ -68,14 +68,7 @@ class Recording:
         described = [] if self._spoken is None else self._spoken.described()
         self._orders = [*basic_columns(self._latches.numbers.shape[1]), RESTARTED, *described]
         self._columns = columns(simulation.world, beginning)
-        info = RunInfo.collect(
-            scenario=scenario.name,
-            seed=simulation.seed,
-            precision=simulation.precision,
-            time_step=simulation.world.time_step,
-            vehicles=simulation.vehicle_names,
-            components=scenario.outside,
-        )
+        info = RunInfo.of_flight(scenario, simulation)
         self._writer = RunWriter.create(
             self._episodes.begin(simulation.seed),
             info=info,

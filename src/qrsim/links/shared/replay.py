@@ -58,14 +58,7 @@ def replay(run: Run, out: Path) -> Path:
     # Those of the orders are written as they are read.
     known = columns(simulation.world, beginning)
     orders = [run[STREAM].column(name) for name in run[STREAM].columns()]
-    info = RunInfo.collect(
-        scenario=scenario.name,
-        seed=simulation.seed,
-        precision=simulation.precision,
-        time_step=simulation.world.time_step,
-        vehicles=simulation.vehicle_names,
-        components=scenario.outside,
-    )
+    info = RunInfo.of_flight(scenario, simulation)
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
         schedule = Schedule(simulation, injections)
         requests = RequestLog(simulation, writer.note_injection, writer.append_event)
