@@ -162,7 +162,7 @@ class Scored:
 
     @property
     def interval(self) -> Interval:
-        """The mean return."""
+        """Mean return with its interval."""
         return Interval.of(self.returns)
 
     @property

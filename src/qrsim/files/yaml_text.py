@@ -104,7 +104,7 @@ class _Builder:
         self.result: Any = None
 
     def build(self, text: str) -> object:
-        """Return the value."""
+        """Return the content of a YAML text; refuse a second document."""
         parser = _PARSER(text)
         documents = 0
         try:

@@ -68,7 +68,7 @@ class Injection:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Its number and ticks."""
+        """Number of the injection, its first and last tick, and the tick of the request."""
         return self.id, self.start_tick, self.end_tick, self.tick
 
 

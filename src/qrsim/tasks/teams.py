@@ -83,14 +83,14 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:
-    """Return actions (n, W) as a task takes them: as they are, of several fleets a dict by fleet of (n_f, A_f)."""
+    """Return actions (n, W) unchanged, or for several fleets as a dict by fleet of (n_f, A_f)."""
     if len(sides) == 1:
         return action
     return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
 
 
 def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
-    """Return what ``apart`` gives as an array (n, W), NumPy or JAX.
+    """Return actions by fleet (n_f, A_f) as one array (n, W) of NumPy or JAX; the inverse of ``apart``.
 
     Args:
         sides: of several fleets.

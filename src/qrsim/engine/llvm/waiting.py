@@ -62,7 +62,7 @@ class Waiting:
         raise UnsupportedError("a graph with a cycle")
 
     def take(self, nodes: list[Node]) -> None:
-        """Let nodes be computed."""
+        """Remove nodes that a step computes, and release those that only waited for them."""
         for node in nodes:
             del self.nodes[node.number]
             self._ready[self._rank(node)].discard(node.number)

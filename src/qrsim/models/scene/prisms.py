@@ -156,7 +156,7 @@ class Prisms:
 
     @property
     def count(self) -> int:
-        """Number of pieces (T)."""
+        """Number of trapezoids (T) that the prisms consist of."""
         return int(self.pieces.south.shape[0]) - (self.near is not None)
 
     def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:

@@ -86,11 +86,11 @@ class BothMetrics:
         self.first, self.second = first, second
 
     def init(self, world: Any, state: Any) -> Any:
-        """Start both."""
+        """Return the initial memories of built-in and user's metrics."""
         return self.first.init(world, state), self.second.init(world, state)
 
     def update(self, memory: Any, world: World, state: Any, tick: Any) -> Any:
-        """Update both."""
+        """Return the memories of built-in and user's metrics after a tick."""
         return self.first.update(memory[0], world, state, tick), self.second.update(memory[1], world, state, tick)
 
     def finish(self, memory: Any, world: World, state: Any) -> dict[str, Any]:

@@ -61,7 +61,7 @@ class _Point:
         self.policy = _Policy(self.play)
 
     def episode(self, seed: int) -> dict[str, NumpyArray]:
-        """Fly an episode."""
+        """Fly an episode of the baseline; return its metrics, each (1, ...), with the goals."""
         simulation, world = self.simulation, self.world
         simulation.reset(seed=seed)
         self.policy.again(seed)

@@ -53,7 +53,7 @@ class Report:
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Analyse a store.
+    """Return the analysis of a store: responses, boundary, sensitivity and worst episodes.
 
     Args:
         path: of the store.

@@ -54,7 +54,7 @@ class Parameter:
         return np.log(values) if self.log else values
 
     def uneven(self, values: NumpyArray) -> NumpyArray:
-        """Invert ``even``."""
+        """Return values from their even scale: the exponential for a logarithmic parameter."""
         return np.exp(values) if self.log else values
 
     @property

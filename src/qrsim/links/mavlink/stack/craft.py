@@ -88,7 +88,7 @@ class Craft:
         self._texts.append(Text(severity, text))
 
     def tell(self, kind: str, number: int = 0) -> None:
-        """Note that something changed."""
+        """Queue an event for clients, such as a change of mode."""
         del self._events[:-255]
         self._events.append(Event(kind, number))  # type: ignore[arg-type]
 

@@ -65,7 +65,7 @@ class Failsafes:
             craft.say(Severity.INFO, "Link to the ground regained")
 
     def armed(self) -> None:
-        """Begin a flight."""
+        """Forget battery level and breach at the begin of a flight."""
         self._battery, self.breached, self._fence_due = 0, False, 0.0
 
     def fence(self) -> FenceStatus:

@@ -134,7 +134,7 @@ class Mission:
         self._go_to(seq)
 
     def _go_to(self, seq: int) -> None:
-        """Fly an item next."""
+        """Make an item the current one and forget how the last one was flown."""
         self.current = seq
         self._heading = None
         self._forget()

@@ -142,5 +142,5 @@ def _multirotor(**values: Any) -> Multirotor:
 
 
 def _stabiliser(**gains: Any) -> Stabiliser:
-    """Return loops of numbers."""
+    """Return a stabiliser with these gains."""
     return Stabiliser(**gains)
