@@ -33,7 +33,7 @@ def _whole(value: object) -> bool:
 
 
 def _tuple_of(kind: type) -> Callable[[object], bool]:
-    """Return a test: is a value a tuple of instances of ``kind``?"""
+    """Return a function that tests whether a value is a tuple of instances of ``kind``."""
     return lambda value: isinstance(value, tuple) and all(isinstance(part, kind) for part in value)
 
 

@@ -20,7 +20,7 @@ def _in_a_list(value: object) -> object:
 
 
 def _first_rotors(value: object) -> object:
-    """Return the numbers of as many rotors as may fail for "all", and any other value unchanged."""
+    """Return rotors 0 to the largest number that may fail for "all", and any other value unchanged."""
     return list(range(MOST_FAILED_ROTORS)) if value == ALL else value
 
 

@@ -97,7 +97,7 @@ def _problem(given: Content, wind: Content) -> str:
 
 
 def _gust_problem(given: Content, speed: float) -> str:
-    """Return the problem of the gust, or gust factor, of a row with mean ``speed`` [m/s]; "" if none."""
+    """Return the problem of the gust, or gust factor, of a forecast with mean ``speed`` [m/s], or ""."""
     gust, factor = given.get("gust"), given.get("gust_factor")
     if gust is not None and factor is not None:
         return "gust: gives both 'gust' and 'gust_factor'; give one"

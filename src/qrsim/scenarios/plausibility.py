@@ -166,7 +166,7 @@ def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
 
 
 def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the odds of gravity, mass and thrust: vehicles that cannot stay up, or cannot come down."""
+    """Yield implausible gravity, mass and thrust: of vehicles that cannot stay up, or cannot come down."""
     of, volts = _Constants(fleet), voltages(fleet)
     if not ((of.gravity >= EARTH[0]) & (of.gravity <= EARTH[1])).all():
         i, where = _worst(path, "vehicle.gravity", fleet.vehicle.gravity, np.abs(of.gravity - 9.81))

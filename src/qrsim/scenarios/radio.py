@@ -78,7 +78,7 @@ def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[s
 
 
 def _times(network: Network, dt: float) -> Iterator[str]:
-    """Yield delays and packets that do not fit into a period or a slot of the radio."""
+    """Yield a period that is not a multiple of the time step, and packets that do not fit into a slot."""
     mac, air = network.mac, network.air_time
     path = "world.radio.mac"
     if not is_multiple(mac.period, dt):

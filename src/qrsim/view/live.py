@@ -311,7 +311,7 @@ def _place(world: World, vehicle: int) -> tuple[int, int]:
 
 
 def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
-    """Return the readings of one vehicle by sensor and quantity; of satellites none."""
+    """Return the readings of one vehicle by sensor and quantity, without those of satellites."""
     number, i = _place(world, vehicle)
     names, readings = world.fleets[number].sensor_names, state.fleets[number].readings
     return {

@@ -83,7 +83,7 @@ class Rebuilt:
         return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras, self._field)
 
     def _blowing(self, time: float) -> World:
-        """Return the world with the weather that was last requested before a time."""
+        """Return the world with the weather at a time [s]: as last requested, with its changes at set times."""
         tick: Any = np.int32(round(time / self._world.time_step))
         worlds = [world for since, world in self._worlds if since <= tick]
         changes = self._world.changes

@@ -43,7 +43,7 @@ class Timeline:
         self._run("timeline", f"window.qrsimTimeline = 1; const data = {json.dumps(data)};\n{script}")
 
     def _run(self, kind: str, source: str) -> None:
-        """Run a script in all browsers, in pages without a server not."""
+        """Run a script in all browsers, but not in exported pages."""
         run_script(self._server, kind, source, exported=False)
 
     def show(self, time: float) -> None:

@@ -96,7 +96,7 @@ def _nearest_file(path: Path) -> str:
 
 
 def _read_header(path: Path, content: bytes, units: Units) -> _Header:
-    """Return names, positions and delimiter of the columns in the first line; raise UsageError if one lacks."""
+    """Return names, positions and delimiter of the columns in line 1; raise UsageError if one is missing."""
     first_line = _decode(path, content.partition(b"\n")[0].rstrip(b"\r"))
     try:
         rows = CsvRows([first_line])
