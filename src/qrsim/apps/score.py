@@ -200,6 +200,7 @@ def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]
         names: list[str] = []
 
         def told(name: str, step: int) -> None:
+            """Show the policy that flies and its steps."""
             if name not in names:
                 names.append(name)
             update(description=name, completed=(len(names) - 1) * steps + step)

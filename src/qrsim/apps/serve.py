@@ -120,6 +120,7 @@ class Serve:
         log = Log()
 
         def ready(host: str, port: int) -> None:
+            """Tell the operator where the server and its page are."""
             log.say(f"qrsim serves on {host}:{port}")
             if options.view is not None:
                 if options.pace == "owner":

@@ -197,6 +197,7 @@ def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
     with progress_bar(plan.study.spec.name, plan.episodes, *texts, completed=before, factor="starting") as update:
 
         def show(batch: Batch) -> None:
+            """Add a batch to the bar and update the real-time factor."""
             nonlocal simulated
             group = plan.groups[batch.group]
             simulated += batch.episodes * group.ticks * group.time_step

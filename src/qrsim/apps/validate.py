@@ -168,6 +168,7 @@ def _progress(parts: list[Part]) -> Iterator[Callable[[Part], None] | None]:
         task = bar.add_task(names[0], total=len(parts))
 
         def done(part: Part) -> None:
+            """Add a part to the bar and show the next one."""
             bar.advance(task)
             bar.update(task, description=names[min(names.index(part.name) + 1, len(names) - 1)])
 

@@ -211,6 +211,7 @@ class CascadeController(Controller):
         share = dt / (self.derivative_lag + dt)
 
         def filtered(new: Array, old: Array, before: Array) -> Array:
+            """Return the low-pass filtered rate of a value, from its new and old number and the rate before."""
             return before + share * (jnp.where(ran, (new - old) * (1.0 / dt), 0.0) - before)
 
         parts = [

@@ -120,6 +120,7 @@ class WaypointController(HeightController):
         sine, cosine = sincos(estimate.attitude.yaw)
 
         def to_heading(north: Array, east: Array) -> tuple[Array, Array]:
+            """Return the parts of a horizontal vector ahead and to the right of the heading."""
             return cosine * north + sine * east, cosine * east - sine * north
 
         ahead, right = to_heading(error.x, error.y)

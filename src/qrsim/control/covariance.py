@@ -65,12 +65,14 @@ def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> 
     }
 
     def moved(a: int, b: int) -> Array:
+        """Return the block (a, b) of F P F'."""
         right = [_transposed(_times(moves[b, k], _transposed(half[a, k]))) for k in into.get(b, ())]
         whole = _sum([half[a, b], *right])
         # What rounding leaves of a part that is not symmetric would grow: measurements do not see it.
         return 0.5 * (whole + _transposed(whole)) if a == b else whole
 
     def row(a: int) -> Array:
+        """Return the blocks of row a from the diagonal on, with noise."""
         own = _diagonal([jnp.broadcast_to(noise[i], covariance[a].shape[3:]) for i in _errors_of(a)])
         if a not in into:
             return _with_own(covariance[a], own)
@@ -118,6 +120,7 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
     zero = jnp.zeros(where.shape, covariance[0].dtype)
 
     def fresh(a: int, row: Array) -> Array:
+        """Return row a with the chosen errors reset to their variances, without correlations."""
         known = [
             [[[i not in variances and j not in variances] for j in _errors_of(b)] for i in _errors_of(a)]
             for b in range(a, count)
@@ -134,6 +137,7 @@ def widened(covariance: Covariance, variances: Sparse) -> Covariance:
     zero = jnp.zeros(covariance[0].shape[3:], covariance[0].dtype)
 
     def wider(a: int, row: Array) -> Array:
+        """Return row a with the variances added."""
         own = [variances.get(i) for i in _errors_of(a)]
         if all(variance is None for variance in own):
             return row

@@ -249,6 +249,7 @@ class ComplementaryFilter(Estimator):
 
 
 def _estimate(state: FilterState) -> Estimate:
+    """Return position, velocity and attitude of the filter's state."""
     return Estimate(state.position_ned, state.velocity_ned, state.attitude, state.position_low_ned)
 
 

@@ -96,6 +96,7 @@ class RouteFollower(RouteGuidance):
         chosen = rows == state.index[None, :]
 
         def pick(values: Array) -> Array:
+            """Return the value of each vehicle's current waypoint."""
             return jnp.sum(jnp.where(chosen, values, 0.0), axis=0)
 
         return WaypointSetpoint(route.position_ned.map(pick), pick(route.yaw))

@@ -250,6 +250,7 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
     own = [(variance + more.get(k, 0.0)) ** 0.5 for k, variance in enumerate(variances(state.covariance))]
 
     def three(first: int | None) -> Vec3 | None:
+        """Return the deviations of three errors as a vector, None for errors that are not estimated."""
         return None if first is None else Vec3(*own[first : first + 3])
 
     return Inner(

@@ -300,9 +300,11 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     rows = [[*parts, *[parts[-1]] * (longest - len(parts))] for parts in plans]
 
     def table(pick: Any, dtype: Any = np.float64) -> Any:
+        """Return a number of each part of each vehicle's mission, an array (parts, n)."""
         return np.ascontiguousarray(np.array([[pick(part) for part in row] for row in rows], dtype).T)
 
     def vector(pick: Any) -> Vec3:
+        """Return a vector of each part, arrays (parts, n)."""
         return Vec3(*(table(lambda part, axis=axis: pick(part)[axis]) for axis in range(3)))
 
     flat = [part.leg for row in rows for part in row]
@@ -361,9 +363,11 @@ def _circles(table: Any) -> Orbits:
         return part.leg.kind == "circle"
 
     def arm(part: _Part, axis: int) -> float:
+        """Return the way [m] along an axis from the centre to the begin of a circle; 0 for a line."""
         return float(part.begin[axis] - part.leg.centre_ned[axis]) if is_circle(part) else 0.0
 
     def curvature(part: _Part) -> float:
+        """Return one over the radius [1/m], positive clockwise; 0 for a line."""
         return math.copysign(1.0, part.leg.angle) / math.hypot(arm(part, 0), arm(part, 1)) if is_circle(part) else 0.0
 
     return Orbits(

@@ -45,6 +45,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def call(*trees: object) -> Any:
+        """Trace the function for these shapes at the first call, and compute it with NumPy."""
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
         # Text and types are part of the key: JAX treats structures as equal if only the types of their records differ.
@@ -75,6 +76,7 @@ def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -
         known[variable] = np.asarray(value)
 
     def read(atom: object) -> Any:
+        """Return the value of a variable or a literal."""
         if not isinstance(atom, jex.Literal):
             return known[atom]
         of: Any = atom.aval

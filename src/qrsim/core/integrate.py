@@ -43,6 +43,7 @@ def rk4(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
     fourth, output_4 = slope(_advance(state, third, dt))
 
     def mean(a: jax.Array, b: jax.Array, c: jax.Array, d: jax.Array) -> jax.Array:
+        """Return the weighted mean of four slopes."""
         return (a + 2.0 * (b + c) + d) / 6.0
 
     combined = jax.tree.map(mean, first, second, third, fourth)

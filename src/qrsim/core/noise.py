@@ -291,6 +291,7 @@ class Drawn:
 
 
 def _check_count(count: int, most: int | None) -> None:
+    """Raise ValueError if a component asks for more normals than it declares."""
     if most is not None and count > most:
         raise ValueError(f"a component that declares {most} normals per step asked for {count}")
 

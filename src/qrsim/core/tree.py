@@ -249,6 +249,7 @@ def _parts(kind: type) -> tuple[tuple[str, FieldInfo], ...]:
 
 @cache
 def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
+    """Return the field's description with another unit."""
     return dataclasses.replace(info, unit=unit)
 
 

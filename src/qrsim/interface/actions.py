@@ -274,6 +274,7 @@ class ActionChecker:
             return jax.tree.unflatten(structure, [np.ascontiguousarray(leaf, self.dtype) for leaf in leaves])
 
         def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> Floats | Array:
+            """Return a leaf of a command as an array (n,); raise UsageError for other shapes or no numbers."""
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
@@ -365,6 +366,7 @@ def _arrays(record: object) -> object:
 
 
 def _part(flying: Flying, own: slice) -> Floats:
+    """Return which vehicles of a fleet fly."""
     return flying()[own]
 
 

@@ -75,6 +75,7 @@ class FixErrors:
         count = np.asarray(self.fixes)
 
         def root_mean(total: Array) -> NumpyArray:
+            """Return the root of the mean of summed squares, NaN without fixes."""
             return np.sqrt(np.where(count > 0, np.asarray(total) / np.maximum(count, 1), np.nan))
 
         return {
@@ -114,6 +115,7 @@ def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
 
 
 def _truth(fleet: FleetState) -> Truth:
+    """Return the true positions of a fleet, in two parts if it keeps them so."""
     return fleet.vehicle.position_ned, fleet.position_low_ned
 
 

@@ -169,13 +169,16 @@ class FlightMetrics:
         dt = world.time_step
 
         def mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+            """Return the mean of a sum, NaN for a count of 0."""
             sums, counts = np.asarray(total), np.asarray(count)
             return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
         def root_mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+            """Return the root of the mean of summed squares."""
             return np.sqrt(mean(total, count))
 
         def when(tick: Array) -> Floats:
+            """Return a tick as time [s], NaN for -1."""
             return np.where(tick >= 0, tick * dt, np.nan)
 
         # The set-point of the start, which a policy replaces at once, is no leg that was flown.

@@ -188,6 +188,7 @@ class EventFinder:
         """Return by name a function of what events are found in: arrays (ticks, vehicles)."""
 
         def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
+            """Return a function that joins a value of all fleets, (ticks, vehicles)."""
             return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
 
         return {

@@ -112,6 +112,8 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
             return
 
     def watched(part: object, size: int | None) -> Any:
+        """Return a part of the world with watched components in place of those from outside."""
+
         def watch(item: Any) -> object:
             own: Any = type(item)
             if own not in kinds:

@@ -251,6 +251,7 @@ class LockStep:
         """Return the reading of each world, and which of its vehicles (n,) fly."""
 
         def heard(carry: Carry) -> Any:
+            """Return the parts of a state that user's functions read."""
             fleets = [{name: getattr(fleet, name) for name in _TOLD_OF_FLEETS} for fleet in carry.state.fleets]
             return {name: getattr(carry.state, name) for name in _TOLD}, fleets
 

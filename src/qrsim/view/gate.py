@@ -120,6 +120,7 @@ class Gate:
         """Return viser's answer to HTTP requests behind a check of path, host and origin."""
 
         def process(connection: Any, request: Any) -> Any:
+            """Answer 403 to a refused request, and pass others on without the token."""
             headers = request.headers
             found = [headers.get_all(name) for name in ("Host", "Origin")]
             host, origin = (values[0] if len(values) == 1 else None for values in found)
@@ -141,6 +142,7 @@ class Gate:
         """Return viser's handler of WebSockets with a ``Link`` for each connection."""
 
         async def handle(connection: Any) -> None:
+            """Serve a connection of a page through a link, or of its script."""
             if connection.request.path.partition("?")[0].endswith(WISHES):
                 return await self._listen(connection)
             link = Link(connection)

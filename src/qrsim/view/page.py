@@ -223,6 +223,7 @@ class Page:
             self._add_air()
 
         def resize(_: object) -> None:
+            """Scale the vehicles as slider and checkbox say."""
             size.disabled = true.value
             self.scene.resize(stage.cast.true_span if true.value else size.value)
 
@@ -240,6 +241,7 @@ class Page:
         self._air = (height, shows)
 
         def change(_: object) -> None:
+            """Show the air as height and kind are set."""
             self.scene.show_air(height.value, shows.value)
 
         height.on_update(change)

@@ -57,6 +57,7 @@ def sense(
             name: str = name,
             inputs: dict[str, object] = inputs,
         ) -> tuple[object, Record]:
+            """Return a sensor's next state and reading."""
             return sensor.step(memory, noise[name], **inputs)
 
         ticks, late = period_ticks(sensor.period, world.time_step), None

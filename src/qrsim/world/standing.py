@@ -106,6 +106,7 @@ def _levelled(world: World, pose: Pose) -> Pose:
     share, largest = 1.0 - math.exp(-world.time_step / LEVELLING_TIME), LEVELLING_RATE * world.time_step
 
     def step(angle: Array) -> Array:
+        """Return the change of an angle [rad] towards level in a tick."""
         return jnp.where(jnp.abs(angle) < LEVEL, -angle, jnp.clip(-share * angle, -largest, largest))
 
     roll, pitch = step(pose.attitude.roll), step(pose.attitude.pitch)

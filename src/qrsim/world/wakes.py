@@ -130,6 +130,7 @@ def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: 
     near = [_reached(jets, pose.position_ned, _extent(points)) & _others(jets, fleet, same) for jets, same in found]
 
     def felt() -> tuple[Vec3, Vec3]:
+        """Return the air velocity and rotation by all jets, pair by pair."""
         winds = [
             _sum([_sum_at(jets, place, inside, jet_speed) for (jets, _), inside in zip(found, near, strict=True)])
             for place in _points_ned(points, pose.position_ned, turned)
@@ -252,6 +253,7 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
         return None
 
     def upper(values: Array) -> Array:
+        """Return values of the fleet as a column (m, 1)."""
         return jnp.broadcast_to(values, (fleet.size,))[:, None]
 
     pose = fleet.vehicle.pose(state.vehicle)

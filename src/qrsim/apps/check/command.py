@@ -243,6 +243,7 @@ def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
     with progress_bar(scenario.name, scenario.ticks * runs, *texts, factor="compiling") as update:
 
         def show(done: int) -> None:
+            """Add ticks to the bar and update the real-time factor."""
             nonlocal ticks
             ticks += done
             factor = ticks * scenario.spec.time_step / max(time.perf_counter() - begun, 1e-9)

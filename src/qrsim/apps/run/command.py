@@ -122,6 +122,7 @@ class Run:
             gc.enable()
 
     def _run(self) -> None:
+        """Check the options, fly the scenario, print the summary, and keep the page open."""
         from qrsim.apps.run.every import parse_every
         from qrsim.scenarios.scenario import load_scenario
 

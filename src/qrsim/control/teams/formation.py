@@ -31,6 +31,7 @@ def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Arra
     row = jnp.maximum(mates.number, 0)
 
     def sums(place: Array, position: Array, theirs: Array) -> Array:
+        """Return the weighted sum over mates of the errors of the offsets along one axis."""
         wanted = jnp.asarray(place).at[row].get(mode="promise_in_bounds") - place[None]
         return jnp.sum(weight * jnp.where(mates.known, theirs - position[None] - wanted, 0.0), axis=0)
 

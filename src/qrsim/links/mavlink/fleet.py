@@ -208,6 +208,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     controller = fleet.controller
 
     def own(value: object) -> float:
+        """Return a vehicle's number of a parameter that is one for all or one for each."""
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     if isinstance(controller, RoverController):
@@ -245,6 +246,7 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
     guidance: Any = fleet.guidance
 
     def own(value: object) -> float:
+        """Return a vehicle's number of a parameter that is one for all or one for each."""
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     circles = isinstance(guidance, FixedWingGuidance)

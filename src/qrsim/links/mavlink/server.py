@@ -139,6 +139,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._system.links.append(self._link)
 
     def datagram_received(self, data: bytes, address: Any) -> None:
+        """Handle the frames of a datagram, and answer to its sender from now on."""
         for frame in self._reader.datagram(data):
             self._peer = address
             self._server.heard([(self._system, self._link)], frame)
@@ -163,6 +164,7 @@ class _Connection(asyncio.Protocol):
         self._nonsense = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Give a new client a link to each system; refuse it if there are too many."""
         assert isinstance(transport, asyncio.Transport)
         server = self._server
         if len(server.clients) >= MOST_CLIENTS:
@@ -179,6 +181,7 @@ class _Connection(asyncio.Protocol):
             system.links.append(link)
 
     def connection_lost(self, error: Exception | None) -> None:
+        """Remove the client's links from the systems."""
         self._transport = None
         self._server.clients.discard(self)
         for number, link in self._links.items():
@@ -187,6 +190,7 @@ class _Connection(asyncio.Protocol):
             system.transfers.forget(link)
 
     def data_received(self, data: bytes) -> None:
+        """Handle the frames in received bytes; give up a client that sends something else."""
         systems = self._server.systems
         self._nonsense += len(data)
         for frame in self._reader.feed(data):

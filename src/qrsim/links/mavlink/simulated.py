@@ -201,6 +201,7 @@ def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
         return None
 
     def own(value: object) -> Any:
+        """Return a vehicle's number of a parameter that is one for all or one for each."""
         return np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number]
 
     if isinstance(battery, LithiumCells):

@@ -103,6 +103,7 @@ class ErrorBudget(RangeErrors):
         weather = self.troposphere * state.troposphere.error * sight.troposphere
 
         def delay(vertical: Array, gradient: Array, local: Array) -> Array:
+            """Return the ionospheric delay [m] of each satellite: vertical, gradient and local part."""
             plane = state.gradient_north.error * sight.pierce_north + state.gradient_east.error * sight.pierce_east
             return sight.ionosphere * (vertical * state.vertical.error + gradient * plane + local * state.local.error)
 

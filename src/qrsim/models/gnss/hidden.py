@@ -196,6 +196,7 @@ def _either(chosen: Array, yes: Geometry, no: Geometry) -> Geometry:
     """Choose between two geometries, receiver by receiver (n,)."""
 
     def pick(a: Array, b: Array) -> Array:
+        """Return ``a`` for the chosen receivers, else ``b``."""
         if not jnp.ndim(a):
             return a
         return jnp.where(chosen if jnp.ndim(b) == 1 else chosen[None, :], a, b)

@@ -178,6 +178,7 @@ class Interference:
             return None
 
         def on(item: Jammer | Disc | Spoofer | Outage) -> Array:
+            """Return whether an interferer acts at this time."""
             return is_on(item.start, item.end, seconds, fraction)
 
         emitters = tuple(

@@ -124,6 +124,7 @@ class SlottedSky(Sky):
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[object, ...]:
+            """Return the sky unchanged between knots."""
             # Interference changes at every epoch and is set below.
             return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
@@ -153,6 +154,7 @@ class SlottedSky(Sky):
         epoch = max(1, round(self.period / self.time_step))
 
         def held() -> tuple[object, ...]:
+            """Return the sky unchanged between knots."""
             return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
 
         def knot() -> tuple[object, ...]:
@@ -269,6 +271,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
     free, wanted = jnp.sum(~kept, dtype=jnp.int32), jnp.sum(new, dtype=jnp.int32)
 
     def by_height() -> Array:
+        """Return the rank of each new satellite by elevation."""
         height = jnp.where(new, highest, -2.0)
         same = (height[:, None] == height[None, :]) & (number[:, None] < number[None, :])
         return jnp.sum(new[:, None] & ((height[:, None] > height[None, :]) | same), axis=0, dtype=jnp.int32)

@@ -170,6 +170,7 @@ def _disturbance(
     theirs = begin.at[there].get(mode="promise_in_bounds")
 
     def together(one: Array, other: Array) -> Array:
+        """Return whether two packets that begin at these times overlap."""
         apart = jnp.abs(one - other)
         # What goes on at the end of a period disturbs the beginning of the next, which is as any other.
         apart = jnp.minimum(apart, period - apart) if network.mac.type == "aloha" else apart

@@ -153,6 +153,7 @@ class Network(Channel, Radio):
         place = jnp.where(here, jnp.minimum(length, queue - 1), -1)[None]
 
         def put(rows: Array, new: Array) -> Array:
+            """Return the queue with a new row at the first free place; a full one loses its oldest."""
             shifted = _shifted(rows, full)
             at = place if rows.ndim == 2 else place[:, None]
             number = row if rows.ndim == 2 else row[:, None]
@@ -290,6 +291,7 @@ def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants
     """Return the counts with the outcomes of a period's packets added."""
 
     def of(outcome: int) -> Array:
+        """Return the number of links (n,) with an outcome."""
         return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0, dtype=jnp.int32)
 
     return replace(

@@ -279,6 +279,7 @@ def prisms_of(
 
 
 def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pieces:
+    """Return trapezoids (T, 6), with heights and prism numbers (T,), as a record."""
     column = [np.ascontiguousarray(part) for part in flat.T]
     ends = (top, bottom, number)
     return record_of(Pieces, column[0], column[1], (column[2], column[3]), (column[4], column[5]), *ends)

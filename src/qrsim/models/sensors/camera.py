@@ -122,6 +122,7 @@ class PersonClassifier:
         """Return ln N(score; person) - ln N(score; none)."""
 
         def log_density(mean: Array, std: Array) -> Array:
+            """Return the logarithm of a normal density at the score, without its constant."""
             offset = (score - mean) / std
             return -0.5 * offset * offset - log(std)
 
@@ -238,6 +239,7 @@ class Camera(Sensor):
         side = jnp.sqrt(0.5 * jnp.abs(doubled))
 
         def cut(length: int, most: int) -> tuple[Array, Array, Array]:
+            """Return number and length of windows along one side of the picture, and the margin."""
             count = jnp.clip(jnp.round(length / side), 1.0, most)
             window = jnp.floor(length / count)
             return count, window, jnp.floor(0.5 * (length - window * jnp.floor(length / window)))

@@ -284,6 +284,7 @@ class FaultSlot(_Fault):
         active, of = self.active(tick), tick if late is None else late.taken
 
         def choose(known: FaultMemory | None) -> T:
+            """Return the faulty reading for affected vehicles, computed only if there are any."""
             output = lambda: select(active, self._output(reading, known, of, draw), reading)  # noqa: E731
             chosen: T = lax.cond(jnp.any(active), output, lambda: reading)
             return chosen

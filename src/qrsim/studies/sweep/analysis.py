@@ -263,6 +263,7 @@ def _fit(
     total = flown.sum()
 
     def loss(coefficients: NumpyArray) -> tuple[float, NumpyArray]:
+        """Return the penalised mean negative log-likelihood of coefficients, and its gradient."""
         score = rows @ coefficients
         unlikely = flown * np.logaddexp(0.0, score) - failed * score
         slope = rows.T @ (flown * _logistic(score) - failed)

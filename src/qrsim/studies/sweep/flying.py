@@ -148,6 +148,7 @@ def _recorder(dumped: bytes) -> Any:
     world = _group(dumped).world
 
     def place(state: Any) -> Any:
+        """Return north, east, down [m] and charge of all vehicles."""
         positions = [fleet.vehicle.position_ned for fleet in state.fleets]
         axes = [jnp.concatenate([getattr(position, axis) for position in positions]) for axis in "xyz"]
         return (*axes, charges(world, state))

@@ -134,6 +134,7 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, obje
     """Return the values of an axis that are not allowed, and why; of a range its ends."""
 
     def wrong(value: object) -> str:
+        """Return the problems of a value with all other conditions; "" if it works with one."""
         found = ""
         for other in others:
             found = "; ".join(faults(content, {**other, axis.path: value}))

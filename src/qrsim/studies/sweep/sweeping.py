@@ -37,6 +37,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
     finished = as_completed(loop=client.loop)
 
     def hand_out() -> None:
+        """Submit batches until each worker thread has some in reserve."""
         while len(waiting) < AHEAD * max(1, _threads(client)):
             index = next(missing, None)
             if index is None:

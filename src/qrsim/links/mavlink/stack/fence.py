@@ -100,6 +100,7 @@ def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
     items: list[Item] = []
 
     def add(command: int, first: float, place: Point) -> None:
+        """Append an item of the fence at a place (north, east) [m]."""
         latitude, longitude, _ = geodesy.to_geodetic((*place, 0.0))
         params = (first, 0.0, 0.0, 0.0)
         items.append(Item(len(items), 5, command, params, round(latitude * 1e7), round(longitude * 1e7)))

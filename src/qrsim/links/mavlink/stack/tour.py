@@ -34,6 +34,7 @@ class Tour(Mission):
         self.end: Triple | None = None
 
     def _forget(self) -> None:
+        """Forget how the last item was flown."""
         super()._forget()
         self._begin: Triple = (0.0, 0.0, 0.0)
         self._centre: Triple | None = None

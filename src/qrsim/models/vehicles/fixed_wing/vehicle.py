@@ -121,6 +121,7 @@ class FixedWing(Aeroplane, Vehicle):
         zero = jnp.zeros_like(state.airspeed)
 
         def advance(_: Array, carried: Any) -> Any:
+            """Advance by a substep: stabiliser, surfaces, motion, and the mean specific force."""
             motion, surfaces, memory, force = carried
             through = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
             memory, wanted = wanted_surfaces(

@@ -151,6 +151,7 @@ class DifferentialRover(Vehicle):
         hardest = jnp.minimum(self.acceleration_max, self.friction * self.gravity)
 
         def spun(wanted: Array, wheel: Array) -> Array:
+            """Return the acceleration [m/s^2] of a wheel towards a wanted speed [m/s]."""
             fast = jnp.clip(wanted, -self.speed_max, self.speed_max)
             return jnp.clip((fast - wheel) / self.speed_lag, -hardest, hardest)
 
