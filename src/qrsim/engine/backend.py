@@ -76,7 +76,7 @@ class Program(Protocol):
 
     @property
     def slot(self) -> NumpyArray | None:
-        """Place of the numbers given, leaf after leaf, to be overwritten; None: they have no such place."""
+        """Buffer of the given inputs, leaf after leaf, that may be overwritten; None if there is no such buffer."""
 
     def give(self, leaves: Sequence[object]) -> None:
         """Take the inputs that differ by world, until others are given; to be called before all else."""

@@ -287,7 +287,7 @@ def _start(spec: FleetSpec) -> Start:
 
 
 def _route(spec: FleetSpec) -> Route:
-    """A vehicle without waypoints holds its start position."""
+    """Return the route of each vehicle: its waypoints, or its start if it has none."""
     routes = [vehicle.waypoints_ned or [vehicle.position_ned] for vehicle in spec.vehicles]
     longest = max(map(len, routes))
     padded = np.array([route + [route[-1]] * (longest - len(route)) for route in routes])

@@ -163,7 +163,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """The ground must be there, below all starts and waypoints."""
+    """Yield a ground that cannot be built, and starts and waypoints below it."""
     try:
         ground = ground_of(scenario)
     except UsageError as error:
@@ -188,7 +188,7 @@ def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Names become parts of paths, columns and noise streams."""
+    """Yield names of fleets and sensors that paths, columns and noise streams cannot have."""
     for path, name in [("fleets", fleet_name), *((f"fleets.{fleet_name}.sensors", name) for name in fleet.sensors)]:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
             yield (
@@ -204,7 +204,7 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """A list of numbers has one for each vehicle."""
+    """Yield lists of numbers that do not have one for each vehicle."""
     size = len(fleet.vehicles)
     parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
     optional = {"estimator": fleet.estimator, "failsafes": fleet.failsafes}
@@ -217,7 +217,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """A battery's voltage falls as it empties, and some are drained by what only some vehicles say."""
+    """Yield a battery that the vehicle cannot drain, or voltages that do not fall as it empties."""
     battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
     if battery.needs_power and not vehicle.gives_power:
         yield (
@@ -253,7 +253,7 @@ def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
 
 
 def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """The controller must take what the guidance gives."""
+    """Yield a guidance with set-points that the controller does not take."""
     accepted = known.CONTROLLERS[fleet.controller.type].setpoints
     # Tracks of both are of one kind, but a rover's end where it stops, and a wing's in a circle.
     others = {"rover": "fixed_wing", "fixed_wing": "rover"}.get(fleet.controller.type)
@@ -266,7 +266,7 @@ def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """The controller must be able to fly the vehicle; what is wrong with the vehicle alone is said elsewhere."""
+    """Yield a controller that cannot fly the vehicle; the vehicle alone is checked elsewhere."""
     if any(controller_problems(fleet_name, fleet)):
         return
     try:

@@ -59,7 +59,7 @@ def _stalls(stall: float) -> str:
 
 
 def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float) -> Iterator[str]:
-    """It cannot take off: whoever starts lower than half a span has a wing in the ground at the first bank."""
+    """Yield starts lower than half a span, where a wing would touch the ground at the first bank."""
     ground = ground_if_any(scenario)
     if ground is None or fleet.placement.type != "given":
         return
@@ -84,7 +84,7 @@ def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
 
 
 def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float) -> Iterator[str]:
-    """A circle is as wide as the bank allows at the speed over ground downwind."""
+    """Yield circles that are smaller than the bank allows at the speed over ground downwind."""
     path, radius = "guidance.radius", vars(fleet.guidance).get("radius")
     if fleet.guidance.type == "route":
         path, radius = "controller.loiter_radius", vars(fleet.controller).get("loiter_radius")

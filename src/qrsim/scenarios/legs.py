@@ -134,7 +134,7 @@ class ReturnLeg(_LegSpec):
 
 
 def _fly_by_default(value: object) -> object:
-    """A leg without a type is flown to."""
+    """Return a leg's data with the type "fly" where none is given."""
     return {"type": "fly", **value} if isinstance(value, dict) and "type" not in value else value
 
 

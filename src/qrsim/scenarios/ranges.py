@@ -148,7 +148,7 @@ def _static(owner: Any, names: list[str]) -> bool:
 
 
 def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) -> Iterator[str]:
-    """A range may not leave what its number may be."""
+    """Yield a range that leaves the bounds of its number."""
     _, low, high = in_radians(item)
     for end, value in (("low", low), ("high", high)):
         content = copy.deepcopy(scenario.model_dump(mode="json"))

@@ -126,7 +126,7 @@ class System:
             self._broadcast("STATUSTEXT", LAYOUTS["STATUSTEXT"].payload(**values))
 
     def present(self) -> None:
-        """Say that it is there, where no tick does."""
+        """Send a HEARTBEAT while no ticks are flown."""
         payload = ENCODERS[NUMBERS["HEARTBEAT"]](self.view)
         assert payload is not None
         self._broadcast("HEARTBEAT", payload)
