@@ -193,6 +193,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _interrupted(error: BaseException) -> int:
+    """Print the word for an interruption and return its exit code."""
     print(interruptions.word(error), file=sys.stderr)
     return interruptions.exit_code(error)
 
@@ -202,12 +203,14 @@ def _plain_warnings() -> None:
     import warnings
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
+        """Print a warning in one line on standard error."""
         print(f"warning: {_visible_lines(str(message))}", file=sys.stderr)
 
     warnings.showwarning = show
 
 
 def _dispatch(arguments: list[str]) -> int:
+    """Run the command that the arguments name and return the exit code."""
     if arguments[:1] == ["--version"]:
         from importlib.metadata import version
 
@@ -242,6 +245,7 @@ def _parse(
         description = _with_the_only(commands, description)
 
     def parse() -> Any:
+        """Parse the arguments with all commands."""
         return tyro.cli(_menu(commands), prog=program, description=description, args=arguments, config=_TYRO_CONFIG)
 
     with in_a_sentence(program, ("--help",), parse):
@@ -254,6 +258,7 @@ def _filled_in(entry: type[Command], program: str, arguments: list[str]) -> Comm
     options = list(_options(entry))
 
     def parse() -> Command:
+        """Parse the options of one command."""
         description = _help_text(inspect.getdoc(entry) or "")
         return tyro.cli(entry, prog=program, description=description, args=given, config=_TYRO_CONFIG)
 

@@ -141,6 +141,7 @@ class Description(Tabled):
         return tuple(name.partition("(")[0] for name, needed, _ in self._members() if needed)
 
     def _members(self) -> list[tuple[str, bool, str]]:
+        """Return name, whether it is required, and first paragraph of each attribute and method."""
         contract, found = self.contract, []
         own = vars(contract)
         for name, words in _attributes(inspect.getdoc(contract) or "").items():
@@ -176,6 +177,7 @@ def describe(kind: str) -> Description:
 
 
 def _abstract(contract: type) -> frozenset[str]:
+    """Return the names of the methods that a contract requires."""
     names: frozenset[str] = vars(contract).get("__abstractmethods__", frozenset())
     return names
 

@@ -72,12 +72,14 @@ def load(extra: str, purpose: str, module: str) -> ModuleType:
 
 
 def _package(module: str) -> str:
+    """Return the name of the package that has a module."""
     if module == "zenoh":
         return "eclipse-zenoh"
     return "protobuf" if module == "google.protobuf" else module.partition(".")[0]
 
 
 def _present(name: str) -> bool:
+    """Return whether a module is installed."""
     try:
         return find_spec(name) is not None
     except (ModuleNotFoundError, ValueError):  # a package around it is missing, or it was replaced by nothing

@@ -9,6 +9,7 @@ Read ``run/command.py`` first.
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -17,6 +18,8 @@ from functools import partial
 from typing import Any
 
 import tyro
+
+from qrsim.errors import UsageError
 
 _TIME = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z]*)", re.IGNORECASE)
 _UNITS = {"": 1.0, "ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0, "h": 3600.0}
@@ -40,10 +43,12 @@ def seconds_of(text: str) -> float:
 
 
 def _optional(words: list[str]) -> float | None:
+    """Return the time [s] of an option's word; None for "None"."""
     return None if words == ["None"] else seconds_of(words[0])
 
 
 def _spec(parse: Any) -> object:
+    """Return how tyro reads an option that is a time: one word, which ``parse`` turns into seconds."""
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="SECONDS",
@@ -56,6 +61,21 @@ def _spec(parse: Any) -> object:
 # Annotations of options: a required time, and an optional one.
 SECONDS = _spec(lambda words: seconds_of(words[0]))
 OPTIONAL_SECONDS = _spec(_optional)
+
+
+def check_seed(seed: int, option: str = "--seed", runs: int = 0) -> None:
+    """Raise UsageError for a seed that is out of range, or leaves no room for those of some ``runs`` after it."""
+    if not 0 <= seed < 2**63 - runs:
+        raise UsageError(f"{option} {seed}: expected an integer from 0 to 2**63 - 1{' - --seeds' if runs else ''}")
+
+
+def with_duration(overrides: list[str], duration: float | None) -> list[str]:
+    """Return overrides of a scenario and, if given, of its duration [s]; raise UsageError for one not above 0."""
+    if duration is None:
+        return list(overrides)
+    if not (math.isfinite(duration) and duration > 0):
+        raise UsageError(f"--duration {duration:g}: expected a positive number of seconds")
+    return [*overrides, f"duration={duration!r}"]
 
 
 @contextmanager

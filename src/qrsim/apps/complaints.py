@@ -38,6 +38,7 @@ def in_a_sentence(program: str, options: Sequence[str], again: Callable[[], obje
 
 
 def _box(parse: Callable[[], object]) -> str:
+    """Return what tyro prints on standard error while it parses, in lines wide enough not to break."""
     columns, said = os.environ.get("COLUMNS"), io.StringIO()
     os.environ["COLUMNS"] = _WIDE
     try:
@@ -76,6 +77,7 @@ def sentence(box: str, options: Sequence[str]) -> str:
 
 
 def _no_value(option: str, words: str) -> str:
+    """Return the error for a value that an option cannot read, from the words of tyro."""
     for pattern, expected in _NO_NUMBERS:
         if found := re.fullmatch(pattern, words):
             return f"{option} {shortened(found[1], 100)}: expected {expected}"
@@ -83,6 +85,7 @@ def _no_value(option: str, words: str) -> str:
 
 
 def _unknown(word: str, options: Sequence[str]) -> str:
+    """Return the error of an unknown option, with the nearest one, or of a word too many."""
     if word.startswith("-"):
         return f"no such option '{shortened(word, 100)}'{did_you_mean(word.partition('=')[0], options)}"
     return f"'{shortened(word, 100)}' is one word too many; a value with spaces goes in quotes"

@@ -91,6 +91,7 @@ class Discover:
             _print(found, self.out)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if self.out.suffix not in (".yaml", ".yml"):
             raise UsageError(f"--out {self.out}: expected a name that ends in .yaml")
         if self.out.exists() and not self.overwrite:
@@ -109,6 +110,7 @@ class Discover:
 
 
 def _summary(found: Discovery) -> dict[str, object]:
+    """Return the results as a dict for JSON: laws, delay, trims and held-out errors."""
     laws = {
         name: {
             "equation": law.text,
@@ -128,6 +130,7 @@ def _summary(found: Discovery) -> dict[str, object]:
 
 
 def _print(found: Discovery, out: Path) -> None:
+    """Print the discovered laws, delay, trims and held-out errors."""
     from qrsim.studies.discover.flight import TRIM_UNITS
 
     for law in found.laws.values():

@@ -90,11 +90,13 @@ class Export:
         self._report(written, every)
 
     def _usual_every(self, recorded: Run) -> int:
+        """Return N of "every Nth tick" without --every: 1 for logs, and what tracks need otherwise."""
         if self.format in ("csv", "mcap", "rosbag2"):
             return 1
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
     def _write_tables(self, recorded: Run, every: int) -> list[Written]:
+        """Write a CSV file for each stream, or for the one that is asked for."""
         from qrsim.runs.export.csv_files import write_stream
         from qrsim.runs.export.output import check_target, readable_streams
 
@@ -111,6 +113,7 @@ class Export:
         return [write_stream(recorded, *pair, every) for pair in zip(streams, targets, strict=True)]
 
     def _write_bag(self, recorded: Run, every: int) -> Written:
+        """Write a ROS 2 bag; an existing folder is overwritten with --force, and only if it is a bag."""
         require("ros2", "a bag of ROS 2")
         from qrsim.links.ros2 import bag
         from qrsim.runs.export.output import Written
@@ -123,6 +126,7 @@ class Export:
         return Written(folder, bag.write(recorded, folder, every, self.distro))
 
     def _write_file(self, recorded: Run, every: int) -> Written:
+        """Write one file in the chosen format: MCAP, KML, GPX or GeoJSON."""
         from qrsim.runs.export import geojson, gpx, kml
         from qrsim.runs.export.output import check_target
         from qrsim.runs.export.place import place_of
@@ -150,6 +154,7 @@ class Export:
         return (geojson.write if self.format == "geojson" else gpx.write)(tracks, target)
 
     def _report(self, written: list[Written], every: int) -> None:
+        """Print which files were written and what they hold, as text or JSON."""
         import json
 
         if self.json:

@@ -123,6 +123,7 @@ class Identify:
             _print(found, self.out, folder)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not self.logs:
             raise UsageError("no LOG is named")
         if self.out.suffix not in (".yaml", ".yml"):
@@ -139,6 +140,7 @@ class Identify:
             raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
 
     def _question(self) -> Question:
+        """Return what is to be fitted, from the options: start values, priors, constants and logs."""
         from qrsim.scenarios.vehicle_checks import grams_hint
         from qrsim.studies.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
         from qrsim.studies.identify.fit import Prior, Question
@@ -172,12 +174,14 @@ class Identify:
         return Question(names, start, self.separate, priors, self.delay, self.loss == "robust", ignored)
 
     def _say(self, *lines: str) -> None:
+        """Print lines of progress at once, unless --quiet or --json is given."""
         if not (self.quiet or self.json):
             for line in lines:
                 print(line, flush=True)
 
 
 def _number(option: str, text: str) -> float:
+    """Return a finite number from the text of an option; raise UsageError for other texts."""
     try:
         value = float(text)
     except ValueError:
@@ -188,6 +192,7 @@ def _number(option: str, text: str) -> float:
 
 
 def _prior(option: str, text: str, form: str) -> Any:
+    """Return the prior in a text VALUE:STD; ``form`` is the expected form in the error."""
     from qrsim.studies.identify.fit import Prior
 
     value, colon, std = text.partition(":")
@@ -200,6 +205,7 @@ def _prior(option: str, text: str, form: str) -> Any:
 
 
 def _print(found: Result, out: Path, folder: Path) -> None:
+    """Print the fitted constants with intervals, verdicts and held-out errors."""
     print(f"\n{'constant':<10} {'value':>13} {'95 % interval':>29}   {'start':>13}  unit")
     for name, each in found.constants().items():
         print(
@@ -229,6 +235,7 @@ def _print(found: Result, out: Path, folder: Path) -> None:
 
 
 def _print_signals(found: Result, i: int) -> None:
+    """Print of log i how much each signal moves compared with its noise."""
     print(f"\n{found.pieces[i].log.source.name}, fitted part: how much its signals move")
     print(f"  {'signal':<17} {'std':>10} {'noise':>10} {'std/noise':>10}  unit")
     for name, each in found.channels(i).items():

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from qrsim.apps import check_seed
 from qrsim.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -137,10 +138,10 @@ class Mavlink:
             log.close()
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not (math.isfinite(self.realtime) and 1e-3 <= self.realtime <= 1e3):
             raise UsageError(f"--realtime {self.realtime:g}: expected 0.001 to 1000")
-        if not 0 <= self.seed < 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        check_seed(self.seed)
         if not 1 <= self.first_sysid <= LAST_SYSTEM:
             raise UsageError(f"--first-sysid {self.first_sysid}: expected 1 to {LAST_SYSTEM}")
         for name, value, allowed in (
@@ -170,6 +171,7 @@ class Mavlink:
         return address
 
     def _describe(self, world: FlownWorld, ports: Ports, ground: str, say: Callable[[str], None]) -> None:
+        """Tell the user the systems and the UDP and TCP ports on which programs reach them."""
         from qrsim.links.mavlink.ports import GROUND, GROUND_PEER, ONBOARD, TCP
 
         systems = world.systems
@@ -191,6 +193,7 @@ class Mavlink:
 
 
 def _warn() -> None:
+    """Print a warning that other machines can fly the vehicles."""
     print(
         "warning: every machine that can reach this one can fly these vehicles; nothing is encrypted", file=sys.stderr
     )

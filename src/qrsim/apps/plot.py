@@ -95,6 +95,7 @@ class Plot:
             print(path)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         given = {"--vehicle": self.vehicle, "--from": self.start, "--to": self.end}
         alone = [option for option, value in given.items() if value not in (None, [])]
         if alone and not self.panel:
@@ -110,6 +111,7 @@ class Plot:
             raise UsageError(f"--from {self.start:g} is after --to {self.end:g}")
 
     def _draw(self, recorded: Run, path: Path) -> None:
+        """Save the figure that the options ask for: the overview, or sky, estimate, radio or panels."""
         if not self.panel:
             from qrsim.runs.figure import save_figure
 
@@ -142,6 +144,7 @@ class Plot:
 
 
 def _print_quantities(recorded: Run, as_json: bool) -> None:
+    """Print the quantities of a run with unit and meaning, as a table or JSON."""
     from qrsim.runs.quantities import quantities
 
     found = quantities(recorded)

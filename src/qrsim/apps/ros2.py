@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS, check_seed
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
 
@@ -169,6 +169,7 @@ class Ros2:
         return types, world.simulation, Flown(types, world, self.api, self.namespaces, self.rate)  # type: ignore[arg-type]
 
     def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:
+        """Return the node of the chosen transport: over zenoh, or a participant of DDS."""
         if self.transport == "zenoh":
             from qrsim.links.ros2.zenoh_node import ZenohNode
 
@@ -181,6 +182,7 @@ class Ros2:
         return Participant(types, domain, resend=self.reliable)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not (math.isfinite(self.realtime) and 1e-3 <= self.realtime <= 1e3):
             raise UsageError(f"--realtime {self.realtime:g}: expected 0.001 to 1000")
         if self.transport not in TRANSPORTS:
@@ -200,8 +202,7 @@ class Ros2:
             raise UsageError(f"--realtime {self.realtime:g}: only --pace free goes by the wall clock, not {self.pace}")
         if not (math.isfinite(self.rate) and 0.1 <= self.rate <= 1000.0):
             raise UsageError(f"--rate {self.rate:g}: expected 0.1 to 1000 Hz")
-        if not 0 <= self.seed < 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        check_seed(self.seed)
         if not (math.isfinite(self.hold) and 0.01 <= self.hold <= 3600.0):
             raise UsageError(f"--hold {self.hold:g}: expected 0.01 to 3600 seconds")
         if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):

@@ -48,6 +48,7 @@ class List:
             print(f"{row['name']:<{width}}  {counts}  {row['description']}")
 
     def _components(self) -> None:
+        """Print the components that scenarios may name, with where each comes from."""
         from qrsim.scenarios.registry import components
 
         rows = components()

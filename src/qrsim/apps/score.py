@@ -90,7 +90,7 @@ class Score:
         self._tell(batch.functional.name, found, kept)
 
     def _makers(self, play: Play) -> dict[str, Any]:
-        """Return what makes each policy, by the policy's name."""
+        """Return a function that makes each policy, by the name of the policy."""
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
 
@@ -114,6 +114,7 @@ class Score:
         return False
 
     def _tell(self, task: str, found: list[Any], kept: Path | None) -> None:
+        """Print the scores of the policies as a table or JSON."""
         rows = [_row(each, found[0]) for each in found]
         if self.json:
             import json
@@ -158,6 +159,7 @@ class Score:
 
 
 def _row(each: Any, first: Any) -> dict[str, Any]:
+    """Return the scores of a policy as a dict for JSON, with the difference from the first policy."""
     from qrsim.envs.scoring import Interval
 
     less = None if each is first else _told(each.less(first))
@@ -187,6 +189,7 @@ def _told(interval: Any) -> dict[str, float | None]:
 
 
 def _span(row: Mapping[str, object]) -> str:
+    """Return the interval of a score in brackets; "" without one."""
     return "" if row["low"] is None else f"({row['low']:.4g} to {row['high']:.4g})"
 
 
@@ -197,6 +200,7 @@ def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]
         names: list[str] = []
 
         def told(name: str, step: int) -> None:
+            """Show the policy that flies and its steps."""
             if name not in names:
                 names.append(name)
             update(description=name, completed=(len(names) - 1) * steps + step)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import SECONDS
+from qrsim.apps import SECONDS, check_seed
 from qrsim.errors import RunError, UsageError, did_you_mean, nearest, os_error_as
 from qrsim.extras import require
 
@@ -120,6 +120,7 @@ class Serve:
         log = Log()
 
         def ready(host: str, port: int) -> None:
+            """Tell the operator where the server and its page are."""
             log.say(f"qrsim serves on {host}:{port}")
             if options.view is not None:
                 if options.pace == "owner":
@@ -137,14 +138,14 @@ class Serve:
             log.close()
 
     def _options(self) -> Options:
+        """Return the options of the server; raise UsageError for those out of range."""
         from qrsim.links.pacing import checked_factor
         from qrsim.links.reference.roles import Options
         from qrsim.links.reference.seeds import EPISODES
 
         if not 0 <= self.port <= 65535:
             raise UsageError(f"--port {self.port}: expected 0 to 65535")
-        if not 0 <= self.seed < 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        check_seed(self.seed)
         if self.episodes not in EPISODES:
             near = did_you_mean(self.episodes, EPISODES)
             raise UsageError(f"--episodes {self.episodes}: expected {' or '.join(EPISODES)}{near}")
@@ -200,6 +201,7 @@ class Serve:
         return {"pace": self.pace, "silence": silence, "barrier_timeout": self.timeout}
 
     def _page(self) -> LiveView | None:
+        """Return the 3-D page that shows the simulation; None without --view."""
         if not self.view:
             return None
         if self.sessions:
@@ -210,6 +212,7 @@ class Serve:
         return LiveView(self.view_port, host=self.view_host)
 
     def _check_host(self) -> None:
+        """Refuse a host that other machines can reach without --allow-remote; warn with it."""
         if self.host == "localhost":
             return
         try:
@@ -228,6 +231,7 @@ class Serve:
         )
 
     def _scenario(self) -> Scenario | None:
+        """Return the scenario to serve; None if none is named, and then refuse options that need one."""
         if self.scenario is None:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import SECONDS, progress_bar
+from qrsim.apps import SECONDS, check_seed, progress_bar
 from qrsim.errors import RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
@@ -90,10 +90,10 @@ class SlamCommand:
             self.out.mkdir(parents=True, exist_ok=True)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if self.seeds < 1:
             raise UsageError(f"--seeds {self.seeds}: expected a positive number of flights")
-        if not 0 <= self.first_seed < 2**63 - self.seeds:
-            raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
+        check_seed(self.first_seed, "--first-seed", self.seeds)
         if not 0.0 < self.duration <= 1e7:
             raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds, at most 10 000 000")
         from qrsim.studies.slam.team_report import check_together
@@ -112,6 +112,7 @@ class SlamCommand:
             raise UsageError("--sweep: takes the size of the errors from coloured flights; leave out --noise white")
 
     def _solve_run(self, folder: Path) -> None:
+        """Estimate the trajectory and landmarks of a recorded run, print errors, write files."""
         from qrsim.runs import open_run
         from qrsim.runs.picture import save_picture
         from qrsim.studies.slam.estimate import from_run
@@ -138,6 +139,7 @@ class SlamCommand:
             print(f"\nfigure and numbers: {self.out}")
 
     def _solve_together(self, folder: Path) -> None:
+        """Estimate several vehicles of a recorded run in one graph, print and draw."""
         from qrsim.runs import open_run
         from qrsim.studies.slam.team_report import solve_run_together, text_of_run
 
@@ -150,6 +152,7 @@ class SlamCommand:
         self._report(result, text_of_run(found, result))
 
     def _team(self) -> None:
+        """Fly a team with each seed, compare joint with separate estimates, print and draw."""
         from qrsim.studies.slam.team_report import text_of_study
         from qrsim.studies.slam.team_study import CASES, compare
 
@@ -180,6 +183,7 @@ class SlamCommand:
             print(f"\nfigures and numbers: {self.out}")
 
     def _study(self) -> None:
+        """Fly with each seed and kind of noise, estimate, print and draw the errors."""
         from qrsim.studies.slam import example
         from qrsim.studies.slam import study as studies
         from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
@@ -212,6 +216,7 @@ class SlamCommand:
 
 
 def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
+    """Save the figures of a study in its folder."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.slam import figures
 
@@ -250,6 +255,7 @@ def _of_run(found: Slam) -> dict[str, Any]:
 
 
 def _print_study(result: dict[str, Any]) -> None:
+    """Print the errors of a study, its paired tests and its remedy."""
     from qrsim.studies.slam.estimate import MOST_ITERATIONS
     from qrsim.studies.slam.study import ARMS
 
@@ -291,12 +297,14 @@ def _metres(value: float | None, width: int = 8) -> str:
 
 
 def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) -> str:
+    """Return a number times ``unit`` with its 95 % interval, if it has one, in words."""
     if "low" not in found:
         return f"{unit * found[name]:.3g}"
     return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"
 
 
 def _write(path: Path, result: Mapping[str, object]) -> None:
+    """Write a result as JSON in one step; raise RunError if it cannot be written."""
     import json
 
     from qrsim.files.atomic import write_atomically

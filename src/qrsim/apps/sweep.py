@@ -85,6 +85,7 @@ class Sweep:
         self._fly(plan, out)
 
     def _study(self) -> Study:
+        """Load the study with the options that change it; raise UsageError for options out of range."""
         from qrsim.studies.sweep.study import load_study
 
         for name in ("workers", "seeds", "points", "values"):
@@ -103,6 +104,7 @@ class Sweep:
         return load_study(self.study, changes, self.set, self.values or 0)
 
     def _fly(self, plan: Plan, out: Path) -> None:
+        """Fly the batches that the store does not have yet, and print the result."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.sweep.cluster import Tls, workers_of
         from qrsim.studies.sweep.store import Store
@@ -143,6 +145,7 @@ class Sweep:
         )
 
     def _tell(self, result: Mapping[str, object], text: str) -> None:
+        """Print a result as JSON with --json, or its text."""
         if self.json:
             import json
 
@@ -152,6 +155,7 @@ class Sweep:
 
 
 def _planned(plan: Plan) -> dict[str, object]:
+    """Return the sizes of a plan as a dict for JSON."""
     return {
         "study": plan.study.spec.name,
         "digest": plan.study.digest,
@@ -164,11 +168,13 @@ def _planned(plan: Plan) -> dict[str, object]:
 
 
 def _sentence(plan: Plan) -> str:
+    """Return a sentence with the number of episodes and batches of a plan."""
     sizes = " x ".join(f"{size} {name}" for name, size in zip(plan.dims, plan.shape, strict=True))
     return f"{plan.study.spec.name}: {plan.episodes} episodes ({sizes}) in {plan.batches} batches"
 
 
 def _episodes(plan: Plan, done: NumpyArray) -> int:
+    """Return the number of episodes in the batches that are marked in ``done``."""
     import math
 
     import numpy as np
@@ -191,6 +197,7 @@ def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
     with progress_bar(plan.study.spec.name, plan.episodes, *texts, completed=before, factor="starting") as update:
 
         def show(batch: Batch) -> None:
+            """Add a batch to the bar and update the real-time factor."""
             nonlocal simulated
             group = plan.groups[batch.group]
             simulated += batch.episodes * group.ticks * group.time_step

@@ -65,6 +65,7 @@ class Validate:
         return 0 if report["passed"] else 1
 
     def _write(self, results: list[Result], report: Mapping[str, object]) -> None:
+        """Write the report as page, PDF, JSON and figures."""
         from qrsim.files.atomic import write_atomically
         from qrsim.studies.validate.page import write_page
         from qrsim.studies.validate.pdf import figures, write_pdf
@@ -80,6 +81,7 @@ class Validate:
                 write_atomically(path, content)
 
     def _print(self, results: list[Result], report: Mapping[str, object]) -> None:
+        """Print the outcome of each part and where the report is, or the report as JSON."""
         if self.json:
             print(_dump(report), end="")
             return
@@ -110,12 +112,14 @@ def to_json(results: list[Result]) -> dict[str, object]:
 
 
 def _dump(report: Mapping[str, object]) -> str:
+    """Return a report as indented JSON with a line end."""
     import json
 
     return json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _print_part(result: Result) -> None:
+    """Print the outcome of a part: its checks, those that failed, findings and what was skipped."""
     outcome = result.outcome
     if outcome is None:
         print(f"skipped  {result.part.title}: {result.skipped}\n")
@@ -164,6 +168,7 @@ def _progress(parts: list[Part]) -> Iterator[Callable[[Part], None] | None]:
         task = bar.add_task(names[0], total=len(parts))
 
         def done(part: Part) -> None:
+            """Add a part to the bar and show the next one."""
             bar.advance(task)
             bar.update(task, description=names[min(names.index(part.name) + 1, len(names) - 1)])
 

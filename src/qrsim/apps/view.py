@@ -91,6 +91,7 @@ class View:
             self._serve(recording)
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if self.at is not None and not (math.isfinite(self.at) and self.at >= 0.0):
             raise UsageError(f"--at {self.at:g}: expected a number of seconds from 0")
         given = {"--camera": self.camera, "--size": self.size, "--layers": self.layers}
@@ -107,6 +108,7 @@ class View:
             check_name(self.screenshot)
 
     def _photograph(self, recording: Recording, path: Path, time: float) -> None:
+        """Save a picture of the recording at a time [s], as camera, size and layers ask for."""
         from qrsim.files.atomic import write_atomically
         from qrsim.view.picture import photograph
         from qrsim.view.replay import remember_paths
@@ -140,6 +142,7 @@ class View:
         print(path)
 
     def _serve(self, recording: Recording) -> None:
+        """Serve the page of a recording until Ctrl-C."""
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.page import Page
         from qrsim.view.replay import Replay

@@ -179,6 +179,7 @@ class CascadeController(Controller):
         return state, vehicle.tilt_command(pitch, roll, throttle, turn)
 
     def _vehicle(self) -> tuple[Vehicle, Handling]:
+        """Return the vehicle that the controller was fitted to; raise UsageError if to none."""
         known = None if self.nominal is None else self.nominal.handling()
         if self.nominal is None or known is None:
             raise UsageError("this cascade knows no vehicle; fit it first: controller.fitted(vehicle)")
@@ -210,6 +211,7 @@ class CascadeController(Controller):
         share = dt / (self.derivative_lag + dt)
 
         def filtered(new: Array, old: Array, before: Array) -> Array:
+            """Return the low-pass filtered rate of a value, from its new and old number and the rate before."""
             return before + share * (jnp.where(ran, (new - old) * (1.0 / dt), 0.0) - before)
 
         parts = [
@@ -255,6 +257,7 @@ class CascadeController(Controller):
 
 
 def _within(value: Array, limit: Array) -> Array:
+    """Clip values to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)
 
 

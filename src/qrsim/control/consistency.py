@@ -78,6 +78,7 @@ def of_blocks(covariance: Array, errors: list[Array], known_biases: bool) -> Con
     """Return the squares of each block of 3, 3, 3 and 6 errors (..., n); the covariance has others after them."""
 
     def block(first: int, end: int) -> Array:
+        """Return the normalised squared error (...) of the errors from ``first`` to ``end``."""
         return normalised(covariance[..., first:end, first:end, :], jnp.stack(errors[first:end], axis=-2))
 
     bias = block(9, 15) if known_biases else jnp.full_like(errors[0], jnp.nan)

@@ -29,22 +29,27 @@ Feed = Literal["measurements", "truth"]
 
 
 def _tilt_limit() -> Array:
+    """Return the declaration of the parameter tilt limit [rad]."""
     return parameter(default=0.34, unit="rad", doc="largest commanded tilt per axis", above=0.0, maximum=0.9)
 
 
 def _yaw_gain() -> Array:
+    """Return the declaration of the parameter yaw gain [1/s]."""
     return parameter(default=6.0, unit="1/s", doc="yaw rate per heading error")
 
 
 def _yaw_rate_limit() -> Array:
+    """Return the declaration of the parameter yaw rate limit [rad/s]."""
     return parameter(default=4.4, unit="rad/s", doc="largest commanded yaw rate", above=0.0, maximum=4.5)
 
 
 def _battery() -> Array:
+    """Return the declaration of the parameter battery voltage [V]."""
     return parameter(default=12.0, unit="V", doc="battery voltage", minimum=9.0, maximum=12.0)
 
 
 def _feed() -> Any:
+    """Return the declaration of the setting that chooses the controller's input."""
     return setting(default="measurements", doc="input of the controller: the sensors' readings, or the truth")
 
 
@@ -115,6 +120,7 @@ class WaypointController(HeightController):
         sine, cosine = sincos(estimate.attitude.yaw)
 
         def to_heading(north: Array, east: Array) -> tuple[Array, Array]:
+            """Return the parts of a horizontal vector ahead and to the right of the heading."""
             return cosine * north + sine * east, cosine * east - sine * north
 
         ahead, right = to_heading(error.x, error.y)

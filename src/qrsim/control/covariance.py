@@ -6,7 +6,9 @@ them with a <= b: half a matrix. Measurements are scalars and sparse, so that no
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial, reduce
+from operator import add
 from typing import TypeAlias
 
 import jax.numpy as jnp
@@ -20,6 +22,8 @@ Covariance: TypeAlias = tuple[Array, ...]
 Sparse: TypeAlias = Mapping[int, Array]
 # The blocks of F - 1 that are not zero, by their rows and columns: (3, 3, n), or one factor for a multiple of 1.
 Moves: TypeAlias = Mapping[tuple[int, int], Array | float]
+# Adds arrays in their order.
+_sum: Callable[[Sequence[Array]], Array] = partial(reduce, add)
 
 
 def variances(covariance: Covariance) -> list[Array]:
@@ -61,12 +65,14 @@ def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> 
     }
 
     def moved(a: int, b: int) -> Array:
+        """Return the block (a, b) of F P F'."""
         right = [_transposed(_times(moves[b, k], _transposed(half[a, k]))) for k in into.get(b, ())]
         whole = _sum([half[a, b], *right])
         # What rounding leaves of a part that is not symmetric would grow: measurements do not see it.
         return 0.5 * (whole + _transposed(whole)) if a == b else whole
 
     def row(a: int) -> Array:
+        """Return the blocks of row a from the diagonal on, with noise."""
         own = _diagonal([jnp.broadcast_to(noise[i], covariance[a].shape[3:]) for i in _errors_of(a)])
         if a not in into:
             return _with_own(covariance[a], own)
@@ -114,6 +120,7 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
     zero = jnp.zeros(where.shape, covariance[0].dtype)
 
     def fresh(a: int, row: Array) -> Array:
+        """Return row a with the chosen errors reset to their variances, without correlations."""
         known = [
             [[[i not in variances and j not in variances] for j in _errors_of(b)] for i in _errors_of(a)]
             for b in range(a, count)
@@ -130,6 +137,7 @@ def widened(covariance: Covariance, variances: Sparse) -> Covariance:
     zero = jnp.zeros(covariance[0].shape[3:], covariance[0].dtype)
 
     def wider(a: int, row: Array) -> Array:
+        """Return row a with the variances added."""
         own = [variances.get(i) for i in _errors_of(a)]
         if all(variance is None for variance in own):
             return row
@@ -163,6 +171,7 @@ def _by_blocks(sensitivity: Sparse) -> Iterator[tuple[int, list[tuple[int, Array
 
 
 def _diagonal(variances: Sequence[Array]) -> Array:
+    """Return a block (3, 3, n) with variances (n,) on its diagonal."""
     return jnp.asarray(_EYE) * jnp.stack(variances)[:, None]
 
 
@@ -180,14 +189,8 @@ def _times(move: Array | float, block: Array) -> Array:
 
 
 def _transposed(block: Array) -> Array:
+    """Return a block (3, 3, n) with its rows and columns exchanged."""
     return jnp.swapaxes(block, -3, -2)
-
-
-def _sum(parts: Sequence[Array]) -> Array:
-    total = parts[0]
-    for part in parts[1:]:
-        total = total + part
-    return total
 
 
 _EYE = np.eye(BLOCK, dtype=np.float32)[:, :, None]

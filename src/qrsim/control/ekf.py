@@ -209,6 +209,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return state.innovations
 
     def _as(self, like: Array, std: Array) -> Array:
+        """Return the variance of a standard deviation, in the shape of ``like``."""
         return jnp.zeros_like(like) + std * std
 
     def _variances(
@@ -391,6 +392,7 @@ def _shares(readings: Mapping[str, object]) -> tuple[Any, Any]:
 
 
 def _unchanged(carry: Corrected) -> Corrected:
+    """Return the carry unchanged, for a tick without a reading."""
     return carry
 
 

@@ -183,6 +183,7 @@ class Failsafes:
         acts = state.action > NOTHING
 
         def taken_over() -> tuple[FailsafeState, PathSetpoint]:
+            """Return state and set-point with those of the failsafe for vehicles in which one acts."""
             away = acts & ((state.place_ned - seen.estimate.position_ned).norm() > BEGINS_AGAIN)
             begun = select(begins | away, self._begun(state, seen.estimate), state)
             flown, asked = self._flown(begun, seen, dt)

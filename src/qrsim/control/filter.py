@@ -100,7 +100,7 @@ class ComplementaryFilter(Estimator):
         return replace(self, earth_field_ned=earth_field_ned)
 
     def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[FilterState, Estimate]:
-        """Return state and estimate (n,) at the first readings; what they do not say is that of the start."""
+        """Return state and estimate (n,) from the first readings, with the start in place of missing ones."""
         place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rate, attitude = (field_of(readings, name) for name in ("height", "height_rate", "attitude"))
         position = start.position_ned if place is None else place
@@ -249,10 +249,12 @@ class ComplementaryFilter(Estimator):
 
 
 def _estimate(state: FilterState) -> Estimate:
+    """Return position, velocity and attitude of the filter's state."""
     return Estimate(state.position_ned, state.velocity_ned, state.attitude, state.position_low_ned)
 
 
 def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> FilterState:
+    """Return the state after corrections of position [m], velocity [m/s] and bias."""
     position, low = added(state.position_ned, state.position_low_ned + moved)
     return replace(
         state,

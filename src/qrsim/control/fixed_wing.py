@@ -120,6 +120,7 @@ class FixedWingController(Controller):
         return state, AttitudeCommand(roll, pitch, throttle)
 
     def _vehicle(self) -> Aeroplane:
+        """Return the vehicle that the controller was fitted to; raise UsageError if to none."""
         if self.nominal is None:
             raise UsageError("this controller knows no vehicle; fit it first: controller.fitted(vehicle)")
         found: Aeroplane = self.nominal
@@ -172,7 +173,7 @@ class FixedWingController(Controller):
         return self.l1_period * self.l1_damping / math.pi * over_ground
 
     def _turned(self, speed: Array, eta: Array) -> Array:
-        """Return the acceleration (n,) [m/s^2] to the right for an angle (n,) [rad] to what is flown to."""
+        """Return the acceleration to the right (n,) [m/s^2] of the L1 law for an angle (n,) [rad] to the goal."""
         sine = sincos(jnp.clip(eta, -0.5 * math.pi, 0.5 * math.pi))[0]
         return 4.0 * self.l1_damping * self.l1_damping * speed * speed / self._reach(speed) * sine
 
@@ -214,4 +215,5 @@ class FixedWingController(Controller):
 
 
 def _course(north: Array, east: Array) -> Array:
+    """Return the direction [rad] of a horizontal vector; 0 for none."""
     return arctan2(east, jnp.where((north == 0.0) & (east == 0.0), 1.0, north))

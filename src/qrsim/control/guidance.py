@@ -60,6 +60,16 @@ class RouteGuidance(Guidance):
         return state, self.setpoint(state, route)
 
 
+def after_arrival(state: RouteState, route: Route, arrived: Array, repeat: bool) -> RouteState:
+    """Return the state in which vehicles that have arrived (n,) go on to the next waypoint, the first if repeated."""
+    following = state.index + 1
+    last = jnp.zeros_like(following) if repeat else route.count - 1
+    following = jnp.where(following >= route.count, last, following)
+    # Where a vehicle stays, at the last waypoint or the only one, it arrives once.
+    counts = arrived & ((following != state.index) | (state.reached < route.count))
+    return RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
+
+
 @record
 class RouteFollower(RouteGuidance):
     """Gives the next waypoint when the current one is near."""
@@ -76,12 +86,7 @@ class RouteFollower(RouteGuidance):
     ) -> tuple[RouteState, WaypointSetpoint]:
         """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
         arrived = (self.setpoint(state, route).position_ned - position_ned).norm() < self.acceptance_radius
-        following = state.index + 1
-        last = jnp.zeros_like(following) if self.repeat else route.count - 1
-        following = jnp.where(following >= route.count, last, following)
-        # Where a vehicle stays, at the last waypoint or the only one, it arrives once.
-        counts = arrived & ((following != state.index) | (state.reached < route.count))
-        moved = RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
+        moved = after_arrival(state, route, arrived, self.repeat)
         return moved, self.setpoint(moved, route)
 
     def setpoint(self, state: RouteState, route: Route) -> WaypointSetpoint:
@@ -91,6 +96,7 @@ class RouteFollower(RouteGuidance):
         chosen = rows == state.index[None, :]
 
         def pick(values: Array) -> Array:
+            """Return the value of each vehicle's current waypoint."""
             return jnp.sum(jnp.where(chosen, values, 0.0), axis=0)
 
         return WaypointSetpoint(route.position_ned.map(pick), pick(route.yaw))

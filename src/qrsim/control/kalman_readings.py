@@ -50,6 +50,7 @@ def velocities(state: KalmanState, velocity: Vec3, variances: tuple[Array, ...],
 
 
 def _then(state: KalmanState) -> Past:
+    """Return position and velocity at the tick to which a fix that arrives now belongs."""
     return state.past[0] if state.past else Past(state.position_ned, state.position_low_ned, state.velocity_ned)
 
 

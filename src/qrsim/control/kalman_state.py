@@ -208,6 +208,7 @@ def injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
 
 
 def _inner(inner: Inner, errors: Array) -> Inner:
+    """Return the inner states with the estimated errors added."""
     places = Places.of(inner)
     inner = replace(
         inner,
@@ -249,6 +250,7 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
     own = [(variance + more.get(k, 0.0)) ** 0.5 for k, variance in enumerate(variances(state.covariance))]
 
     def three(first: int | None) -> Vec3 | None:
+        """Return the deviations of three errors as a vector, None for errors that are not estimated."""
         return None if first is None else Vec3(*own[first : first + 3])
 
     return Inner(
@@ -263,4 +265,5 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
 
 
 def _three(errors: Array, first: int) -> Vec3:
+    """Return three errors from number ``first`` as a vector."""
     return Vec3(errors[first], errors[first + 1], errors[first + 2])

@@ -47,6 +47,7 @@ class Turning:
         change = (velocity_ned - self.velocity_ned) * (1.0 / jnp.maximum(self.since_fix, 1e-3))
 
         def chosen(now: Vec3, before: Vec3) -> Vec3:
+            """Return the new vector for vehicles with a new velocity, else the old one."""
             return Vec3(*(jnp.where(new, a, b) for a, b in zip(now.axes, before.axes, strict=True)))
 
         return replace(

@@ -283,6 +283,7 @@ class MissionGuidance(Guidance):
 
 
 def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
+    """Return ticks as time [s], in the precision of the state."""
     return ticks.astype(state.time.dtype) * dt
 
 

@@ -160,6 +160,7 @@ def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again:
 
 
 def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> list[_Part]:
+    """Return a part for each leg: direction, length [m] and largest speed [m/s]."""
     place, parts = np.asarray(start_ned, np.float64), []
     for leg in legs:
         goal = np.asarray(leg.position_ned, np.float64)
@@ -196,6 +197,7 @@ def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits
 
 
 def _flown_through(part: _Part, after: _Part) -> bool:
+    """Return whether a line runs into another without a stop."""
     lines = part.leg.kind == after.leg.kind == "line" and min(part.length, after.length) > SHORTEST
     return lines and not part.leg.stop and part.leg.hold == 0.0
 
@@ -298,9 +300,11 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     rows = [[*parts, *[parts[-1]] * (longest - len(parts))] for parts in plans]
 
     def table(pick: Any, dtype: Any = np.float64) -> Any:
+        """Return a number of each part of each vehicle's mission, an array (parts, n)."""
         return np.ascontiguousarray(np.array([[pick(part) for part in row] for row in rows], dtype).T)
 
     def vector(pick: Any) -> Vec3:
+        """Return a vector of each part, arrays (parts, n)."""
         return Vec3(*(table(lambda part, axis=axis: pick(part)[axis]) for axis in range(3)))
 
     flat = [part.leg for row in rows for part in row]
@@ -353,13 +357,17 @@ def _is_level(part: _Part) -> bool:
 
 
 def _circles(table: Any) -> Orbits:
+    """Return the circles of all vehicles as arrays, zeros for straight lines."""
+
     def is_circle(part: _Part) -> bool:
         return part.leg.kind == "circle"
 
     def arm(part: _Part, axis: int) -> float:
+        """Return the way [m] along an axis from the centre to the begin of a circle; 0 for a line."""
         return float(part.begin[axis] - part.leg.centre_ned[axis]) if is_circle(part) else 0.0
 
     def curvature(part: _Part) -> float:
+        """Return one over the radius [1/m], positive clockwise; 0 for a line."""
         return math.copysign(1.0, part.leg.angle) / math.hypot(arm(part, 0), arm(part, 1)) if is_circle(part) else 0.0
 
     return Orbits(
@@ -372,6 +380,7 @@ def _circles(table: Any) -> Orbits:
 
 
 def _facing(table: Any) -> Facing:
+    """Return the places that the vehicle faces on each leg, as arrays."""
     return Facing(
         faced=table(lambda part: part.leg.facing_ned is not None, bool),
         north=table(lambda part: (part.leg.facing_ned or (0.0, 0.0))[0]),
@@ -380,5 +389,5 @@ def _facing(table: Any) -> Facing:
 
 
 def renumbered(legs: Sequence[Leg], number: int) -> list[Leg]:
-    """Return the parts of what is one leg to its author."""
+    """Return parts of one leg of a mission with the number of the leg, the last part marked."""
     return [replace(leg, number=number, last=i == len(legs) - 1) for i, leg in enumerate(legs)]

@@ -66,7 +66,7 @@ class RoverController(Controller):
     gives: ClassVar[type] = DriveCommand
 
     def fitted(self, vehicle: object) -> RoverController:
-        """Return the controller that knows what a vehicle is commanded with.
+        """Return the controller for a nominal vehicle, which sets its kind of command.
 
         Raises:
             UsageError: the vehicle has no wheels.
@@ -171,6 +171,7 @@ class RoverController(Controller):
 
 
 def _level(velocity: Vec3) -> Array:
+    """Return the horizontal speed [m/s]."""
     return root(velocity.x * velocity.x + velocity.y * velocity.y)
 
 

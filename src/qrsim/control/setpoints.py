@@ -108,6 +108,7 @@ class PathSetpoint:
         position = axes(position_ned)
 
         def each(values: object) -> Vec3:
+            """Return a vector for each vehicle, of the type of the position."""
             wanted: Vec3 = axes(values)
             return wanted.map(lambda axis: like(position.x, axis))
 

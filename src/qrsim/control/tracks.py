@@ -10,7 +10,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.guidance import Route, RouteGuidance, RouteState
+from qrsim.control.guidance import Route, RouteGuidance, RouteState, after_arrival
 from qrsim.control.setpoints import TrackSetpoint
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3, root
@@ -47,11 +47,13 @@ def advanced(
     distance, along = left_of(begin, end, position_ned)
     has_line = (begin.x != end.x) | (begin.y != end.y)
     arrived = (distance < reach) | (has_line & (along < 0.0) & passed)
-    following = state.index + 1
-    last = jnp.zeros_like(following) if repeat else route.count - 1
-    following = jnp.where(following >= route.count, last, following)
-    counts = arrived & ((following != state.index) | (state.reached < route.count))
-    return RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
+    return after_arrival(state, route, arrived, repeat)
+
+
+def ends_at(state: RouteState, route: Route, repeat: bool) -> Array:
+    """Return for each vehicle (n,) whether its route ends at its waypoint; a repeated one ends if it has no other."""
+    final = state.index + 1 >= route.count
+    return final & (route.count < 2) if repeat else final
 
 
 @record
@@ -75,8 +77,7 @@ class RoverGuidance(RouteGuidance):
     def setpoint(self, state: RouteState, route: Route) -> TrackSetpoint:
         """Return the line that each vehicle (n,) is on."""
         begin, end = line_of(state, route)
-        final = state.index + 1 >= route.count
-        stops = final & (route.count < 2) if self.repeat else final
+        stops = ends_at(state, route, self.repeat)
         zero = jnp.zeros_like(end.x)
         return TrackSetpoint(begin, end, zero, zero, jnp.where(stops, 1.0 + zero, zero))
 
@@ -107,7 +108,7 @@ class FixedWingGuidance(RouteGuidance):
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, TrackSetpoint]:
         """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
-        circles = self._circles(state, route)
+        circles = ends_at(state, route, self.repeat)
         reach = self.acceptance_radius + jnp.where(circles, jnp.abs(self.radius), 0.0)
         moved = advanced(state, route, position_ned, reach, ~circles, self.repeat)
         return moved, self.setpoint(moved, route)
@@ -116,9 +117,5 @@ class FixedWingGuidance(RouteGuidance):
         """Return the line or circle that each vehicle (n,) is on."""
         begin, end = line_of(state, route)
         zero = jnp.zeros_like(end.x)
-        radius = jnp.where(self._circles(state, route), self.radius, 0.0)
+        radius = jnp.where(ends_at(state, route, self.repeat), self.radius, 0.0)
         return TrackSetpoint(begin, end, radius, zero + self.airspeed, zero)
-
-    def _circles(self, state: RouteState, route: Route) -> Array:
-        final = state.index + 1 >= route.count
-        return final & (route.count < 2) if self.repeat else final

@@ -45,6 +45,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def call(*trees: object) -> Any:
+        """Trace the function for these shapes at the first call, and compute it with NumPy."""
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
         # Text and types are part of the key: JAX treats structures as equal if only the types of their records differ.
@@ -69,11 +70,13 @@ def evaluate(closed: Any, arguments: Sequence[Any]) -> list[Any]:
 
 
 def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -> list[Any]:
+    """Return the results of a jaxpr, computed with NumPy."""
     known: dict[Any, Any] = {}
     for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
         known[variable] = np.asarray(value)
 
     def read(atom: object) -> Any:
+        """Return the value of a variable or a literal."""
         if not isinstance(atom, jex.Literal):
             return known[atom]
         of: Any = atom.aval
@@ -87,6 +90,7 @@ def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -
 
 
 def _applied(equation: Any, inputs: list[object]) -> Sequence[object]:
+    """Return the results of an equation: by its rule here, or else by JAX."""
     name, parameters = equation.primitive.name, equation.params
     rule = _RULES.get(name)
     if rule is not None:
@@ -112,18 +116,21 @@ def _kernel(name: str) -> Any:
 
 
 def _called(parameters: Any, *inputs: object) -> list[object]:
+    """Return the results of a call of another jaxpr."""
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
 def _cond(parameters: Any, index: Any, *inputs: object) -> list[object]:
+    """Return the results of the chosen branch."""
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
 
 
 def _scan(parameters: Any, *inputs: Any) -> list[object]:
+    """Return the carry and the stacked rows of a loop."""
     body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
     same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
     turns = range(parameters["length"])
@@ -165,6 +172,7 @@ def _select(parameters: object, which: Any, *cases: Any) -> object:
 
 
 def _converted(parameters: Any, x: Any) -> Any:
+    """Return an array as another type; to integers it is truncated and clipped, as JAX does."""
     to = parameters["new_dtype"]
     if x.dtype.kind == "f" and np.dtype(to).kind in "iu":
         # Beyond what fits, NumPy's result depends on the processor.
@@ -174,6 +182,7 @@ def _converted(parameters: Any, x: Any) -> Any:
 
 
 def _rounded(parameters: Any, x: Any) -> object:
+    """Round half to even or, as the parameter says, away from zero."""
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
@@ -186,10 +195,12 @@ def _power(parameters: Any, x: object) -> object:
 
 
 def _quotient(parameters: object, a: Any, b: Any) -> object:
+    """Divide; integers towards zero."""
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
 def _padded(parameters: Any, x: Any, value: Any) -> object:
+    """Pad with a value, also between elements, and cut off where the padding is negative."""
     sizes = [
         low + high + n + max(n - 1, 0) * gap
         for n, (low, high, gap) in zip(x.shape, parameters["padding_config"], strict=True)
@@ -213,6 +224,8 @@ def _iota(parameters: Any) -> NumpyArray:
 
 
 def _shifted(function: Rule) -> Rule:
+    """Return a rule that shifts bits; 0 for shifts by the width and more."""
+
     def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
@@ -222,10 +235,12 @@ def _shifted(function: Rule) -> Rule:
 
 
 def _ignoring_parameters(function: Rule) -> Rule:
+    """Return a rule that calls a function of the inputs only."""
     return lambda parameters, *inputs: function(*inputs)
 
 
 def _sum(parameters: Any, x: Any) -> object:
+    """Return the sum over some axes, added in order."""
     axes = parameters["axes"]
     rest = [size for axis, size in enumerate(x.shape) if axis not in axes]
     parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *rest)
@@ -234,6 +249,7 @@ def _sum(parameters: Any, x: Any) -> object:
 
 
 def _along(function: Any) -> Rule:
+    """Return a rule that reduces some axes."""
     return lambda parameters, x: function.reduce(x, axis=tuple(parameters["axes"]), dtype=x.dtype)
 
 

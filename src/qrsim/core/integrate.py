@@ -13,6 +13,7 @@ Slope = Callable[[S], tuple[S, A]]
 
 
 def _advance(state: S, slope: S, dt: float) -> S:
+    """Return state + dt slope, leaf by leaf."""
     return jax.tree.map(lambda x, d: x + dt * d, state, slope)
 
 
@@ -42,6 +43,7 @@ def rk4(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
     fourth, output_4 = slope(_advance(state, third, dt))
 
     def mean(a: jax.Array, b: jax.Array, c: jax.Array, d: jax.Array) -> jax.Array:
+        """Return the weighted mean of four slopes."""
         return (a + 2.0 * (b + c) + d) / 6.0
 
     combined = jax.tree.map(mean, first, second, third, fourth)

@@ -56,6 +56,7 @@ def always_room(points: int, count: int, room: int | None = None) -> bool:
 
 
 def _capacity(count: int) -> int:
+    """Return the usual ``room``: the largest number of points in three columns side by side."""
     return max(2 * count, 32)
 
 
@@ -152,10 +153,12 @@ def _ranks(column: Array, columns: int) -> Array:
     clipped_column = jnp.minimum(column, columns - 1)
 
     def waits(carry: tuple[Array, Array]) -> Array:
+        """Return whether any point has no rank yet."""
         turn, rank = carry
         return (turn < _DEEPEST) & jnp.any(somewhere & (rank < 0))
 
     def one_more(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Give the next rank to the lowest number of each column."""
         turn, rank = carry
         left = somewhere & (rank < 0)
         lowest = jnp.full(columns, n, jnp.int32).at[clipped_column].min(jnp.where(left, number, n), mode="drop")

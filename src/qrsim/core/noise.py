@@ -49,6 +49,7 @@ def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds:
 
 
 def _threefry(*words: Array, rounds: int) -> tuple[Array, Array]:
+    """Return two random words of 32 bits from the key and the counter, two words each (Salmon et al. 2011)."""
     key, counter = words[:2], words[2:]
     schedule = (key[0], key[1], key[0] ^ key[1] ^ np.uint32(_PARITY))
     x0, x1 = counter[0] + schedule[0], counter[1] + schedule[1]
@@ -82,6 +83,7 @@ def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Ar
 
 
 def _normals(*words: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
+    """Return two normals from two random words, by Box and Muller."""
     # Shifted to 31 bits because signed conversion is one vector instruction everywhere.
     uniform = ((words[0] >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
     # The angle lies in [-pi, pi): all 32 bits, read as a signed number.
@@ -185,6 +187,7 @@ class Stream:
         return threefry2x32((self.high, self.low + jnp.asarray(index, jnp.uint32)), self._counter(tick))
 
     def _counter(self, tick: Array) -> tuple[Array, Array]:
+        """Return the counter: tick, and number of the vehicle."""
         return jnp.broadcast_to(jnp.asarray(tick).astype(jnp.uint32), self.ids.shape), self.ids
 
     def normals(self, tick: Array, count: int, dtype: jnp.dtype) -> tuple[Array, ...]:
@@ -219,6 +222,7 @@ class Stream:
         return first.astype(dtype) * scale, second.astype(dtype) * scale
 
     def _words_of(self, tick: Array, pairs: Array) -> tuple[Array, Array]:
+        """Return two random words for each pair (k,) and vehicle at a tick."""
         shape = (*pairs.shape, *self.ids.shape)
         counter = tuple(jnp.broadcast_to(word, shape) for word in self._counter(tick))
         key = jnp.broadcast_to((self.low + pairs)[:, None], shape)
@@ -287,6 +291,7 @@ class Drawn:
 
 
 def _check_count(count: int, most: int | None) -> None:
+    """Raise ValueError if a component asks for more normals than it declares."""
     if most is not None and count > most:
         raise ValueError(f"a component that declares {most} normals per step asked for {count}")
 

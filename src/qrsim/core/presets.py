@@ -36,6 +36,7 @@ def with_presets(cls: Any) -> Any:
 
     @functools.wraps(plain)
     def completed(self: object, *args: Any, **given: Any) -> None:
+        """Create the object with the parameters that its preset adds."""
         # JAX and dataclasses pass all fields when they rebuild a record; nothing is missing then.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}

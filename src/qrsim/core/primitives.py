@@ -84,11 +84,13 @@ class Kernel:
         return result
 
     def _results(self, *avals: Any) -> list[object]:
+        """Return the types of the results for those of the arguments."""
         assert self.takes == tuple(aval.dtype.name for aval in avals)
         shape = max((aval.shape for aval in avals), key=len)
         return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
 
     def _batched(self, arguments: Any, axes: Any) -> tuple[Any, list[int]]:
+        """Apply the kernel to a batch: all arguments with the batch in front, in one shape."""
         rank = max(jnp.ndim(argument) - (axis is not None) for argument, axis in zip(arguments, axes, strict=True))
         moved = []
         for argument, axis in zip(arguments, axes, strict=True):
@@ -102,6 +104,7 @@ class Kernel:
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
     def _differentiated(self, primals: Any, tangents: Any) -> tuple[object, object]:
+        """Return the results and their tangents."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         result = self.primitive.bind(*primals)
         if self.jvp is None:

@@ -96,4 +96,5 @@ def is_gone(key: Hashable) -> bool:
 
 
 def _has_numbers(array: NumpyArray | np.generic | jax.Array) -> bool:
+    """Return whether the elements of an array are numbers, not objects or random keys."""
     return not jnp.issubdtype(array.dtype, jax.dtypes.extended) and array.dtype != object

@@ -27,6 +27,7 @@ def interval_at(rows: Array, parts: Array, seconds: Array, fraction: Array) -> t
     """
 
     def halve(_: object, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Return the bounds of the half that has the time in it."""
         low, high = bounds
         middle = (low + high) // 2
         passed = (rows[middle] < seconds) | ((rows[middle] == seconds) & (parts[middle] <= fraction))
@@ -36,6 +37,7 @@ def interval_at(rows: Array, parts: Array, seconds: Array, fraction: Array) -> t
     before = lax.fori_loop(0, last.bit_length(), halve, (jnp.int32(0), jnp.int32(last)))[0]
 
     def since(seconds: Array, fraction: Array) -> Array:
+        """Return the time [s] since the last row."""
         return (seconds - rows[before]).astype(parts.dtype) + (fraction - parts[before])
 
     interval = since(rows[before + 1], parts[before + 1])

@@ -91,6 +91,7 @@ def _fields(kind: type) -> tuple[list[str], list[str]]:
 
 
 def _plain(value: object) -> Any:
+    """Return a setting as JSON can hold it, tuples marked; raise TypeError for others."""
     if type(value) is tuple:
         return {"tuple": [_plain(part) for part in value]}
     if type(value) not in _PLAIN:
@@ -99,6 +100,7 @@ def _plain(value: object) -> Any:
 
 
 def _unplain(value: object) -> Any:
+    """Return a setting from its JSON form."""
     if isinstance(value, dict):
         return tuple(_unplain(part) for part in value["tuple"])
     return value

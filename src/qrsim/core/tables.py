@@ -37,6 +37,7 @@ class Table:
     widest: int = WIDEST
 
     def _shown(self) -> list[tuple[str, ...]]:
+        """Return the rows that are printed, cut to length and width, with how many are left out."""
         rows = [tuple(_shortened(cell, self.widest) for cell in row) for row in self.rows[:MOST_ROWS]]
         left = len(self.rows) - len(rows)
         return rows + ([(f"and {left} more", *[""] * (len(self.headings) - 1))] if left else [])
@@ -69,6 +70,7 @@ class Tabled:
         raise NotImplementedError
 
     def _table_or_fault(self) -> Table:
+        """Return the table, or one that says why there is none."""
         try:
             return self._table()
         except QrsimError as error:
@@ -128,5 +130,6 @@ def columns_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _shortened(cell: str, widest: int) -> str:
+    """Return a cell in one line of at most ``widest`` characters."""
     line = " ".join(cell.split())
     return line if len(line) <= widest else line[: widest - 3] + "..."

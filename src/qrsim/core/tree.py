@@ -249,10 +249,12 @@ def _parts(kind: type) -> tuple[tuple[str, FieldInfo], ...]:
 
 @cache
 def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
+    """Return the field's description with another unit."""
     return dataclasses.replace(info, unit=unit)
 
 
 def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
+    """Yield name, array and field of each leaf of a field's value."""
     if isinstance(value, tuple):
         for number, part in enumerate(value):
             yield from _walked(part, f"{name}.{number}", info)

@@ -76,10 +76,10 @@ class Program(Protocol):
 
     @property
     def slot(self) -> NumpyArray | None:
-        """Place of the numbers given, leaf after leaf, to be overwritten; None: they have no such place."""
+        """Buffer of the given inputs, leaf after leaf, that may be overwritten; None if there is no such buffer."""
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Take what each world has for itself, until something else is given; to be called before all else."""
+        """Take the inputs that differ by world, until others are given; to be called before all else."""
 
     def start(self) -> Any:
         """Return a first state, or those of as many worlds as something was given."""
@@ -169,7 +169,7 @@ class Specialised:
         self._last: tuple[Packer | None, object, Program] | None = None
 
     def program(self, given: Tree, state: Packer | None = None) -> Program:
-        """Return the program of a kind, with what was given."""
+        """Return the program for the structure and types of ``given``, with these numbers as inputs."""
         leaves, structure = jax.tree.flatten(given)
         # On the host, where what a user gave may be numbers of Python.
         leaves = [np.asarray(leaf) for leaf in leaves]
@@ -249,7 +249,7 @@ class Worlds:
         return self._states is not None
 
     def prepare(self, begins: Tree, given: Tree) -> None:
-        """Compile both functions, for examples of what they are given, (1, ...), so that one compiler has both."""
+        """Compile both functions for examples (1, ...) of their inputs, so that one compiler has both."""
         self._layout = self._checked_program(self._start, begins).layout
         self._checked_program(self._tick, given, self._layout)
 
@@ -268,7 +268,7 @@ class Worlds:
         self._start.share(Shared.of(shared))
 
     def begin(self, given: Tree) -> None:
-        """Start all of them, by what is given, each leaf (B, ...)."""
+        """Start all worlds from inputs with leaves (B, ...)."""
         program = self._checked_program(self._start, given)
         self._layout, self._states = program.layout, program.start()
 
@@ -293,7 +293,7 @@ class Worlds:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def _keep(self, program: Program, rows: IntArray, select: Callable[[Tree], Tree]) -> Tree:
-        """Start what was given to a program, of which the first worlds are ``rows``."""
+        """Start a program, take its first worlds as the states of ``rows``, and return a part of them."""
         some: States = program.start()
         if self._states is None:
             count, tree = self._extent.worlds, some.get(lambda tree: tree)

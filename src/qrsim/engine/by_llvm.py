@@ -206,7 +206,7 @@ class LlvmProgram:
         self._last: tuple[Any, Lanes | None] = (None, None)
 
     def give(self, leaves: Sequence[Any]) -> None:
-        """Take what each world has for itself."""
+        """Take the inputs that differ by world."""
         if self._flat is not None:
             np.concatenate([leaf.ravel() for leaf in leaves], out=self._flat)
             return

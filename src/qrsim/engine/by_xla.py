@@ -118,7 +118,7 @@ class XlaProgram:
         return self._layout
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Take what the world has for itself."""
+        """Take the inputs of the world."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Buffers:
@@ -238,7 +238,7 @@ class XlaWorldsProgram:
         self.part = max(1, extent.worlds // PARTS)
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Take what each world has for itself, leaves (B, ...)."""
+        """Take the inputs that differ by world, leaves (B, ...)."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Arrays:

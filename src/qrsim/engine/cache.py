@@ -127,7 +127,7 @@ def keep(what: tuple[object, ...], value: Kept, rooms: tuple[str, ...] = TRACED)
 
 
 def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
-    """Return the file of something, its key, and the rooms; None where nothing is kept of it."""
+    """Return the file of an entry, its key and the rooms it depends on; None if it is not cached."""
     place = folder()
     if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
         return None

@@ -52,7 +52,7 @@ def private(path: Path) -> bool:
 
 
 def _open_to_others(path: Path, found: os.stat_result) -> str | None:
-    """Return who else could put something there, None where nobody can."""
+    """Return why another user could write to a folder, in words; None if none can."""
     if stat.S_ISLNK(found.st_mode):
         return "it is a symbolic link"
     if found.st_uid != os.geteuid():

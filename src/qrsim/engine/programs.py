@@ -98,6 +98,6 @@ def _tell(program: object, why: UnsupportedError) -> None:
 
 
 def forget() -> None:
-    """Let every program be made anew, for whoever changed what they are made of."""
+    """Discard all compiled programs."""
     _MADE.clear()
     _TOLD.clear()

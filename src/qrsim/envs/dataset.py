@@ -66,7 +66,7 @@ class Recording:
         self.episodes = [Recorded([self._observation(row)], [self._truth_of(row)]) for row in range(self._batch.size)]
 
     def add(self, rows: Iterable[int], actions: Floats, reward: Floats, ended: tuple[Floats, Floats]) -> None:
-        """Keep a step.
+        """Append a step to the recorded episodes.
 
         Args:
             rows: the episodes that were flown in it.

@@ -130,5 +130,5 @@ class VecTask(VecEnv):  # type: ignore[misc]
 
 
 def _row(infos: Mapping[str, object], i: int) -> dict[str, object]:
-    """Return what is really the case in an environment."""
+    """Return the infos of one environment of a batch."""
     return {name: leaf[i] for name, leaf in infos.items() if isinstance(leaf, np.ndarray) and name[0] != "_"}

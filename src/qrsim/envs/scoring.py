@@ -162,7 +162,7 @@ class Scored:
 
     @property
     def interval(self) -> Interval:
-        """The mean return."""
+        """Mean return with its interval."""
         return Interval.of(self.returns)
 
     @property
@@ -273,7 +273,7 @@ def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
 
 
 def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
-    """Return what the agents of a policy do (n, W), and what they say (n, D); NaN for who says nothing."""
+    """Return the checked actions (n, W) and messages (n, D) of a policy's agents; NaN for no message."""
     if len(batch.sides) > 1:
         by_fleet(given, [side.fleet for side in batch.sides], f"policy {name}: actions")
     acts, said = [], []
@@ -288,7 +288,7 @@ def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
 
 
 def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[Any, Floats]:
-    """Return what a policy does, and what its agents say over the radio, (n, D); NaN for who says nothing.
+    """Return a policy's actions, and its messages over the radio (n, D), NaN for agents that send none.
 
     Raises:
         UsageError: a dict without ``act``, with something else than ``act`` and ``say``, or no D numbers to say.

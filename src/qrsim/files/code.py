@@ -129,6 +129,7 @@ def where_raised(error: BaseException, files: Sequence[str] | None = None) -> st
 
 
 def _is_of_user(file: str) -> bool:
+    """Return whether a source file is the user's: not of this package, Python or installed ones."""
     return not file.startswith((_PACKAGE, "<frozen")) and "site-packages" not in file
 
 
@@ -140,6 +141,7 @@ def in_one_line(error: BaseException) -> str:
 
 
 def _import_module(what: str, name: str) -> ModuleType:
+    """Import a module by name, from the working folder too; raise UsageError, beginning with ``what``."""
     if not all(part.isidentifier() for part in name.split(".")):
         raise UsageError(f"{what}: '{name}' is no module; expected my_package.my_module, or a file that ends in .py")
     folder = str(Path.cwd())
@@ -171,6 +173,7 @@ def _failed(error: BaseException, files: list[str]) -> str:
 
 
 def _import_file(what: str, path: Path) -> ModuleType:
+    """Import a Python file under a name with its digest; raise UsageError, beginning with ``what``."""
     if not path.exists():
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)

@@ -68,4 +68,5 @@ class CsvRows:
 
 
 def _with_point(field: str) -> str:
+    """Return a number with a decimal comma as one with a point; other texts unchanged."""
     return field.replace(",", ".") if _DECIMAL_COMMA.fullmatch(field) else field

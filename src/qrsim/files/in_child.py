@@ -61,6 +61,7 @@ def in_child(function: Callable[..., T], *arguments: object, memory: int = MEMOR
 
 
 def _how_it_ended(code: int) -> str:
+    """Return how the child ended, in words: its exit code or its signal."""
     if code >= 0:
         return f"its decoder ended with code {code}"
     try:
@@ -70,6 +71,7 @@ def _how_it_ended(code: int) -> str:
 
 
 def _limit_memory(memory: int) -> None:
+    """Let this process take some more bytes of memory at most, where the system can limit it."""
     try:
         import resource
     except ImportError:  # Windows
@@ -90,6 +92,7 @@ def _limit_memory(memory: int) -> None:
 
 
 def _result_of(job: bytes) -> tuple[str, Any]:
+    """Run a pickled job; return "value" and its result, or "usage" or "error" and the words."""
     module, name, arguments, memory = pickle.loads(job)
     function: Any = importlib.import_module(module)
     for part in name.split("."):
@@ -107,6 +110,7 @@ def _result_of(job: bytes) -> tuple[str, Any]:
 
 
 def _main() -> None:
+    """Read a job from standard input and write its pickled answer to standard output."""
     # Libraries in C print; the result has a pipe for itself.
     result = os.dup(1)
     os.dup2(2, 1)

@@ -79,6 +79,7 @@ def heard() -> Iterator[None]:
     hook = sys.unraisablehook
 
     def quiet(dropped: sys.UnraisableHookArgs) -> None:
+        """Report an exception that cannot be raised, but no interruption."""
         # Its destructor sends the signal again, and there is nothing to report.
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
@@ -124,6 +125,7 @@ def run_until_signal(main: Coroutine[object, object, None]) -> None:
     late: list[threading.Timer] = []
 
     async def watched() -> None:
+        """Run the main coroutine; a signal cancels its task."""
         loop, task = asyncio.get_running_loop(), asyncio.current_task()
         assert task is not None
 
@@ -164,6 +166,7 @@ def leave_at_once() -> None:
     """Make both signals exit at once, without a traceback, until ``heard`` begins: no work has been done yet."""
 
     def leave(number: int, frame: FrameType | None) -> None:
+        """Print the words for a signal and end the process."""
         with contextlib.suppress(OSError):
             os.write(2, f"{WORDS[signal.Signals(number)]}\n".encode())
         os._exit(128 + number)
@@ -195,6 +198,7 @@ def _installed(handler: Any) -> dict[int, Any]:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
+    """Handle a signal: raise Interruption, or send it again later where code must not be interrupted."""
     if _state["listener"] is None:
         return  # its work is done
     now = time.monotonic()
@@ -224,6 +228,7 @@ _LOADING = (ExtensionFileLoader.exec_module.__code__, ExtensionFileLoader.create
 
 
 def _send_again(number: int) -> None:
+    """Send the signal once more in a moment."""
     if _state["waiting"]:
         return
     _state["waiting"] = True
@@ -233,6 +238,7 @@ def _send_again(number: int) -> None:
 
 
 def _send(number: int, listener: object) -> None:
+    """Send the signal to the main thread, if it is still listened for."""
     with _sending:
         if _state["listener"] is not listener:
             return

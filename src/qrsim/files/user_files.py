@@ -93,6 +93,7 @@ def check_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> Path:
 
 
 def _size(count: int) -> str:
+    """Return a number of bytes as text, in MB or GB if it is large."""
     for factor, unit in ((2**30, "GB"), (2**20, "MB")):
         if count >= factor:
             return f"{count / factor:.4g} {unit}"

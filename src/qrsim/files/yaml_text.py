@@ -76,6 +76,7 @@ def parse_yaml(text: str, source: str, own: bool = False) -> Any:
 
 
 def _where(line: int, column: int) -> str:
+    """Return line and column, both counted from 0, as the beginning of a message."""
     return f"line {line + 1}, column {column + 1}: "
 
 
@@ -103,7 +104,7 @@ class _Builder:
         self.result: Any = None
 
     def build(self, text: str) -> object:
-        """Return the value."""
+        """Return the content of a YAML text; refuse a second document."""
         parser = _PARSER(text)
         documents = 0
         try:
@@ -119,6 +120,7 @@ class _Builder:
         return self.result
 
     def _take(self, event: Any) -> None:
+        """Add an event of the parser to the content."""
         if isinstance(event, yaml.CollectionEndEvent):
             done = self.stack.pop()
             self._keep(done.anchor, done.value, self.count - done.first)
@@ -136,6 +138,7 @@ class _Builder:
             self._begin(event, mark)
 
     def _begin(self, event: Any, mark: Any) -> None:
+        """Open a list or a mapping; refuse one that is too deep, or tagged."""
         sequence = isinstance(event, yaml.SequenceStartEvent)
         if event.tag not in (None, "!", _TAG + ("seq" if sequence else "map")):
             _refuse_tag(event.tag, mark)
@@ -148,11 +151,13 @@ class _Builder:
         self.stack.append(_Open([] if sequence else {}, event.anchor, self.count - 1, mark, {}))
 
     def _add(self, nodes: int, mark: object) -> None:
+        """Count values; refuse a text with too many."""
         self.count += nodes
         if self.count > self.most:
             raise _FaultError(f"more than {self.most} values, those that aliases stand for included", mark)
 
     def _keep(self, anchor: str | None, value: object, size: int) -> None:
+        """Keep a value for aliases of an anchor."""
         if anchor:
             self.anchors[anchor] = value, size, _depth(value)
 
@@ -184,6 +189,7 @@ class _Builder:
             parent.key = None
 
     def _take_key(self, parent: _Open, key: Any, mark: Any, plain: str) -> None:
+        """Take the key of a mapping; refuse one that is no text, or given twice."""
         if not isinstance(key, str):
             raise _FaultError(f"the key {plain[:40] or 'null'} is not a text; to make it one, write it in quotes", mark)
         if key == "<<":
@@ -230,6 +236,7 @@ def _scalar(event: Any) -> object:
 
 
 def _plain(text: str, mark: object) -> Any:
+    """Return the value of a text without quotes, by the rules of YAML 1.2."""
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
@@ -246,6 +253,7 @@ def _plain(text: str, mark: object) -> Any:
 
 
 def _refuse_tag(tag: str, mark: object) -> NoReturn:
+    """Raise the error for an unsupported tag."""
     shown = f"!!{tag.removeprefix(_TAG)}" if tag.startswith(_TAG) else tag
     raise _FaultError(f"the tag {shown[:60]} is not supported; known: !!str, !!int, !!float, !!bool, !!null", mark)
 

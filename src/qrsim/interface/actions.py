@@ -194,6 +194,7 @@ class ActionChecker:
         return which, jax.tree.map(lambda *leaves: library.concatenate(leaves), *ones)
 
     def _cut(self, whole: T) -> list[T]:
+        """Return a command of all vehicles in parts, one for each fleet."""
         if len(self.fleets) == 1:
             return [whole]
         parts, first = [], 0
@@ -203,6 +204,7 @@ class ActionChecker:
         return parts
 
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
+        """Return a command or set-point of some fleets, checked and cast; raise UsageError for others."""
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
         if isinstance(command, Some | Piloted):
@@ -241,6 +243,7 @@ class ActionChecker:
         return self.kinds[kind]
 
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
+        """Return a checked set-point; raise UsageError if a fleet's controller does not take its type."""
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
                 name = _command_name(type(setpoint), article=True)
@@ -271,6 +274,7 @@ class ActionChecker:
             return jax.tree.unflatten(structure, [np.ascontiguousarray(leaf, self.dtype) for leaf in leaves])
 
         def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> Floats | Array:
+            """Return a leaf of a command as an array (n,); raise UsageError for other shapes or no numbers."""
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
@@ -282,6 +286,7 @@ class ActionChecker:
         return jax.tree_util.tree_map_with_path(convert, record)
 
     def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
+        """Return an array (n, fields) as a command of a kind; raise UsageError for another shape."""
         shape = (len(names), len(kind.fields))
         try:
             array: Floats = (jnp if self.traced else np).asarray(command, self.dtype)
@@ -361,6 +366,7 @@ def _arrays(record: object) -> object:
 
 
 def _part(flying: Flying, own: slice) -> Floats:
+    """Return which vehicles of a fleet fly."""
     return flying()[own]
 
 

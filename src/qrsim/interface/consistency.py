@@ -36,6 +36,7 @@ class Looks:
         """Add a sample every ``EVERY_S`` for vehicles (n,) that fly; NaN if the uncertainty is not reported."""
 
         def look() -> Looks:
+            """Return the sums with the consistency at this tick added."""
             parts = [_consistency_of(fleet, part) for fleet, part in zip(world.fleets, state.fleets, strict=True)]
             now: Consistency = concatenated(parts)
             sums = {

@@ -74,6 +74,7 @@ def airborne(world: World, state: State) -> Array:
 
 
 def _of_fleet(world: World, fleet: Fleet, state: FleetState) -> Array:
+    """Return for each vehicle (n,) whether it is in flight, or moves if it rides on the ground."""
     standing = on_ground(fleet, state)
     if standing is not None:
         return ~standing

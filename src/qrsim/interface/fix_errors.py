@@ -52,7 +52,7 @@ class FixErrors:
             ]
         )
         # A receiver repeats itself between two fixes; with a delay of one period, once after the start too.
-        counts = jnp.isfinite(error.x) & flying & _differs(reported, self.fix_ned)
+        counts = jnp.isfinite(error.x) & flying & differs(reported, self.fix_ned)
         lost = has & flying & ~jnp.isfinite(error.x)
         first = lost & (self.loss.tick < 0)
         position = concatenated([fleet.vehicle.position_ned for fleet in state.fleets])
@@ -75,6 +75,7 @@ class FixErrors:
         count = np.asarray(self.fixes)
 
         def root_mean(total: Array) -> NumpyArray:
+            """Return the root of the mean of summed squares, NaN without fixes."""
             return np.sqrt(np.where(count > 0, np.asarray(total) / np.maximum(count, 1), np.nan))
 
         return {
@@ -114,13 +115,16 @@ def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
 
 
 def _truth(fleet: FleetState) -> Truth:
+    """Return the true positions of a fleet, in two parts if it keeps them so."""
     return fleet.vehicle.position_ned, fleet.position_low_ned
 
 
 def _minus(reported: Vec3, truth: Truth) -> Vec3:
+    """Return reported minus true position [m]."""
     position, low = truth
     return reported - position if low is None else reported - position - low
 
 
-def _differs(new: Vec3, old: Vec3) -> Array:
+def differs(new: Vec3, old: Vec3) -> Array:
+    """Return whether vectors differ; NaN differs from itself."""
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))

@@ -21,7 +21,7 @@ from qrsim.interface.consistency import Looks
 from qrsim.interface.crowds import overfull_of_fleets, warn_of_overfull
 from qrsim.interface.endurance import Consumption, charges, endurance_s
 from qrsim.interface.extremes import Extreme
-from qrsim.interface.fix_errors import FixErrors
+from qrsim.interface.fix_errors import FixErrors, differs
 from qrsim.interface.takeovers import Takeovers, takeover_metrics
 from qrsim.models.vehicles.commands import fields_of
 from qrsim.world.state import FleetState, State, World
@@ -116,7 +116,7 @@ class FlightMetrics:
         position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         low = _low(state)
         goal = _goal(world, state)
-        start = select(_differs(goal, flight.leg_end), _or_else(flight.leg_end, flight.position_ned), flight.leg_start)
+        start = select(differs(goal, flight.leg_end), _or_else(flight.leg_end, flight.position_ned), flight.leg_start)
         error = _distance_from_leg(_minus(position, low, start), start, goal)
         radius = _radius(state)
         if radius is not None:
@@ -169,13 +169,16 @@ class FlightMetrics:
         dt = world.time_step
 
         def mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+            """Return the mean of a sum, NaN for a count of 0."""
             sums, counts = np.asarray(total), np.asarray(count)
             return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
         def root_mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+            """Return the root of the mean of summed squares."""
             return np.sqrt(mean(total, count))
 
         def when(tick: Array) -> Floats:
+            """Return a tick as time [s], NaN for -1."""
             return np.where(tick >= 0, tick * dt, np.nan)
 
         # The set-point of the start, which a policy replaces at once, is no leg that was flown.
@@ -332,10 +335,6 @@ def _distance_from_circle(offset: Vec3, radius: Array) -> Array:
     """Return the distance (n,) [m] from level circles, at an offset (n,) [m] from their centres."""
     beside = root(offset.x * offset.x + offset.y * offset.y) - jnp.abs(radius)
     return root(beside * beside + offset.z * offset.z)
-
-
-def _differs(new: Vec3, old: Vec3) -> Array:
-    return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))
 
 
 def _or_else(preferred: Vec3, other: Vec3) -> Vec3:

@@ -115,6 +115,7 @@ class MissionMetrics:
         dt = world.time_step
 
         def when(tick: npt.ArrayLike) -> Floats:
+            """Return a tick as time [s], NaN for -1."""
             return np.where(np.asarray(tick) >= 0, np.asarray(tick) * dt, np.nan)
 
         found = FLIGHT_METRICS.finish(memory.flight, world, state)

@@ -211,7 +211,7 @@ def _blamed(team: str, call: Callable[[], T]) -> T:
 
 
 def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[str]) -> None:
-    """Add what a policy asks of a fleet or vehicle, or of single vehicles of its fleet, to what all ask."""
+    """Add the commands of one policy to ``asked``; refuse vehicles of others and a second command."""
     each = theirs if isinstance(theirs, Mapping) else {team: theirs}
     for name, command in each.items():
         if name not in names:
@@ -222,6 +222,7 @@ def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[s
 
 
 def _check_arguments(what: str, name: str, function: Callable[..., object], arguments: list[str]) -> None:
+    """Raise UsageError if a user's function cannot be called with these arguments."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):

@@ -97,6 +97,7 @@ class Reading(Tabled):
 
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
+        """The readings of each fleet by its name."""
         # Built on first use, because many steps of a loop read no sensor.
         chosen = self._only and self.fleets
         found = {}

@@ -49,6 +49,7 @@ class StateOffsets:
 
     @cached_property
     def _tree(self) -> State:
+        """The state's structure with the number and shape of each leaf in place of the leaf."""
         tree: State = jax.tree.unflatten(
             self.layout.structure, map(Leaf, *zip(*enumerate(self.layout.shapes), strict=True))
         )
@@ -110,6 +111,7 @@ class StateOffsets:
 
     @staticmethod
     def _stacked(parts: list[Offsets | None], axis: int) -> Offsets | None:
+        """Return offsets stacked along an axis; None if any is missing."""
         known = [part for part in parts if part is not None]
         return np.stack(known, axis=axis) if len(known) == len(parts) else None
 
@@ -182,6 +184,7 @@ class Seen:
         return part
 
     def _leaf(self, number: int) -> Floats:
+        """Return a copy of a leaf of the state, again if the state changed while it was copied."""
         while True:
             buffers = self._buffers
             found: Floats = np.array(self.offsets.layout.leaf(buffers, number))

@@ -47,6 +47,7 @@ class SensorReading(Tabled):
 
     @property
     def _reading(self) -> Record:
+        """The record that the sensor returned last."""
         if self._given is None:
             assert self._source is not None
             self._given = self._source.record(self._name)
@@ -93,6 +94,7 @@ class SensorReading(Tabled):
         return self._source is not None and self._source.time_step > 0.0
 
     def _for_each(self, time_of: Callable[[FleetSource, str], Any]) -> Floats:
+        """Return a time [s] of the readings for each vehicle (n,)."""
         if self._source is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
@@ -150,6 +152,7 @@ class SensorReading(Tabled):
         return found[self._rows]
 
     def _derived(self, field: str) -> Floats:
+        """Return a field that is computed from others: quaternion, fix type, latitude, picture."""
         if field == "quaternion":
             return quaternion_of(as_array(cast(AttitudeReading, self._reading).attitude))
         if field in PICTURE_FIELDS:
@@ -164,6 +167,7 @@ class SensorReading(Tabled):
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
     def _of_picture(self, field: str) -> Floats:
+        """Return a field of the picture that a camera took."""
         if self._source is None or not self._source.pictured:
             raise UsageError(
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"

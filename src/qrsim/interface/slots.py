@@ -97,8 +97,10 @@ def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checke
 
 
 def _limits(kind: CommandKind) -> list[tuple[float, float]]:
+    """Return the bounds (lowest, highest) of each number of a command."""
     return list(zip(kind.lowest.tolist(), kind.highest.tolist(), strict=True))
 
 
 def _columns(command: object) -> Any:
+    """Return the fields of a command (fields, n)."""
     return np.asarray(command).T

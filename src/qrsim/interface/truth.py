@@ -136,4 +136,5 @@ class Truth(Tabled):
 
 
 def _pose(world: World, state: State, fleet: int) -> Pose:
+    """Return the pose of a fleet's vehicles."""
     return world.fleets[fleet].vehicle.pose(state.fleets[fleet].vehicle)

@@ -79,7 +79,7 @@ class Pacer:
         return self._anchor[1] + (simulated - self._anchor[0]) / self.factor - self._clock()
 
     def _note_delay(self, simulated: float, delay: float, allowed: float) -> None:
-        """Count an overrun where the state of a simulated time [s] has a delay [s] beyond what is allowed."""
+        """Count an overrun if the state of a simulated time [s] is later than allowed [s]."""
         if delay <= allowed:
             return
         self.overruns += 1

@@ -35,6 +35,7 @@ class Log:
             self._thread.join(1.0)
 
     def _print(self) -> None:
+        """Write the waiting lines until the end; the body of the thread."""
         with suppress(OSError):  # nobody reads any more
             while (line := self._lines.get()) is not None:
                 left = f"{line}\n".encode()

@@ -104,6 +104,7 @@ class Site:
 
     @property
     def _origin(self) -> tuple[float, float, float]:
+        """Latitude and longitude [rad] and height [m] of the origin."""
         return self.latitude_rad, self.longitude_rad, self.height
 
 
@@ -160,6 +161,7 @@ def utc_from_gps_seconds(gps_seconds: float) -> datetime:
 
 
 def _aware(when: datetime) -> datetime:
+    """Return a time that has a time zone; raise UsageError for one without."""
     if when.utcoffset() is None:
         raise UsageError(f"{when.isoformat()} has no time zone; give one, for UTC '{when.isoformat()}+00:00'")
     return when

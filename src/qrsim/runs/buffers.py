@@ -68,7 +68,7 @@ class VehicleRows(Buffer):
         self.dtypes = {f.name: numpy_dtype(f.type) for f in schema if f.name not in index}
 
     def add(self, ticks: npt.ArrayLike, times: npt.ArrayLike, values: Mapping[str, npt.ArrayLike]) -> tuple[int, int]:
-        """Copy what is kept of (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
+        """Copy every Nth of (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
         if values.keys() != self.dtypes.keys():
             raise UsageError(self._wrong_names(values))
         own_ticks = self._checked_copy("tick", ticks, np.dtype(np.int64), None)

@@ -178,6 +178,7 @@ def compare_runs(first: Run, second: Run, tolerance: float = 0.0, streams: Seque
 
 
 def _only(first: Sequence[str], second: Sequence[str]) -> tuple[Names, Names]:
+    """Return the names that only the first has, and those that only the second has."""
     return tuple(name for name in first if name not in second), tuple(name for name in second if name not in first)
 
 
@@ -223,7 +224,7 @@ class _Side:
         self._arrays: dict[str, NumpyArray] = {}
 
     def fill(self) -> bool:
-        """Read on where nothing is left; return whether there is something."""
+        """Read the next rows if none are left; return whether there are any."""
         while not len(self.keys):
             batch = next(self._batches, None)
             if batch is None:

@@ -25,7 +25,7 @@ class FailsafeWatch:
 
     @staticmethod
     def _rows(state: Any, row: int | slice) -> dict[str, Any] | None:
-        """Return what is watched, (T, n) or (n,) each, None in a fleet without failsafes."""
+        """Return the watched parts of a state by name, (T, n) or (n,); None in a fleet without failsafes."""
         own = state.failsafe
         if own is None:
             return None

@@ -48,7 +48,7 @@ class Interferer(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What it is, and when."""
+        """Kind and time of the interference, in words."""
         return f"{self.text}, {self.when}" if self.when else self.text
 
     def acts(self, time: float) -> bool:
@@ -62,7 +62,7 @@ def of_scenario(entries: Any) -> tuple[Interferer, ...]:
 
 
 def of_world(world: World) -> tuple[Interferer, ...]:
-    """Return what interferes in a World; what has no place comes last."""
+    """Return the interferers of a World, those without a place last."""
     present = world.sky.interference if isinstance(world.sky, SlottedSky) else None
     if present is None:
         return ()

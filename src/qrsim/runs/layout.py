@@ -11,12 +11,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
 
 from qrsim.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from qrsim.scenarios.scenario import Scenario
+    from qrsim.simulation.simulation import Simulation
 
 FORMAT = 1
 # Ticks are counted in 32 bits.
@@ -173,6 +177,19 @@ class RunInfo:
             platform=platform.platform(),
             command_line=shlex.join(words),
             started=utc_now(),
+        )
+
+    @classmethod
+    def of_flight(cls, scenario: Scenario, simulation: Simulation, **more: Any) -> RunInfo:
+        """Collect the facts of a flight of a scenario; ``more``: ``every`` and ``command_line`` of ``collect``."""
+        return cls.collect(
+            scenario=scenario.name,
+            seed=simulation.seed,
+            precision=simulation.precision,
+            time_step=simulation.world.time_step,
+            vehicles=simulation.vehicle_names,
+            components=scenario.outside,
+            **more,
         )
 
     def to_json(self) -> dict[str, object]:

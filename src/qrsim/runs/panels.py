@@ -233,6 +233,6 @@ def _lines(axes: Axes, number: int, item: Quantity, data: Data) -> Iterator[Any]
 
 
 def _lone(values: Floats) -> Any:
-    """Return (T,) where a value stands between two that are missing, so that a line would not show it."""
+    """Return which values (T,) have no neighbour, so that a line would not show them."""
     there = np.concatenate([[False], np.isfinite(values), [False]])
     return there[1:-1] & ~there[:-2] & ~there[2:]

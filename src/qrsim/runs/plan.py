@@ -203,7 +203,7 @@ def name_marks(axes: Any, around: Surroundings) -> None:
 
 
 def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
-    """Return what there is at single places: label, points (P, 2 or 3) and look."""
+    """Return the marks of sources, goals, persons and interferers: label, points (P, 2 or 3) and style."""
     found = np.isfinite(around.found)
     small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
     pin = {"marker": "v", "ms": 8}
@@ -224,7 +224,7 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
 
 
 def _said(item: Interferer) -> str:
-    """Return the row of the legend of what interferes at a place."""
+    """Return the text of an interferer in the legend."""
     if not math.isfinite(item.radius):
         return item.label
     return f"{item.label}: {'heard' if item.kind == 'spoofer' else 'lost'} within {item.radius:.3g} m"

@@ -18,7 +18,7 @@ class Quantity:
 
     @property
     def name(self) -> str:
-        """Stream and column."""
+        """Name of the quantity, STREAM.COLUMN."""
         return f"{self.stream}.{self.column.name}"
 
 

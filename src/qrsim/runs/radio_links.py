@@ -43,7 +43,7 @@ class Packets:
 
     @property
     def heard(self) -> NumpyArray:
-        """(P, K, n) whether it was heard."""
+        """(P, K, n) whether the packet was sent and heard."""
         return (self.sender >= 0) & (self.outcome == Outcome.HEARD)
 
     def part(self, rows: NumpyArray) -> Packets:

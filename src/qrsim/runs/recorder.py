@@ -88,26 +88,6 @@ class Flyer(Protocol):
         """Fly at most so many ticks and return their states."""
 
 
-def run_info(
-    scenario: Scenario,
-    simulation: Simulation,
-    *,
-    every: Mapping[str, int] | None = None,
-    command_line: Sequence[str] | None = None,
-) -> RunInfo:
-    """Return what ``run.json`` says of a run of this simulation that starts now; see ``RunInfo.collect``."""
-    return RunInfo.collect(
-        scenario=scenario.name,
-        seed=simulation.seed,
-        precision=simulation.precision,
-        time_step=simulation.world.time_step,
-        vehicles=simulation.vehicle_names,
-        every=every,
-        command_line=command_line,
-        components=scenario.outside,
-    )
-
-
 def fly(
     scenario: Scenario,
     folder: Path,
@@ -152,7 +132,7 @@ def fly(
     begun = time.perf_counter() if begun is None else begun
     check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
-    info = run_info(scenario, simulation, every=every, command_line=command_line)
+    info = RunInfo.of_flight(scenario, simulation, every=every, command_line=command_line)
     make_parent(folder)
     simulation.reset()
     referee = _referee(scenario, simulation)
@@ -230,7 +210,7 @@ def fly(
 
 
 def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
-    """Return who judges the flight, None for a scenario without a task."""
+    """Return the referee of the task, None for a scenario without one."""
     if not scenario.steps:
         return None
     # Imported here, because most runs have none.
@@ -243,7 +223,7 @@ def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
 
 @contextmanager
 def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Iterator[None]:
-    """Note the score of what is flown meanwhile, also of a flight that is interrupted."""
+    """Note the score of the flight in this context, also if it is interrupted."""
     try:
         yield
     except KeyboardInterrupt:

@@ -70,7 +70,7 @@ def draw_sky(run: Run, vehicles: Sequence[str] = (), start: float | None = None,
 
 
 def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
-    """Return what the first receiver that says it says of its satellites, (T, K) each."""
+    """Return the fields of satellites (T, K) of the first receiver that reports them."""
     stream = run["measurements"]
     columns = stream.columns()
     sensor = next((column.removesuffix(".cn0.0") for column in columns if column.endswith(".cn0.0")), None)

@@ -111,7 +111,7 @@ def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
 
 
 def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any, str, str]]:
-    """Return what vehicles with electric motors take, as ``_tree`` does, without columns that there are."""
+    """Return thrust, power and voltage of electric vehicles, as ``_tree`` does, without existing columns."""
     if not fleet.vehicle.gives_power:
         return []
     load = _load(fleet.vehicle, state.vehicle)
@@ -185,7 +185,10 @@ class EventFinder:
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
+        """Return by name a function of what events are found in: arrays (ticks, vehicles)."""
+
         def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
+            """Return a function that joins a value of all fleets, (ticks, vehicles)."""
             return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
 
         return {
@@ -321,7 +324,7 @@ class EventFinder:
         return found
 
     def _persons(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return who was found, by the vehicle that was nearest."""
+        """Return the events of found persons, each with row and nearest vehicle."""
         persons = history.state.contents.persons
         if persons is None:
             return []
@@ -336,7 +339,7 @@ class EventFinder:
         return found
 
     def _landings(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return who has come to stand on the ground, or has left it."""
+        """Return the events of landings and take-offs, each with row and vehicle."""
         found, first = [], 0
         for number, (fleet, state) in enumerate(zip(self.world.fleets, history.state.fleets, strict=True)):
             standing = on_ground(fleet, state)
@@ -354,9 +357,11 @@ class EventFinder:
         return found
 
     def _at(self, history: History, row: int, vehicle: int) -> Content:
+        """Return time, tick and vehicle of an event."""
         return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
 
     def _event(self, key: str, history: History, row: int, vehicle: int) -> Content:
+        """Return the event of a change at a tick: stop, waypoint or clipped command."""
         event = self._at(history, row, vehicle)
         name, time = event["vehicle"], event["time"]
         if key == "reached":
@@ -376,6 +381,7 @@ class EventFinder:
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:
+        """Return the name of the vehicle nearest to another."""
         own = self._positions(history, row)[vehicle]
         return self.names[self._nearest_to(history, row, own, vehicle)]
 

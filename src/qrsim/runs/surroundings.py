@@ -178,7 +178,7 @@ def _goals(run: Run) -> dict[str, Floats]:
 
 
 def _drawn_again(run: Run) -> dict[str, Any]:
-    """Draw again what the seed alone decides."""
+    """Return persons, sources, locations and the mean plume, drawn again from the seed."""
     import jax
 
     from qrsim.core.noise import Key
@@ -212,7 +212,7 @@ def _drawn_again(run: Run) -> dict[str, Any]:
 
 
 def _task_stream(task: Any, key: Any) -> object:
-    """Return the stream of what a task draws, None where it draws nothing."""
+    """Return the random stream of a task, None if it draws no numbers."""
     import jax.numpy as jnp
 
     from qrsim.tasks.play import TASK

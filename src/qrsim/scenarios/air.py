@@ -22,7 +22,7 @@ LONGEST = 200.0
 
 
 def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what cannot be of the turbulence and the discrete gust, in one sentence each."""
+    """Yield the problems of the turbulence and the discrete gust, one sentence each."""
     turbulence, gust = scenario.world.turbulence, scenario.world.gust
     if turbulence.type == FIELD:
         chains, multiple = turbulence.chains, 2 * GROUPS
@@ -48,7 +48,7 @@ def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning where a field stands still."""
+    """Yield a warning if the field of gusts stands still, so that a hovering vehicle meets a steady wind."""
     turbulence = scenario.world.turbulence
     if turbulence.type != FIELD or _speed_20ft(scenario) <= 0.0:
         return
@@ -82,5 +82,6 @@ def convection_speed(scenario: ScenarioSpec) -> float:
 
 
 def _speed_20ft(scenario: ScenarioSpec) -> float:
+    """Return the mean wind speed at 20 ft [m/s] that turbulence takes: its own, or that of the wind, or 0."""
     own = vars(scenario.world.turbulence).get("speed_20ft")
     return float(own if own is not None else vars(scenario.world.wind).get("speed_20ft", 0.0))

@@ -51,6 +51,7 @@ def _fence_model() -> type[Strict]:
 
 @cache
 def _area_model(name: str, area: type) -> type[Strict]:
+    """Return the pydantic model of a type of area, made once for each class."""
     return component_model(name, area)
 
 

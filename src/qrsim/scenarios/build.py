@@ -97,7 +97,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 
 
 def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problem of ``world.events``, if any, of a scenario that has no other: building its world raises it."""
+    """Yield the problem of ``world.events`` that building the world raises; the scenario has no other problem."""
     if scenario.world.events:
         try:
             build_world(scenario, "float64")
@@ -122,7 +122,7 @@ def _area(scenario: ScenarioSpec, ground: object) -> Any:
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
-    """Return what obstacles do to satellites, and, where somebody jams them, to jammers."""
+    """Return what obstacles hide of satellites and, if there are jammers, of those."""
     found = skyline(scenario)
     jams = any(entry.kind == "jammer" for entry in scenario.world.interference)
     return replace(found, solids=obstacles) if found is not None and jams else found
@@ -132,6 +132,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
     """Gather the obstacles of each kind into one record of arrays."""
 
     def gather(kind: str) -> object:
+        """Return one record of all obstacles of a kind, each field an array with one number for each."""
         cls = known.OBSTACLES[kind]
         specs = [spec for spec in scenario.world.obstacles if spec.type == kind]
         names = [field.name for field in dataclasses.fields(cls)]
@@ -184,6 +185,7 @@ def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
         return scenario
 
     def standing_height(fleet: FleetSpec) -> NumpyArray:
+        """Return the height of each vehicle's origin (n,) over level ground [m] at rest."""
         try:
             height = vehicle_of(fleet, scenario).standing_height()
         except UsageError:
@@ -203,6 +205,7 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
 
 
 def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: object) -> Any:
+    """Build the guidance of a fleet; a fixed wing reaches a waypoint from its loiter circle."""
     guidance = component(spec.guidance, known.GUIDANCE, scenario)
     if isinstance(guidance, RouteFollower) and isinstance(controller, FixedWingController):
         # Who goes round a place has reached it on the circle, and never comes nearer.
@@ -212,6 +215,7 @@ def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: object) -> An
 
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -> Fleet:
+    """Build a fleet from its part of a scenario: vehicle, controller, sensors, mission or route, faults."""
     vehicle = vehicle_of(spec, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
     built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]
@@ -254,6 +258,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
 
 
 def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], fittings: Sequence[Any]) -> Any:
+    """Build the estimator of a fleet, with the delays and noise of its sensors; None where it has none."""
     if spec.estimator is None:
         return None
     ages = {}
@@ -270,6 +275,7 @@ def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], 
 
 
 def _start(spec: FleetSpec) -> Start:
+    """Return the start of a fleet: positions, headings and body velocities, each (n,); level, no rates."""
     yaw = np.array([vehicle.yaw_rad for vehicle in spec.vehicles])
     zero = np.zeros_like(yaw)
     return Start(
@@ -281,7 +287,7 @@ def _start(spec: FleetSpec) -> Start:
 
 
 def _route(spec: FleetSpec) -> Route:
-    """A vehicle without waypoints holds its start position."""
+    """Return the route of each vehicle: its waypoints, or its start if it has none."""
     routes = [vehicle.waypoints_ned or [vehicle.position_ned] for vehicle in spec.vehicles]
     longest = max(map(len, routes))
     padded = np.array([route + [route[-1]] * (longest - len(route)) for route in routes])

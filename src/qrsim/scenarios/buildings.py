@@ -72,7 +72,7 @@ def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[Scenari
 
 
 def _tell(file: str, found: BuildingsFile, default: float) -> None:
-    """Warn of buildings without a height, and of what is no building."""
+    """Warn of buildings without a height, and of features that were left out."""
     unread = [building for building in found.buildings if building.unread]
     if unread:
         first, *others = unread
@@ -113,6 +113,7 @@ def _prism(building: Building, height: float, ground: Ground | None) -> object:
 
 
 def _matters(building: Building, height: float, bounds: tuple[float, float, float, float] | None) -> bool:
+    """Return whether a building rises above 5 deg of elevation within ``bounds``: south, north, west, east [m]."""
     if bounds is None:
         return True
     corners = np.array(building.rings[0])
@@ -125,6 +126,7 @@ def _matters(building: Building, height: float, bounds: tuple[float, float, floa
 
 
 def _elsewhere(found: BuildingsFile, bounds: object) -> str:
+    """Return the problem of a file with no building near the area: the extent of its buildings [m]."""
     corners = np.concatenate([np.array(building.rings[0]) for building in found.buildings])
     (south, west), (north, east) = corners.min(axis=0), corners.max(axis=0)
     return (
@@ -134,7 +136,7 @@ def _elsewhere(found: BuildingsFile, bounds: object) -> str:
 
 
 def prism_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the prisms whose outlines are no polygons; those of files have been looked at."""
+    """Yield the prisms with an outline that is not a polygon; those of files were checked when they were read."""
     for i, obstacle in enumerate(scenario.world.obstacles):
         if obstacle.type == "prism":
             for name, ring in (

@@ -128,6 +128,7 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
 
 
 def _content(file: str) -> Content:
+    """Return the GeoJSON object of a file; raise UsageError if it is not JSON, or not GeoJSON with polygons."""
     with readable(file):
         text = read_text(file, LARGEST_TABLE)
     try:
@@ -144,7 +145,7 @@ def _content(file: str) -> Content:
 
 
 def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
-    """Refuse a file that says it has other coordinates than it is taken to have."""
+    """Refuse a file that states other coordinates than it is read with."""
     crs = content.get("crs")
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
@@ -203,10 +204,12 @@ def trees_left_out(found: BuildingsFile) -> str:
 
 
 def _has(properties: Mapping[str, object], *tags: str) -> bool:
+    """Return whether one of some OpenStreetMap tags is set, to anything but "no"."""
     return any(properties.get(tag) not in (None, False, "", "no") for tag in tags)
 
 
 def _is_tree(properties: Mapping[str, object]) -> bool:
+    """Return whether a feature is a tree or a wood by its OpenStreetMap tags."""
     return properties.get("natural") in ("wood", "tree") or properties.get("landuse") == "forest"
 
 
@@ -226,6 +229,7 @@ def _polygons(geometry: Mapping[str, object]) -> list[object]:
 
 
 def _points(geometry: Mapping[str, object]) -> int:
+    """Return the number of coordinates in the rings of a GeoJSON geometry; 1 for a point."""
     return int(geometry.get("type") == "Point") + sum(
         len(ring) if isinstance(ring, list) else 0
         for rings in _polygons(geometry)
@@ -384,7 +388,7 @@ def _levels(properties: Mapping[str, object], *names: str) -> float | None:
 
 
 def _plain(value: object) -> float | None:
-    """Return a finite number that a property is, or None."""
+    """Return the finite number in a property, or None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:

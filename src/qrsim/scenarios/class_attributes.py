@@ -15,7 +15,7 @@ from qrsim.tasks.agents import Axis
 
 
 def is_record(value: Any) -> bool:
-    """Return whether a class is a record: a frozen dataclass that JAX looks into."""
+    """Return whether a class is a record: a frozen dataclass that is a PyTree of JAX."""
     own = vars(value).get("__dataclass_params__") if isinstance(value, type) else None
     if own is None or not own.frozen:
         return False
@@ -28,14 +28,17 @@ def is_record(value: Any) -> bool:
 
 
 def _whole(value: object) -> bool:
+    """Return whether a value is an integer from 0; a bool is not."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def _tuple_of(kind: type) -> Callable[[object], bool]:
+    """Return a function that tests whether a value is a tuple of instances of ``kind``."""
     return lambda value: isinstance(value, tuple) and all(isinstance(part, kind) for part in value)
 
 
 def _feed(value: object) -> bool:
+    """Return whether a value names an allowed feed of a controller."""
     return value in ("measurements", "truth", "filter")
 
 
@@ -83,4 +86,5 @@ def _command_problems(component: type[Vehicle]) -> Iterator[str]:
 
 
 def _wrong(component: type, name: str, value: object, words: str) -> str:
+    """Return the problem of a class attribute, with its value and, in ``words``, the expected one."""
     return f"{component.__name__}.{name} is {value!r:.80}; expected {words}"

@@ -69,6 +69,7 @@ class Strict(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _degrees_to_radians(cls, data: object) -> object:
+        """Convert each ``x_deg`` in the data to ``x_rad``; refuse data that give both."""
         if not isinstance(data, dict):
             return data
         converted = with_default_types(cls, data)
@@ -82,11 +83,13 @@ class Strict(BaseModel):
 
 
 def _bounds(info: FieldInfo) -> Content:
+    """Return the bounds of a parameter as keyword arguments of pydantic: ge, le, gt."""
     bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
 def _described(info: FieldInfo) -> Content:
+    """Return the description and the unit of a parameter as keyword arguments of pydantic."""
     inherited = f" (default: that of {info.inherits})" if info.inherits else ""
     inherited = " (default: that of the sensors)" if info.of_sensors else inherited
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
@@ -98,6 +101,7 @@ def _optional(info: FieldInfo) -> bool:
 
 
 def _one_or_each(value: object) -> str:
+    """Return the tag of a parameter's value: "each" for a list with one number a vehicle, or "one"."""
     return "each" if isinstance(value, list) else "one"
 
 
@@ -135,6 +139,7 @@ class _Numbers:
 
 
 def _field(name: str, hint: object, field: dataclasses.Field[object], each: bool) -> tuple[object, object]:
+    """Return the pydantic annotation and field of a component's field; ``each`` allows one number a vehicle."""
     info = field_info(field)
     annotation: Any
     required = field.default is dataclasses.MISSING
@@ -207,6 +212,7 @@ def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, object]]
         @model_validator(mode="before")
         @classmethod
         def _of_the_preset(cls, data: Any) -> Any:
+            """Fill in what the data leave out from the preset that they name."""
             name = data.get("preset", cls.model_fields["preset"].default) if isinstance(data, dict) else None
             if not isinstance(name, str) or name not in presets:
                 return data

@@ -100,11 +100,13 @@ def file_of_class(component: type) -> str:
 
 
 def _record_problems(kind: str, component: type) -> Iterator[str]:
+    """Yield a problem if a component's class is not a record."""
     if not is_record(component):
         yield f"class {component.__name__} is no record; write @qrsim.record above it"
 
 
 def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[str]:
+    """Yield the problems of a component's fields: unit, doc, name and default."""
     name = component.__name__
     try:
         hints = get_type_hints(component)
@@ -130,6 +132,7 @@ def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[st
 
 
 def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo, hint: object) -> Iterator[str]:
+    """Yield the problems of a field's default: its type, and whether its own bounds allow it."""
     default = field.default
     if field.default_factory is not dataclasses.MISSING:
         yield f"{title}: a default_factory has no place in a schema; give a number as its default"
@@ -148,6 +151,7 @@ def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo
 
 
 def _method_problems(kind: str, component: type) -> Iterator[str]:
+    """Yield the methods and attributes of its kind that a class lacks, and signatures that do not fit."""
     yield from _attribute_problems(kind, component)
     for name, positional, named in _calls(kind, component):
         arguments = (*positional, *(f"{key}=..." for key in named))
@@ -179,15 +183,18 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
 
 
 def _a(kind: str) -> str:
+    """Return the name of a kind with its article: "a sensor", "an area"."""
     return f"{'an' if kind[0] in 'aeou' else 'a'} {kind}"
 
 
 def _shown(part: inspect.Parameter) -> str:
+    """Return a parameter of a signature as a message shows it, "=..." for a default."""
     stars = "*" if part.kind is part.VAR_POSITIONAL else "**" if part.kind is part.VAR_KEYWORD else ""
     return f"{stars}{part.name}" + ("" if part.default is part.empty else "=...")
 
 
 def _attribute_problems(kind: str, component: type) -> Iterator[str]:
+    """Yield the attributes of its kind that a class lacks, wrong ones, and unknown names in ``reads``."""
     contract = CONTRACTS.get(kind)
     fields = getattr(component, "__dataclass_fields__", {})
     for name in getattr(contract, "__annotations__", {}):
@@ -209,7 +216,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
 
 
 def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield the required methods of a kind: name, and what is handed in by place and by name; "..." is not known."""
+    """Yield the required methods of a kind: name, positional and named arguments; "..." where they are unknown."""
     contract = CONTRACTS.get(kind)
     if contract is None:
         for name, arguments in CALLS.get(kind, {}).items():
@@ -226,7 +233,7 @@ def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[st
 
 
 def _arguments(component: object, function: Callable[..., object]) -> tuple[list[str], list[str]]:
-    """Return the names of what a method is called with by place and by name."""
+    """Return the names of a method's positional and named arguments."""
     positional: list[str] = []
     named: list[str] = []
     for part in list(inspect.signature(function).parameters.values())[1:]:
@@ -242,7 +249,7 @@ def _arguments(component: object, function: Callable[..., object]) -> tuple[list
 
 
 def _reads(component: object) -> tuple[str, ...]:
-    """Return what a class reads; nothing is known of one whose objects read this or that."""
+    """Return the names in a class's ``reads``; () if only its objects know them."""
     reads = getattr(component, "reads", ())
     return () if isinstance(reads, property) else reads
 
@@ -258,6 +265,7 @@ def _common(kind: str) -> list[str]:
 
 
 def _meant(component: type, name: str, method: bool = False) -> str:
+    """Return a hint with the class's own name that is nearest to a missing one; "" if none is near."""
     own = [
         known
         for known, value in vars(component).items()
@@ -268,7 +276,7 @@ def _meant(component: type, name: str, method: bool = False) -> str:
 
 
 def _complete(kind: str, component: type) -> None:
-    """Give a class the defaults of its contract that it has not."""
+    """Add to a class the defaults of its contract that it lacks."""
     contract = CONTRACTS.get(kind)
     if contract is None or contract in component.__mro__:
         return

@@ -48,12 +48,14 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _order_problems(path: str, part: object) -> Iterator[str]:
+    """Yield the pairs of bounds in a part, such as smallest and largest, that are in the wrong order."""
     for low, high in PAIRS:
         if low in vars(part) and getattr(part, low) > getattr(part, high):
             yield f"{path}.{low}: {getattr(part, low):g}; allowed: at most {high}, {getattr(part, high):g}"
 
 
 def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield a problem if a plume needs a wind that there is not, or more puffs than it may have."""
     plume, wind = scenario.world.plume, scenario.world.wind
     if not known.PLUMES[plume.type].needs_wind:
         return
@@ -86,6 +88,7 @@ def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
 
 
 def _share_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield a problem if the shares of persons on clutter and under occlusion exceed 1 together."""
     persons = scenario.world.persons
     if persons.type == "lying" and persons.on_clutter + persons.on_occlusion > 1.0:
         total = persons.on_clutter + persons.on_occlusion
@@ -93,6 +96,7 @@ def _share_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ring_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the fleets with more vehicles than fit into the ring in which they are placed."""
     for name, fleet in scenario.fleets.items():
         if fleet.placement.type != "ring":
             continue

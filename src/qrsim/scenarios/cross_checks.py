@@ -113,6 +113,7 @@ def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, fl
 
 
 def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the numbers of turbulence that would come from the wind, which has none."""
     turbulence = scenario.world.turbulence
     cls = known.TURBULENCES[turbulence.type]
     for field in dataclasses.fields(cls):
@@ -125,6 +126,7 @@ def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the problems of each fleet, and of the start and names of its vehicles."""
     area = scenario.world.area
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
@@ -161,7 +163,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """The ground must be there, below all starts and waypoints."""
+    """Yield a ground that cannot be built, and starts and waypoints below it."""
     try:
         ground = ground_of(scenario)
     except UsageError as error:
@@ -175,6 +177,7 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield vehicles that start on a ground that ends their flight, and fleets that cannot park."""
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.on_ground and not (rides(fleet) or stands(fleet)):
@@ -185,7 +188,7 @@ def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Names become parts of paths, columns and noise streams."""
+    """Yield names of fleets and sensors that paths, columns and noise streams cannot have."""
     for path, name in [("fleets", fleet_name), *((f"fleets.{fleet_name}.sensors", name) for name in fleet.sensors)]:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
             yield (
@@ -201,7 +204,7 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """A list of numbers has one for each vehicle."""
+    """Yield lists of numbers that do not have one for each vehicle."""
     size = len(fleet.vehicles)
     parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
     optional = {"estimator": fleet.estimator, "failsafes": fleet.failsafes}
@@ -214,7 +217,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """A battery's voltage falls as it empties, and some are drained by what only some vehicles say."""
+    """Yield a battery that the vehicle cannot drain, or voltages that do not fall as it empties."""
     battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
     if battery.needs_power and not vehicle.gives_power:
         yield (
@@ -240,6 +243,7 @@ def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
+    """Yield path and value of each leaf of a part of a scenario."""
     for name in type(part).model_fields:
         value = getattr(part, name)
         if isinstance(value, BaseModel):
@@ -249,7 +253,7 @@ def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
 
 
 def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """The controller must take what the guidance gives."""
+    """Yield a guidance with set-points that the controller does not take."""
     accepted = known.CONTROLLERS[fleet.controller.type].setpoints
     # Tracks of both are of one kind, but a rover's end where it stops, and a wing's in a circle.
     others = {"rover": "fixed_wing", "fixed_wing": "rover"}.get(fleet.controller.type)
@@ -262,7 +266,7 @@ def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """The controller must be able to fly the vehicle; what is wrong with the vehicle alone is said elsewhere."""
+    """Yield a controller that cannot fly the vehicle; the vehicle alone is checked elsewhere."""
     if any(controller_problems(fleet_name, fleet)):
         return
     try:
@@ -276,6 +280,7 @@ def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec)
 
 
 def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
+    """Yield the axes of vehicle i's initial body velocity [m/s] that exceed the fleet's limit."""
     limits = fleet.limits.velocity
     limit = limits[i] if isinstance(limits, list) and i < len(limits) else limits
     if isinstance(limit, list):
@@ -286,17 +291,18 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
 
 
 def _estimated(estimator: str) -> dict[str, str]:
-    """Return what an estimator needs, and for each quantity a sensor that measures it."""
+    """Return the quantities that an estimator needs, each with a sensor that measures it."""
     kind = known.FILTERS[estimator]
     return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
 
 
 def _quantity(sensor: str) -> str:
-    """Return what a kind of sensor measures."""
+    """Return the quantity that a type of sensor measures."""
     return next(quantity for quantity, types in PROVIDED.items() if sensor in types)
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the sensors that a fleet lacks for its estimator, or for the feed of its controller."""
     kind = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
     feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
@@ -337,6 +343,7 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why the wind of a scenario cannot be built."""
     try:
         wind_of(scenario)
     except UsageError as error:

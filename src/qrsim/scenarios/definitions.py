@@ -13,7 +13,7 @@ from qrsim.files import Content
 
 
 def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
-    """Return a schema in which the definitions of types are called by their key and their type.
+    """Return a JSON schema with its definitions renamed to their key and type.
 
     Args:
         schema: of scenarios, as pydantic makes it.

@@ -68,7 +68,7 @@ def heights_line(scenario: Scenario) -> str:
 
 
 def _level_flight(vehicle: FixedWing) -> dict[str, float]:
-    """Return what straight level flight at the cruise airspeed takes, of the first where aeroplanes differ."""
+    """Return throttle, angle of attack and elevator of level cruise, and the stall speed, of the first aeroplane."""
     alpha, elevator, throttle = cruise(vehicle, np.asarray(vehicle.cruise_airspeed))  # type: ignore[arg-type]
     each: dict[str, Any] = {
         "stall_speed_m_s": stall_speed(vehicle),
@@ -80,17 +80,19 @@ def _level_flight(vehicle: FixedWing) -> dict[str, float]:
 
 
 def _first(leaf: Any) -> Any:
+    """Return the first number of an array: the one of the first vehicle."""
     return np.float32(np.ravel(leaf)[0])
 
 
 def _hover_on_battery(vehicle: Vehicle, battery: Battery) -> dict[str, float]:
-    """Return power, current and endurance of a hover at the height of the site, of the first where vehicles differ."""
+    """Return power, current and endurance of a hover at the height of the site, of the first vehicle."""
     if not battery.drains or handling_of(vehicle) is None:
         return {}
     vehicle, battery = map_tree(_first, vehicle), map_tree(_first, battery)
     zero = np.zeros(1, np.float32)
 
     def hover(vehicle: Vehicle, battery: Battery, zero: Array) -> tuple[Load, object, Array | None]:
+        """Return load, battery state and voltage of a vehicle that hovers in still air."""
         still = Vec3(zero, zero, zero)
         load = vehicle.load(vehicle.initial_state(still, Euler(zero, zero, zero), still, still))
         state = battery.init(zero)
@@ -113,7 +115,7 @@ def _hover_on_battery(vehicle: Vehicle, battery: Battery) -> dict[str, float]:
 
 
 def _earth_field(scenario: Scenario) -> dict[str, float]:
-    """Return what a compass at the site has to do with."""
+    """Return strength, declination and inclination of the Earth's field at the site."""
     field = scenario.earth_field_ned
     return {
         "earth_field_uT": float(np.linalg.norm(field)),

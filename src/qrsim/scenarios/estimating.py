@@ -81,10 +81,12 @@ def left_out(spec: object) -> Iterator[str]:
 
 
 def _imu(imu: Imu, time: float, _: object) -> Stds:
+    """Return the noise, walk, bias and scale of gyroscope and accelerometer for a filter."""
     shaken = imu.vibration != "none"
     levels = imu.vibration_levels
 
     def noise(name: str) -> NumpyArray:
+        """Return the squared noise density of a sensor, vibration included as white noise, mean of the axes."""
         white = np.square(getattr(imu, f"{name}_noise"))
         if not shaken:
             return white
@@ -137,6 +139,7 @@ def _gyroscope(sensor: Gyroscope, time: float, _: object) -> Stds:
 
 
 def _accelerometer(sensor: Accelerometer, _: float, __: object) -> Stds:
+    """Return the accelerometer's noise density for a filter; it has no bias, walk or scale error."""
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "accelerometer_noise": density,
@@ -147,6 +150,7 @@ def _accelerometer(sensor: Accelerometer, _: float, __: object) -> Stds:
 
 
 def _magnetometer(sensor: Magnetometer, _: float, __: object) -> Stds:
+    """Return the bias, noise density [uT] and scale of the measured field for a filter."""
     own = np.square(sensor.soft_iron) + (np.square(sensor.scale) + 2.0 * np.square(sensor.misalignment)) / 3.0
     known = sum(np.square(getattr(sensor, f"interference_{axis}")) for axis in "xyz") / 3.0
     current = np.square(sensor.interference) / 3.0 + known
@@ -160,10 +164,12 @@ def _magnetometer(sensor: Magnetometer, _: float, __: object) -> Stds:
 
 
 def _barometer(sensor: Barometer, _: float, __: object) -> Stds:
+    """Return the noise and drift of the height [m] for a filter."""
     return {"height_std": sensor.white_std, "height_drift_std": sensor.drift_std}
 
 
 def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
+    """Return the noise and drift of the height [m] for a filter; rotor wash and airflow count as drift."""
     ports = sum(np.square(getattr(sensor, f"port_{side}")) for side in ("forward", "backward", "right", "left")) / 4.0
     by_flow = ports * DYNAMIC**2
     felt = np.square(sensor.rotor_wash) + by_flow
@@ -176,12 +182,14 @@ def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
 
 
 def _attitude(sensor: AttitudeEstimator, _: float, __: object) -> Stds:
+    """Return the standard deviation of the yaw [rad] for a filter, larger because errors are correlated."""
     # One slow error: readings within its time constant are no more than one.
     readings = 2.0 * np.asarray(sensor.time_constant) / sensor.period
     return {"yaw_std": np.asarray(sensor.std) * np.sqrt(readings)}
 
 
 def _receiver(sensor: GnssReceiver, _: float, errors: object) -> Stds:
+    """Return the noise of position and velocity for a filter, from range errors and a usual DOP."""
     if not isinstance(errors, OrnsteinUhlenbeckErrors | GaussMarkov2):
         return {}
     std, noise = np.asarray(errors.std), np.asarray(sensor.range_noise_std)
@@ -202,6 +210,7 @@ def _receiver(sensor: GnssReceiver, _: float, errors: object) -> Stds:
 
 
 def _airspeed(sensor: Airspeed, _: float, __: object) -> Stds:
+    """Return the standard deviation of the airspeed [m/s] for a filter, near 10 m/s."""
     # Of a pressure error at 10 m/s, where a pascal is 1/(1.2 * 10) m/s; and the scale's.
     pressure = np.square(sensor.noise_std) + np.square(sensor.offset_std)
     return {"airspeed_std": np.sqrt(pressure / 144.0 + np.square(5.0 * np.asarray(sensor.scale)))}

@@ -68,6 +68,7 @@ class EventSpec(Strict):
 
 
 def _every_kind(value: object) -> object:
+    """Return the list of all kinds of fault for "all", and any other value unchanged."""
     return list(TAKES) if value == ALL else value
 
 

@@ -27,6 +27,7 @@ class PX4Numbers(Strict):
     @model_validator(mode="before")
     @classmethod
     def _words_for_numbers(cls, data: object) -> Any:
+        """Replace the number of a PX4 parameter in the data by its word; leave unknown ones."""
         if not isinstance(data, dict):
             return data
         found = dict(data)

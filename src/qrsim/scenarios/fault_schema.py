@@ -15,15 +15,17 @@ ALL = "all"
 
 
 def _in_a_list(value: object) -> object:
+    """Return ["all"] for "all", and any other value unchanged."""
     return [ALL] if value == ALL else value
 
 
 def _first_rotors(value: object) -> object:
+    """Return rotors 0 to the largest number that may fail for "all", and any other value unchanged."""
     return list(range(MOST_FAILED_ROTORS)) if value == ALL else value
 
 
 def _all_of(value: object) -> object:
-    """Return what "all" is of: it is of as much as a vehicle has."""
+    """Return every target that a vehicle has for "all", and any other value unchanged."""
     return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True, "body": True} if value == ALL else value
 
 
@@ -115,6 +117,7 @@ class RadioFaultSpec(Strict):
 
     @model_validator(mode="after")
     def _share_if_weak(self) -> RadioFaultSpec:
+        """Refuse a weak radio without a share, and a share for any other kind."""
         if (self.kind == "weak") != (self.share is not None):
             raise ValueError(
                 "share is missing; kind 'weak' needs it" if self.kind == "weak" else "share is for kind 'weak' only"

@@ -65,7 +65,7 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
             chosen = chosen_fields(spec.field, fields)
             ticks = period_ticks(fleet.sensors[spec.sensor].period, dt)
             white = _white_noise(fleet, spec.sensor, scenario) if spec.times is not None else None
-            numbers = fault_numbers(spec.kind, _given(spec), chosen, fields, dt, ticks, white)
+            numbers = fault_numbers(spec.kind, _numbers_given(spec), chosen, fields, dt, ticks, white)
             found.append(
                 Fault(
                     start_tick=tick_of(spec.start, dt),
@@ -102,7 +102,7 @@ def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[
     return found
 
 
-def _given(spec: FaultSpec) -> dict[str, float | None]:
+def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
     return {name: getattr(spec, name) for name in NAMES}
 
 
@@ -178,7 +178,7 @@ TIMES = ("start", "end", "at")
 
 
 def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | int, ...]]:
-    """Return where a Fleet has a number of one of its faults that an episode may draw; nowhere if it may not."""
+    """Return the paths in a Fleet of a number of one of its faults that an episode may draw; [] for others."""
     chosen = fleet.faults[number]
     place = sum(isinstance(fault, type(chosen)) for fault in fleet.faults[:number])
     if not isinstance(chosen, FaultSpec):
@@ -192,7 +192,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
 
 
 def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
-    """Return what of a fleet may be made to fail in flight; of all, what it has.
+    """Return the targets of a fleet that may fail in flight, with "all" replaced by those it has.
 
     Args:
         fleet: of a scenario.
@@ -274,7 +274,7 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for fleet_name, fleet in scenario.fleets.items():
         for i, fault in enumerate(fleet.faults):
             path, names = f"fleets.{fleet_name}.faults.{i}", vehicle_names(fleet_name, fleet)
-            yield from _name_problems(path, fault.vehicles, names)
+            yield from _vehicle_problems(path, fault.vehicles, names)
             if isinstance(fault, RotorFaultSpec):
                 yield from _moment_problems(path, fault, scenario)
                 yield from _rotor_problems(path, fault, fleet)
@@ -288,8 +288,8 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield from _moment_problems(path, fault, scenario)
                 yield from push_problems(path, f"{path}.type", fault, fleet)
             else:
-                yield from _time_problems(path, fault, scenario)
-                yield from _problems(path, fault, fleet, scenario)
+                yield from _span_problems(path, fault, scenario)
+                yield from _sensor_fault_problems(path, fault, fleet, scenario)
         rotors = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
         if len(rotors) > MOST_FAILED_ROTORS:
             yield f"fleets.{fleet_name}.faults: {len(rotors)} rotors fail; allowed: at most {MOST_FAILED_ROTORS}"
@@ -335,7 +335,7 @@ def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
         yield f"{path}.battery: a battery of type '{fleet.battery.type}' has no charge that it could lose"
 
 
-def _name_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) -> Iterator[str]:
+def _vehicle_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) -> Iterator[str]:
     for name in chosen or []:
         if name not in names:
             yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
@@ -374,7 +374,7 @@ def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Itera
         yield f"{path}.rotor: the vehicle has no rotor {fault.rotor}; allowed: 0 to {last}"
 
 
-def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
+def _span_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
     for name, seconds in (("start", fault.start), ("end", fault.end)):
         # An end beyond all steps is that of the run.
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
@@ -382,7 +382,7 @@ def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Itera
     yield from span_problems(path, fault.start, fault.end, scenario.duration)
 
 
-def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+def _sensor_fault_problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
     if fault.sensor not in fleet.sensors:
         yield f"{path}.sensor: no sensor is called '{fault.sensor}'{did_you_mean(fault.sensor, fleet.sensors)}"
         return
@@ -392,7 +392,7 @@ def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioS
         yield f"{path}.sensor: {sensor}.step does not declare its return type; expected '-> tuple[State, Reading]'"
         return
     white = _white_noise(fleet, fault.sensor, scenario) if fault.times is not None else None
-    for name, problem in number_problems(fault.kind, fault.field, _given(fault), fields, white):
+    for name, problem in number_problems(fault.kind, fault.field, _numbers_given(fault), fields, white):
         yield f"{path}.{name}: {problem}"
     period = fleet.sensors[fault.sensor].period
     if (fault.by or 0.0) > MOST_READINGS * period:

@@ -51,4 +51,5 @@ def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[fl
 
 
 def _corners(site: Site, vertices: tuple[tuple[float, float], ...]) -> list[list[float]]:
+    """Return [north, east] [m] from the site of vertices (latitude, longitude) [deg]."""
     return [point[:2] for point in local_ned(site, [(*vertex, 0.0) for vertex in vertices])]

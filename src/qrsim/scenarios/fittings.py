@@ -41,7 +41,7 @@ def fitting_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _given(spec: Any) -> tuple[float, float, list[float] | None, list[float] | None]:
-    """Return what a scenario says of a sensor's delay, jitter, place and attitude.
+    """Return delay, jitter, place and attitude of a sensor as the scenario gives them.
 
     A sensor from outside may have parameters of these names, which are its own affair; but a delay that is compiled is
     one in periods, as that of a GNSS receiver.
@@ -55,7 +55,7 @@ def _given(spec: Any) -> tuple[float, float, list[float] | None, list[float] | N
 
 
 def fitted(spec: FleetSpec, sensors: Sequence[Any]) -> tuple[tuple[Sensor, ...], tuple[Fitting | None, ...]]:
-    """Return the sensors of a fleet and how they are fitted; no fittings where all sit where they are without delay."""
+    """Return the sensors of a fleet and their fittings; () if all sit at the centre and have no delay."""
     found, fittings = [], []
     for sensor, part in zip(sensors, spec.sensors.values(), strict=True):
         delay, jitter, place, turned = _given(part)

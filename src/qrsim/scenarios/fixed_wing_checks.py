@@ -54,11 +54,12 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _stalls(stall: float) -> str:
+    """Return the words of a problem: an airspeed is below the stall speed ``stall`` [m/s]."""
     return f"is below its stall at {stall:.3g} m/s; allowed: above that"
 
 
 def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float) -> Iterator[str]:
-    """It cannot take off: whoever starts lower than half a span has a wing in the ground at the first bank."""
+    """Yield starts lower than half a span, where a wing would touch the ground at the first bank."""
     ground = ground_if_any(scenario)
     if ground is None or fleet.placement.type != "given":
         return
@@ -73,6 +74,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
 
 
 def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
+    """Yield a problem if the product of inertia is larger than that of any body."""
     x, z, xz = (np.asarray(part, float) for part in (vehicle.inertia_x, vehicle.inertia_z, vehicle.inertia_xz))
     if np.any(x * z <= xz * xz):
         yield (
@@ -82,7 +84,7 @@ def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
 
 
 def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float) -> Iterator[str]:
-    """A circle is as wide as the bank allows at the speed over ground downwind."""
+    """Yield circles that are smaller than the bank allows at the speed over ground downwind."""
     path, radius = "guidance.radius", vars(fleet.guidance).get("radius")
     if fleet.guidance.type == "route":
         path, radius = "controller.loiter_radius", vars(fleet.controller).get("loiter_radius")

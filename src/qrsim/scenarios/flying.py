@@ -195,7 +195,7 @@ def play(
 
 
 def _ticks(ticks: int | None, scenario: Scenario | None) -> int:
-    """Return how many ticks are flown: those that are given, else those of the scenario's duration."""
+    """Return the number of ticks to fly: the given one, else that of the scenario's duration."""
     if ticks is not None:
         return ticks
     if scenario is None:

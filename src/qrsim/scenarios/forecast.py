@@ -63,7 +63,7 @@ def turbulence_speed(sigma: float, height: float) -> float:
 
 
 def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
-    """Return what is wrong with a name that neither a forecast nor a log_shear has, "" for nothing.
+    """Return the problem of a name that neither a forecast nor a log_shear has, or "".
 
     Args:
         wind: without the names of forecasts.
@@ -77,7 +77,7 @@ def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
 
 
 def _problem(given: Content, wind: Content) -> str:
-    """Return what is wrong with a forecast, "" where nothing is."""
+    """Return the problem of a forecast, or ""."""
     for name, value in {**given, "roughness": wind.get("roughness", ROUGHNESS_M)}.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             return f"{name}: expected a number, found {'null' if value is None else f'{value!r:.60}'}"
@@ -97,6 +97,7 @@ def _problem(given: Content, wind: Content) -> str:
 
 
 def _gust_problem(given: Content, speed: float) -> str:
+    """Return the problem of the gust, or gust factor, of a forecast with mean ``speed`` [m/s], or ""."""
     gust, factor = given.get("gust"), given.get("gust_factor")
     if gust is not None and factor is not None:
         return "gust: gives both 'gust' and 'gust_factor'; give one"

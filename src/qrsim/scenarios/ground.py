@@ -40,7 +40,7 @@ def top_of(area: Any) -> float | None:
 
 
 def has_floor(scenario: ScenarioSpec) -> bool:
-    """Return whether a floor of the area at z = 0 ends flights by itself, because the ground is there."""
+    """Return whether the ground is the plane z = 0, where the floor of the area ends flights."""
     ground = scenario.world.ground
     return bool(ground.type == "flat" and ground.height == 0.0)
 
@@ -114,7 +114,7 @@ def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
 
 
 def below(path: str, z: float, down: float) -> str:
-    """Return what is wrong with a place at z [m] below a ground at a down coordinate [m]."""
+    """Return the problem of a place at z [m] below a ground at down coordinate ``down`` [m]."""
     return (
         f"{path}: z = {z:g} m is {z - down:.4g} m below the ground, which is at z = {down:.6g} m there; allowed: at "
         "most that"

@@ -37,6 +37,7 @@ class RowsSpec(Strict):
 
     @model_validator(mode="after")
     def _one_route(self) -> RowsSpec:
+        """Refuse both waypoints and legs, and legs to places in latitude and longitude."""
         if self.waypoints_ned and self.legs:
             raise ValueError("gives both 'waypoints_ned' and 'legs'; give one")
         for number, leg in enumerate(self.legs):

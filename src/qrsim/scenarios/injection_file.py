@@ -87,13 +87,13 @@ def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator
 
 
 def _in_flight(entry: Content) -> bool:
-    """Return whether an entry can only be a request: faults of a scenario have one number for all fields."""
+    """Return whether an entry can only be injected in flight: by its tick, kind, target or numbers by field."""
     by_field = any(isinstance(value, dict) for value in entry.values())
     return "tick" in entry or entry["kind"] == OK or entry["target"] == LINK or by_field
 
 
 def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequence[str]) -> Iterator[Injection]:
-    """Yield requests with the vehicles that they are of, in the order of their ticks.
+    """Yield requests with the names of their vehicles, by tick.
 
     Raises:
         UsageError: one is not possible.
@@ -109,6 +109,7 @@ def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequenc
 
 
 def _entries(path: Path) -> list[object]:
+    """Return the entries of a YAML list of injections; raise UsageError for any other content."""
     try:
         text = read_text(path, LARGEST_BYTES)
     except OSError as error:
@@ -161,6 +162,7 @@ def _rotor(target: str) -> int | None:
 
 
 def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
+    """Return whether a fleet has the target of an injection: a rotor, a sensor, link, radio, body or battery."""
     rotor = _rotor(target)
     if rotor is not None:
         return rotor < rotors_of(fleet)
@@ -174,7 +176,7 @@ def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
 
 
 def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, list[str] | None]]:
-    """Return the fleets that an entry is of, and which of their vehicles; None: all."""
+    """Return the fleets of an entry, and which of their vehicles; None: all."""
     target, vehicles = entry["target"], entry.get("vehicles")
     found, placed = [], set[str]()
     for name, fleet in scenario.spec.fleets.items():
@@ -194,7 +196,7 @@ def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, l
 
 
 def _targets(scenario: Scenario) -> list[str]:
-    """Return what may fail in any fleet."""
+    """Return the names of all targets that may fail in any fleet."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
     rotors = [f"rotor {i}" for i in range(max(map(rotors_of, fleets)))]
@@ -206,6 +208,7 @@ def _targets(scenario: Scenario) -> list[str]:
 
 
 def _numbers(entry: Content) -> Content:
+    """Return the numbers of an entry: all that it gives but the keys that every entry has."""
     return {name: value for name, value in entry.items() if name not in KEYS and value is not None}
 
 

@@ -64,7 +64,7 @@ InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PL
 
 
 def interference(scenario: object, ephemeris: Ephemeris) -> Interference | None:
-    """Build what interferes; a jammer without power does not, and None is nothing."""
+    """Build the interference of a world, without jammers of no power; None if nothing is left."""
     kept = _kept(scenario)
     if not kept:
         return None
@@ -85,6 +85,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
 
 
 def _built(spec: Any, ephemeris: Ephemeris) -> object:
+    """Build an interferer from its part of a scenario, with no limit of time or radius where none is given."""
     cls = _CLASSES[spec.kind]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -99,7 +100,7 @@ def _built(spec: Any, ephemeris: Ephemeris) -> object:
 
 
 def _failing(spec: Any, ephemeris: Ephemeris) -> NumpyArray:
-    """Return which satellites (S,) an outage is of."""
+    """Return which satellites (S,) an outage silences, bool."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
     return np.array([name in names or letter in systems for name, letter in pairs])
@@ -150,6 +151,7 @@ def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[s
 
 
 def _outage_problems(path: str, spec: Any, ephemeris: Ephemeris) -> Iterator[str]:
+    """Yield the problems of an outage: systems or satellites that the orbits do not have, or both."""
     if (spec.systems is None) == (spec.satellites is None):
         yield f"{path}: an outage is either of systems or of satellites; give one of the two"
     if spec.systems is not None:

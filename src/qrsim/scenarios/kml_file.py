@@ -94,6 +94,7 @@ def _own_names(names: list[str]) -> list[str]:
 
 
 def _called(name: str) -> str:
+    """Return the name of a placemark in quotes, or words for one without a name."""
     return f"'{name}'" if name else "(without a name)"
 
 

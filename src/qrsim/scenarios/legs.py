@@ -40,6 +40,7 @@ class _LegSpec(Strict):
 
     @model_validator(mode="after")
     def _one_heading(self) -> _LegSpec:
+        """Refuse a leg with both a yaw and a place to face."""
         if self.yaw_rad is not None and self.facing_ned is not None:
             raise ValueError("gives both 'yaw_rad' and 'facing_ned'; give one")
         return self
@@ -49,6 +50,7 @@ def _called(name: str) -> Callable[[type[S]], type[S]]:
     """Give a schema the name that a scenario has for it, which messages look for."""
 
     def rename(cls: type[S]) -> type[S]:
+        """Return the class with the name set."""
         cls.__name__ = name
         return cls
 
@@ -70,6 +72,7 @@ class FlyLeg(_LegSpec):
 
     @model_validator(mode="after")
     def _one_place(self) -> FlyLeg:
+        """Refuse a leg that gives no place to fly to, or two."""
         _check_one(self, "to_ned", "to_geodetic")
         return self
 
@@ -109,6 +112,7 @@ class LoiterLeg(_LegSpec):
 
     @model_validator(mode="after")
     def _consistent(self) -> LoiterLeg:
+        """Refuse a loiter with both time and turns, turns without a radius, or two places."""
         if self.time is not None and self.turns is not None:
             raise ValueError("gives both 'time' and 'turns'; give one, or none for a loiter that does not end")
         if self.turns is not None and self.radius == 0.0:
@@ -130,7 +134,7 @@ class ReturnLeg(_LegSpec):
 
 
 def _fly_by_default(value: object) -> object:
-    """A leg without a type is flown to."""
+    """Return a leg's data with the type "fly" where none is given."""
     return {"type": "fly", **value} if isinstance(value, dict) and "type" not in value else value
 
 
@@ -141,6 +145,7 @@ LegSpec = Annotated[
 
 
 def _check_one(spec: FlyLeg, *names: str) -> None:
+    """Raise ValueError unless a leg gives exactly one of some fields."""
     given = [name for name in names if name in spec.model_fields_set and getattr(spec, name) is not None]
     if len(given) > 1:
         raise ValueError(f"gives both '{given[0]}' and '{given[1]}'; give one")

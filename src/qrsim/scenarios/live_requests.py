@@ -109,6 +109,7 @@ def _weather(simulation: Simulation, request: Request, asked_by: str) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
+    """Return the first four names with commas, and how many more there are."""
     found = list(names)
     return ", ".join(found[:4]) + (f" and {len(found) - 4} more" if len(found) > 4 else "")
 
@@ -184,6 +185,7 @@ def _arguments(words: list[str]) -> tuple[list[str], dict[str, Any], dict[str, f
 
 
 def _number(name: str, word: str) -> float:
+    """Return a finite number from a word of a request; raise UsageError naming ``name`` for other words."""
     if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
         raise UsageError(f"{name[:LONGEST_WORD]}: '{word[:LONGEST_WORD]}'; expected a number")
     return float(word)

@@ -127,6 +127,7 @@ def make_world(
 
 
 def _fleet(name: str, fleet: object, extends: bool) -> dict[str, object]:
+    """Return a fleet given in Python as content of a scenario; ``extends`` leaves missing parts missing."""
     if not isinstance(fleet, Mapping):
         raise UsageError(f"make_scenario: fleets.{name}: expected a dict, found {fleet!r}")
     known = ("vehicles", *FLEET_PARTS)
@@ -147,6 +148,7 @@ def _fleet(name: str, fleet: object, extends: bool) -> dict[str, object]:
 
 
 def _sensors(name: str, sensors: object) -> object:
+    """Return the sensors of a fleet as content of a scenario: components by name, or the name of a set."""
     if isinstance(sensors, Mapping):
         return {sensor: _part(value, sensor, "sensor") for sensor, value in sensors.items()}
     if not isinstance(sensors, str):
@@ -157,6 +159,7 @@ def _sensors(name: str, sensors: object) -> object:
 
 
 def _vehicles(name: str, vehicles: object) -> list[object]:
+    """Return vehicles as content of a scenario; one that is not a mapping is its position in NED [m]."""
     if isinstance(vehicles, str | Mapping) or not hasattr(vehicles, "__iter__"):
         raise UsageError(f"make_scenario: fleets.{name}.vehicles: expected a list of vehicles, found {vehicles!r}")
     plain = [_plain(vehicle, "vehicles") for vehicle in vehicles]

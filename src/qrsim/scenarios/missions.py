@@ -26,7 +26,7 @@ SAME_PLACE = 0.01
 
 
 def limits_of(guidance: Any) -> Limits:
-    """Return what the paths of a fleet may ask for, as its guidance says."""
+    """Return the limits of speed and acceleration of a fleet's paths, from its guidance."""
     return Limits(
         acceleration=guidance.acceleration,
         jerk=guidance.jerk,
@@ -66,6 +66,7 @@ class _Author:
         return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs[first:], first)]
 
     def _parts(self, spec: LegSpec, j: int) -> list[Leg]:
+        """Return the legs that entry j of a mission becomes, and note what is wrong with its order."""
         where = f"{self.path}.{j}"
         if self.endless:
             self.problems.append(f"{where}: is never flown, because {self.endless}, a loiter, does not end")
@@ -78,21 +79,24 @@ class _Author:
         return parts
 
     def _own(self, spec: LegSpec) -> Content:
-        """Return what every leg says about speed and heading."""
+        """Return speeds, heading and radius of acceptance of a leg, which all kinds of leg share."""
         facing = tuple(spec.facing_ned) if spec.facing_ned else None
         speed = spec.speed or self.guidance.speed
         own = {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "climb": spec.climb_speed}
         return {**own, "sink": spec.sink_speed, "accept_radius": self.guidance.accept_radius}
 
     def _line(self, place: Sequence[float], spec: LegSpec, **more: object) -> Leg:
+        """Return a straight leg to a place in NED [m]; ``more`` overrides the values of its entry."""
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
     def _fly(self, spec: FlyLeg, where: str) -> list[Leg]:
+        """Return the leg to a waypoint; a hold implies a stop."""
         radius = spec.accept_radius or self.guidance.accept_radius
         return [self._line(spec.to_ned, spec, hold=spec.hold, stop=spec.stop or spec.hold > 0.0, accept_radius=radius)]
 
     def _take_off(self, spec: TakeOffLeg, where: str) -> list[Leg]:
+        """Return the vertical leg to the height over z = 0; note a height that is not above the vehicle."""
         north, east, down = self.place
         if -spec.height > down + SAME_PLACE:
             self.problems.append(
@@ -102,13 +106,14 @@ class _Author:
         return [self._line((north, east, -spec.height), spec, stop=True, speed=speed)]
 
     def _land(self, spec: LandLeg, where: str) -> list[Leg]:
+        """Return the legs of a landing, at a place or below the last one."""
         north, east = spec.at_ned or self.place[:2]
         return self._down_to(north, east, spec, where, hold=spec.hold)
 
     def _down_to(
         self, north: float, east: float, spec: LandLeg | ReturnLeg, where: str, hold: float = 0.0
     ) -> list[Leg]:
-        """Return the way to above a place, and down."""
+        """Return the legs to above a place, and down to the ground."""
         down = self.ground_down(north, east)
         if not self.can_stand:
             self.problems.append(
@@ -126,6 +131,7 @@ class _Author:
         return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
 
     def _loiter(self, spec: LoiterLeg, where: str) -> list[Leg]:
+        """Return the legs of a circle, or of a hold without a radius; note a loiter that does not end."""
         centre = tuple(spec.to_ned or self.place)
         ends = spec.time is not None or spec.turns is not None
         if not ends:
@@ -135,7 +141,7 @@ class _Author:
         return self._circle(centre, spec)
 
     def _circle(self, centre: tuple[float, ...], spec: LoiterLeg) -> list[Leg]:
-        """Return the way to a circle and the circle; it begins where it is next to where the vehicle comes from."""
+        """Return the leg to the nearest point of a circle, and the circle."""
         north, east = self.place[0] - centre[0], self.place[1] - centre[1]
         first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
         radius = abs(spec.radius)
@@ -150,6 +156,7 @@ class _Author:
         return [to_it, self._line(ends[1], spec, kind="circle", centre_ned=(centre[0], centre[1]), angle=turn)]
 
     def _return(self, spec: ReturnLeg, where: str) -> list[Leg]:
+        """Return the legs back to the start: a climb where a height is given, and a landing if asked for."""
         parts = []
         if spec.height is not None and -spec.height < self.place[2] - SAME_PLACE:
             parts.append(self._line((*self.place[:2], -spec.height), spec, stop=True))
@@ -161,7 +168,7 @@ class _Author:
 
 
 def _short(path: str) -> str:
-    """Return the end of a path, such as legs.3."""
+    """Return the last two parts of a path, such as legs.3."""
     return ".".join(path.split(".")[-2:])
 
 
@@ -178,6 +185,7 @@ def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
 
 
 def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: object, path: str) -> _Author:
+    """Return an author that turns the entries of one vehicle's mission into legs from its start."""
     north, east, down = vehicle.position_ned
     return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
 

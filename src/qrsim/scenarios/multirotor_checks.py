@@ -38,6 +38,7 @@ def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the problems of a multirotor's rotors and feet: number, axes, directions and control authority."""
     rotors, feet = fleet.vehicle.rotors, fleet.vehicle.feet
     if not 4 <= len(rotors) <= MOST_ROTORS:
         yield f"{path}.rotors: {len(rotors) or 'no'} rotors; allowed: 4 to {MOST_ROTORS}"
@@ -59,7 +60,7 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
-    """A vehicle must carry itself at its largest rotor speed, in the air of the site [kg/m^3]."""
+    """Yield a vehicle that cannot lift itself at its largest rotor speed, in the air of the site [kg/m^3]."""
     spec = fleet.vehicle
     names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
     each = [np.asarray(getattr(spec, key), float) for key in names]
@@ -82,7 +83,7 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
 
 
 def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
-    """A substep must follow the rotors, or their speeds rattle and overflow."""
+    """Yield rotors that are too fast for a substep, so that their speeds would oscillate and overflow."""
     longest = min(fleet.vehicle.longest_substep, time_step)
     for name in ("spin_up", "spin_down"):
         least = float(np.min(getattr(fleet.vehicle, name)))
@@ -94,7 +95,7 @@ def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
 
 
 def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """No foot starts in the ground, from where it would be thrown up."""
+    """Yield starts with a foot in the ground, from where the vehicle would be thrown up."""
     if scenario.world.ground.type != "flat" or fleet.placement.type != "given":
         return
     high, ground = max(foot[2] for foot in fleet.vehicle.feet), -scenario.world.ground.height

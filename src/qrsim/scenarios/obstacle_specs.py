@@ -36,6 +36,7 @@ class _Prism(Strict):
 
     @property
     def _edges(self) -> Any:
+        """The edges of the outline and its holes, as ``edges_of`` returns them."""
         return edges_of([self.corners_ned, *self.holes_ned])  # type: ignore[attr-defined]
 
     @property
@@ -78,6 +79,7 @@ def obstacle_slot(choices: Mapping[str, type]) -> object:
 
     @cache
     def make(name: str, kind: type) -> type[Strict]:
+        """Return the pydantic model of a type of obstacle, made once for each class."""
         return component_model(name, kind, more=STEEL)
 
     return slot(

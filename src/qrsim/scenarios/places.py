@@ -70,6 +70,7 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
+    """Return whether a vehicle has places in latitude and longitude, or a plan, that must become local."""
     legs = any(vars(leg).get("to_geodetic") for leg in vehicle.legs)
     return bool(vehicle.position_geodetic or vehicle.waypoints_geodetic or vehicle.plan or legs)
 
@@ -87,6 +88,7 @@ def _label(spec: RoutePlanSpec) -> str:
 
 
 def _triple(place: GeodeticSpec) -> tuple[float, float, float]:
+    """Return (latitude [deg], longitude [deg], height [m]) of a place."""
     return place.latitude_deg, place.longitude_deg, place.height
 
 
@@ -114,7 +116,7 @@ class _Places:
         self.on_ground = False
 
     def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
-        """Return the points a function gives; where something is wrong, keep that and return none."""
+        """Return the points of a function; if it raises UsageError, note the problem and return none."""
         try:
             return convert()
         except ScenarioError as error:
@@ -124,7 +126,7 @@ class _Places:
         return []
 
     def _place(self, site: SiteSpec) -> SiteSpec:
-        """Return a site in numbers: those of the home of its plan, where it has one."""
+        """Return the site in numbers, those of its plan's home if it has a plan."""
         homes = self._attempt("site.plan", lambda: [home_of(site)]) if site.plan else []
         for latitude, longitude, height in homes:
             named = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": height, "plan": None}
@@ -177,6 +179,7 @@ class _Places:
         return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
+        """Return a vehicle with all places local in NED [m]; note problems and where each place was given."""
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
         again = vehicle.repeat_from
         for j, leg in enumerate(legs):
@@ -234,6 +237,7 @@ class _Places:
             return [], None
 
         def to_ned(place: tuple[float, float]) -> list[float]:
+            """Return [north, east, down] [m] of (latitude, longitude) [deg] at the height of the site."""
             return local_ned(self.site, [(*place, 0.0)])[0]
 
         follows = spec.terrain_tolerance
@@ -248,6 +252,7 @@ class _Places:
         return legs, again
 
     def _waypoints(self, label: str) -> tuple[Waypoint, ...]:
+        """Return the waypoints of a plan by its label; none where it could not be read."""
         return self.flown[label].waypoints if label in self.flown else ()
 
     def _note(self, path: str, spec: RoutePlanSpec, items: list[int | None]) -> None:
@@ -318,6 +323,7 @@ class _Places:
         return polygon_model()(type="polygon", corners_ned=corners, z_min=area.z_min, z_max=area.z_max)
 
     def _corners(self, file: str, name: str | None) -> list[list[float]]:
+        """Return the corners [north, east] [m] of a fence in a file; raise UsageError for too many."""
         corners, plan = fence_corners(file, name, self.site)
         if len(corners) > MOST_CORNERS:
             raise UsageError(f"{file}: has {len(corners)} corners; allowed: at most {MOST_CORNERS}")
@@ -326,7 +332,7 @@ class _Places:
         return corners
 
     def warn(self) -> None:
-        """Tell what is not flown: one warning for each kind of item of each plan, one for all that change no path."""
+        """Warn of items of plans that are not flown, one warning for each kind and plan."""
         for file, plan in {**self.fences, **self.flown}.items():
             by_route = file in self.by_route
             notes = [note for note in plan.ignored if note.item is None or file in self.flown]
@@ -367,8 +373,10 @@ class _Places:
 
 
 def _parameters(file: str) -> list[dict[str, float]]:
+    """Return a list of one: the parameters in a file, by name."""
     return [read_parameters(file)]
 
 
 def _lands(waypoint: Waypoint) -> bool:
+    """Return whether a waypoint of a plan is a landing."""
     return waypoint.command == LAND

@@ -35,6 +35,7 @@ class PlanGround:
 
     @cached_property
     def _ground(self) -> Any:
+        """The ground of the scenario, built at first use; None where it cannot be built."""
         return build.ground_if_any(self._scenario)
 
     def down(self, north: npt.ArrayLike, east: npt.ArrayLike) -> Floats:
@@ -48,6 +49,7 @@ def ground_down(ground: Ground) -> GroundDown:
     """Return a function that gives down coordinates (...) [m] of a ground at places north and east (...) [m]."""
 
     def down(north: npt.ArrayLike, east: npt.ArrayLike) -> Floats:
+        """Return the down coordinate of the ground [m] at north and east [m], in their shape."""
         places = np.broadcast_arrays(np.asarray(north, np.float64), np.asarray(east, np.float64), 0.0)
         found = down_at(ground, record_of(Vec3, *map(np.atleast_1d, places)))
         # Added to zero, because a ground at z = 0 may be at -0.

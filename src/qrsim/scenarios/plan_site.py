@@ -160,4 +160,5 @@ def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str |
 
 
 def _length(metres: float) -> str:
+    """Return a length [m] as text, in km from 1000 m."""
     return f"{metres / 1000.0:.3g} km" if metres >= 1000.0 else f"{metres:.3g} m"

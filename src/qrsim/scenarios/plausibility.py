@@ -103,7 +103,7 @@ def _wind(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground(scenario: ScenarioSpec) -> Iterator[str]:
-    """Pass on what was noticed in the files of the ground."""
+    """Yield the notes of the files of the ground."""
     ground = component(scenario.world.ground, known.GROUNDS, scenario)
     if isinstance(ground, ElevationFile):
         place = scenario.site
@@ -125,7 +125,7 @@ def _fast(file: str, wind: Any) -> Iterator[str]:
 
 
 def _estimator(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Warn of a filter that is told of much smaller errors than its sensors have."""
+    """Warn of a filter with much smaller errors in its parameters than its sensors have."""
     if fleet.estimator is None or not issubclass(known.FILTERS[fleet.estimator.type], KalmanParameters):
         return
     spec = fleet.estimator
@@ -155,6 +155,7 @@ class _Constants:
         self._spec, self.size = fleet.vehicle, len(fleet.vehicles)
 
     def __getattr__(self, name: str) -> Any:
+        """Return a parameter of the vehicle type for each vehicle (n,)."""
         return np.broadcast_to(np.asarray(getattr(self._spec, name), np.float64), (self.size,))
 
 
@@ -165,6 +166,7 @@ def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
 
 
 def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield implausible gravity, mass and thrust: of vehicles that cannot stay up, or cannot come down."""
     of, volts = _Constants(fleet), voltages(fleet)
     if not ((of.gravity >= EARTH[0]) & (of.gravity <= EARTH[1])).all():
         i, where = _worst(path, "vehicle.gravity", fleet.vehicle.gravity, np.abs(of.gravity - 9.81))
@@ -191,7 +193,7 @@ def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """The published thrust law is of a range of voltages; other constants are of a vehicle that we do not know."""
+    """Yield battery voltages outside the range in which the published thrust law was identified."""
     of = _Constants(fleet)
     known = (of.cvb0 == PELICAN["cvb0"]) & (of.cvb1 == PELICAN["cvb1"])
     if fleet.battery.type != "lithium_polymer":
@@ -221,7 +223,7 @@ def _capacity(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _loops(path: str, fleet: FleetSpec, dt: float) -> Iterator[str]:
-    """Roots of s^2 = -stiffness - damping s of each axis, and what the fixed step makes of them."""
+    """Yield the unstable or too fast control loops of the first vehicle that has any; ``dt`` is the time step [s]."""
     of, several = _Constants(fleet), bool(_lists(fleet.vehicle))
     for i in range(of.size if several else 1):
         found = list(_unstable(path, fleet, of, i, dt))
@@ -231,6 +233,7 @@ def _loops(path: str, fleet: FleetSpec, dt: float) -> Iterator[str]:
 
 
 def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) -> Iterator[str]:
+    """Yield the control loops of vehicle i that are unstable, or too fast for a time step of ``dt`` [s]."""
     for axis, names, stiffness, damping in _axes(fleet, of, i):
         where = f"{path}.vehicle.{names}"
         numbers = f"stiffness {stiffness:g} 1/s^2 and damping {damping:g} 1/s"
@@ -254,12 +257,12 @@ def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) ->
 
 
 def _lists(vehicle: Any) -> list[object]:
-    """Return the numbers of a vehicle that are given one for each."""
+    """Return the names of parameters that are lists with one number for each vehicle."""
     return [name for name in type(vehicle).model_fields if isinstance(getattr(vehicle, name), list)]
 
 
 def _growth(z: complex) -> float:
-    """Return by what Heun's rule multiplies a solution of y' = (z / dt) y in a step."""
+    """Return the factor by which a step of Heun's rule multiplies a solution of y' = (z / dt) y."""
     return abs(1.0 + z + z * z / 2.0)
 
 

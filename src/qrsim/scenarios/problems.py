@@ -84,6 +84,7 @@ class _Fault:
         self._locate(data)
 
     def _locate(self, data: object) -> None:
+        """Follow pydantic's location through data and schema: set path, owner, field and value."""
         for part in self.details["loc"]:
             if part == "[key]":
                 continue
@@ -116,6 +117,7 @@ class _Fault:
         return self.path[-1]
 
     def _descend(self, part: object, data: object) -> object:
+        """Add a part to the path and return what is there in the data; None if nothing is."""
         name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
@@ -176,6 +178,7 @@ class _Fault:
         return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
     def _fault(self, kind: str, context: Mapping[str, object]) -> str:
+        """Return what is wrong with the value, by pydantic's type of error and its context."""
         if kind in _RANGES:
             return f"is out of range; allowed: {self._range()}{self._swapped()}"
         if kind == "string_pattern_mismatch":
@@ -185,12 +188,13 @@ class _Fault:
         return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
 
     def _swapped(self) -> str:
-        """Return a hint where a latitude is one beside which there is no longitude but a latitude."""
+        """Return a hint that latitude and longitude are swapped; "" if they are not."""
         if self.path[-1] != "latitude_deg" or not isinstance(self.beside, dict):
             return ""
         return swapped_hint(self.details["input"], self.beside.get("longitude_deg"))
 
     def _known(self) -> list[str]:
+        """Return the names of the fields that the owner has, angles in degrees included."""
         names = [name for name in (self.owner.model_fields if self.owner else {}) if name != "type"]
         twins = [name.removesuffix("_rad") + "_deg" for name in names if name.endswith("_rad")]
         return names + twins
@@ -201,9 +205,11 @@ class _Fault:
         return [model.__name__ for model in models] or [str(option) for option in get_args(_bare(self.annotation))]
 
     def _types(self) -> str:
+        """Return a hint with the types of component that are allowed."""
         return f"; it names what this is: {', '.join(self._choices())}"
 
     def _twin(self) -> str:
+        """Return a hint that an angle in radians may be given in degrees; "" for other fields."""
         name = self.path[-1]
         return f"; or give {name.removesuffix('_rad')}_deg in degrees" if name.endswith("_rad") else ""
 
@@ -216,6 +222,7 @@ class _Fault:
         return f" such as {{type: {value if value in names else names[0]}}}"
 
     def _shown(self, value: object) -> str:
+        """Return a value as a message shows it: at most 60 characters, an angle in degrees if so given."""
         if self.in_degrees and isinstance(value, float):
             return f"{math.degrees(value):g}"
         if value is None:
@@ -232,9 +239,11 @@ class _Fault:
         return found[-1] if found else None
 
     def _holds_numbers(self) -> bool:
+        """Return whether the entries of the list or mapping are numbers."""
         return _bare(_entry(self.annotation)) is float
 
     def _length(self) -> str:
+        """Return the allowed number of entries of a list, in words."""
         low, high = self._rule("min_length"), self._rule("max_length")
         what = "numbers" if self._holds_numbers() else "entries"
         if low == high:
@@ -242,6 +251,7 @@ class _Fault:
         return f"at most {high} {what}" if low is None else f"at least {low}"
 
     def _range(self) -> str:
+        """Return the allowed range of a number, in words, in degrees if it was given so."""
         low, high, above = self._rule("ge"), self._rule("le"), self._rule("gt")
         if self.in_degrees:
             low, high, above = (None if bound is None else math.degrees(bound) for bound in (low, high, above))
@@ -252,6 +262,7 @@ class _Fault:
         return f"at least {_number(low)}" if low is not None else f"at most {_number(high)}"
 
     def _meaning(self) -> str:
+        """Return the description and the unit of the field in brackets; "" without a description."""
         if self.field is None or not self.field.description:
             return ""
         extra = self.field.json_schema_extra
@@ -285,7 +296,7 @@ def _given(annotation: object) -> Any:
 
 
 def _bare(annotation: object) -> object:
-    """Return a type without what Annotated says about it, and without null."""
+    """Return a type without its Annotated metadata and without null."""
     annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
@@ -314,13 +325,13 @@ def _rules(annotation: object) -> list[object]:
 
 
 def _slot(annotation: object) -> type[Slot] | None:
-    """Return the slot that a place is, None where it is none."""
+    """Return the ``Slot`` that an annotation contains, None if it contains none."""
     bare = _bare(annotation)
     return bare if isinstance(bare, type) and issubclass(bare, Slot) else None
 
 
 def _models(annotation: object) -> list[type[BaseModel]]:
-    """Return the parts of a scenario that may stand in a place; none for a number, a list or a mapping."""
+    """Return the pydantic models that an annotation allows; [] for a number, a list or a mapping."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if slot := _slot(annotation):

@@ -22,6 +22,7 @@ def places(content: object) -> Iterator[tuple[str, str, Content]]:
 
 
 def _parts(content: object) -> Iterator[tuple[str, str, object]]:
+    """Yield path, kind and content of each place of a scenario that takes a component."""
     world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
     for kind in WORLD_KINDS:
         yield f"world.{kind}", kind, world.get(kind)
@@ -40,6 +41,7 @@ def _parts(content: object) -> Iterator[tuple[str, str, object]]:
 
 
 def _mapping(content: object, key: object) -> Content:
+    """Return the mapping under a key, or the content itself for an empty key; {} if it is no mapping."""
     found = content.get(key) if key and isinstance(content, dict) else content
     return found if isinstance(found, dict) else {}
 

@@ -34,6 +34,7 @@ def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[P
 
 
 def _vector(acceleration: list[float] | None) -> Vec3:
+    """Return an acceleration [m/s^2] as a vector, zero for None."""
     return record_of(Vec3, *(acceleration or (0.0, 0.0, 0.0)))
 
 

@@ -31,6 +31,7 @@ def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | No
     sizes = [len(fleet.vehicles) for fleet in scenario.fleets.values()]
 
     def each(name: str) -> NumpyArray:
+        """Return a parameter of the fleets' own radios for each vehicle (n,), NaN where not given."""
         values = [np.nan if spec is None or getattr(spec, name) is None else getattr(spec, name) for spec in own]
         return np.repeat(np.array(values, np.float64), sizes)
 
@@ -63,7 +64,7 @@ def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[
 
 
 def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[str]:
-    """Yield why a guidance that knows of whom its radio has heard would never hear of anybody."""
+    """Yield guidances with ``knows: heard`` in fleets that cannot receive anything."""
     guidance = f"{path}.guidance.knows: 'heard' is by radio"
     if network is None:
         yield f"{guidance}, and there is no world.radio; give one, or knows: all"
@@ -77,7 +78,7 @@ def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[s
 
 
 def _times(network: Network, dt: float) -> Iterator[str]:
-    """Yield what does not fit into a period, or into a slot."""
+    """Yield a period that is not a multiple of the time step, and packets that do not fit into a slot."""
     mac, air = network.mac, network.air_time
     path = "world.radio.mac"
     if not is_multiple(mac.period, dt):

@@ -13,6 +13,7 @@ NONE = "none"
 
 
 def _of_a_name(data: object) -> object:
+    """Return {"preset": name} for a name, and other data as they are."""
     return {"preset": data} if isinstance(data, str) else data
 
 
@@ -33,6 +34,7 @@ class FleetRadioSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _none(cls, data: object) -> object:
+        """Read "none" as a fleet without a radio; refuse other texts."""
         if isinstance(data, str):
             if data != NONE:
                 raise ValueError(f"is {data!r}; expected 'none', or values that differ from world.radio")

@@ -87,6 +87,7 @@ def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
 
 
 def _path_problem(scenario: ScenarioSpec, path: str) -> str:
+    """Return why the number at a path cannot be drawn for each episode; "" if it can."""
     parts = path.split(".")
     value, problem = _value_at(scenario, parts)
     if problem:
@@ -108,7 +109,7 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
 
 
 def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
-    """Return whether a number is structural; the class of its component says so."""
+    """Return whether a number is a setting of its component, which is compiled."""
     parts = path.split(".")
     for depth in range(len(parts) - 1, 0, -1):
         spec, _ = _value_at(scenario, parts[:depth])
@@ -120,6 +121,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
+    """Return the types of component that a path without its last part may name; None if it takes no component."""
     if parts[:2] == ["world", "updrafts"]:
         return known.UPDRAFTS
     if parts[0] == "world":
@@ -136,6 +138,7 @@ def _group(parts: list[str]) -> Mapping[str, type] | None:
 
 
 def _static(owner: Any, names: list[str]) -> bool:
+    """Return whether a field of a component, or of one nested in it, is compiled and cannot vary."""
     fields = {field.name: field for field in dataclasses.fields(owner)}
     # What a scenario says of every sensor, as its delay, is no field of the sensor and is compiled.
     if names[0] not in fields:
@@ -145,7 +148,7 @@ def _static(owner: Any, names: list[str]) -> bool:
 
 
 def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) -> Iterator[str]:
-    """A range may not leave what its number may be."""
+    """Yield a range that leaves the bounds of its number."""
     _, low, high = in_radians(item)
     for end, value in (("low", low), ("high", high)):
         content = copy.deepcopy(scenario.model_dump(mode="json"))
@@ -207,7 +210,7 @@ def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
 
 
 def _heirs(scenario: ScenarioSpec, path: str) -> Iterator[Path]:
-    """Yield where in a World a number is that is taken from this one."""
+    """Yield the places in a World of numbers that are inherited from this one."""
     parts = path.split(".")
     if parts[0] == "fleets" and parts[2] == "faults":
         fleet = list(scenario.fleets).index(parts[1])

@@ -45,7 +45,7 @@ def read_scenario(source: str | Path | Content) -> tuple[str, Content]:
 
 
 def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, Content]:
-    """Read a source that ``children``, as (identity, what to call it), extend, the first of them the user's."""
+    """Read a source that ``children`` (identity, label) extend, the first of them the user's; refuse a circle."""
     identity, folder = _origin(source)
     name = "scenario" if isinstance(source, dict) else source
     if identity in (known for known, _ in children):
@@ -191,7 +191,7 @@ def anchor_files(content: Content, folder: Path) -> None:
 
 
 def _with_plans(content: Content) -> Iterator[object]:
-    """Yield the site and the vehicles, whatever the user gave for them."""
+    """Yield the parts of a content that may name a plan: the site and each vehicle."""
     yield content.get("site")
     fleets = content.get("fleets")
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -210,6 +210,7 @@ def _spell_out(content: Content, path: list[str]) -> None:
 
 
 def _anchor(content: object, folder: Path) -> None:
+    """Make the file names in a scenario's content absolute, in place; relative ones start in ``folder``."""
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for part in parts:
         _anchor(part, folder)
@@ -224,11 +225,13 @@ def _anchor(content: object, folder: Path) -> None:
 
 
 def _anchored(name: str, folder: Path) -> str:
+    """Return a file name as an absolute one; a public recording that is not in ``folder`` is in the data folder."""
     file = Path(os.path.abspath(folder / os.path.expanduser(name)))
     return str(data_folder() / name if name in RECORDINGS and not file.exists() else file)
 
 
 def _as_mapping(content: object, source: str) -> Content:
+    """Return a content that is a mapping; raise ScenarioError for any other."""
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
@@ -267,7 +270,7 @@ def apply_override(content: Content, assignment: str) -> None:
 
 
 def _without_a_space(value: object) -> str | None:
-    """Return a key such as 'type:gnss' of {type:gnss}, which was meant as a key and its value; None: there is none."""
+    """Return a key such as 'type:gnss', which lacks the space before its value; None if there is none."""
     if isinstance(value, list):
         return next(filter(None, map(_without_a_space, value)), None)
     if not isinstance(value, dict):
@@ -320,7 +323,7 @@ def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
 
 
 def _check_name(target: Content, parts: list[str], depth: int, assignment: str) -> None:
-    """A mistyped fleet or sensor would otherwise be made, and complained about for what it lacks."""
+    """Raise UsageError for a fleet or sensor that is not in the scenario, which an override would create."""
     is_fleet = depth == 1 and parts[0] == "fleets"
     is_sensor = depth == 3 and parts[0] == "fleets" and parts[2] == "sensors" and parts[4:] != ["type"]
     if (is_fleet or is_sensor) and parts[depth] not in target:
@@ -329,6 +332,7 @@ def _check_name(target: Content, parts: list[str], depth: int, assignment: str) 
 
 
 def _index(target: list[object], parts: list[str], depth: int, assignment: str) -> int:
+    """Return the list index that part ``depth`` of a --set path names; raise UsageError if it has none."""
     text = parts[depth]
     if re.fullmatch("[0-9]{1,9}", text) and int(text) < len(target):
         return int(text)

@@ -210,17 +210,20 @@ def components() -> list[dict[str, str]]:
 
 
 def _check_kind(kind: object, what: str = "register") -> None:
+    """Raise UsageError, which begins with ``what``, for a kind of component that does not exist."""
     if kind not in catalogue.KINDS:
         raise UsageError(f"{what}: no kind of component is called {kind!r}{did_you_mean(str(kind), catalogue.KINDS)}")
 
 
 def _check_class(kind: str, component: object, what: str) -> None:
+    """Raise UsageError if a class does not conform to its kind."""
     problem = conformity_problem(kind, component)
     if problem:
         raise UsageError(f"{what}: {problem}")
 
 
 def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
+    """Add a class to the catalogue and the schema; leave both unchanged and raise if it has no schema."""
     if code.is_code(name):
         code.taken_in(component.__module__, provide, kind, name)
     group = catalogue.KINDS[kind]
@@ -241,6 +244,7 @@ def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
 
 
 def _refuse_second(kind: str, name: str, component: type, origin: Origin) -> None:
+    """Raise UsageError if a name is built in, or taken by another class; a reloaded class may replace it."""
     if name in _BUILT_IN[kind]:
         built_in = _BUILT_IN[kind][name]
         raise UsageError(
@@ -258,6 +262,7 @@ def _refuse_second(kind: str, name: str, component: type, origin: Origin) -> Non
 
 
 def _origin(how: str, component: type, place: str = "") -> Origin:
+    """Return where a class comes from: how it was found, place, module, file and digest of the file."""
     module = sys.modules.get(component.__module__)
     file = getattr(module, "__file__", None) or ""
     if not place:
@@ -297,5 +302,6 @@ def _load_entry_point(kind: str, name: str) -> None:
 
 
 def _place_of(point: metadata.EntryPoint) -> str:
+    """Return the package, the version and the object of an entry point, in words."""
     found = point.dist
     return f"{found.metadata['Name']} {found.version} ({point.value})" if found else point.value

@@ -20,7 +20,7 @@ from qrsim.tasks.agents import Axis
 from qrsim.world.state import Piloted, Saying, Some, Start, World
 
 
-def _shape(value: Any) -> str:
+def _shape_text(value: Any) -> str:
     try:
         return f"shape {tuple(np.shape(value))}"
     except (TypeError, ValueError):
@@ -56,27 +56,28 @@ def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 def _vector(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
     if not isinstance(value, Vec3):
-        yield f"{what} is {_name(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
+        yield f"{what} is {_shown(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
         return
     for axis in "xyz":
         yield from _array(f"{what}.{axis}", getattr(value, axis), shape)
 
 
-def _name(value: object) -> str:
+def _shown(value: object) -> str:
+    """Return the type of a value in words, with the shape of an array and the length of a tuple."""
     if isinstance(value, tuple):
         return f"a tuple of {len(value)}"
-    return f"an array of {_shape(value)}" if hasattr(value, "shape") else type(value).__name__
+    return f"an array of {_shape_text(value)}" if hasattr(value, "shape") else type(value).__name__
 
 
 def _pair(value: object, what: str) -> Iterator[str]:
     if not isinstance(value, tuple) or len(value) != 2:
-        yield f"it returned {_name(value)}; expected a pair, {what}"
+        yield f"it returned {_shown(value)}; expected a pair, {what}"
 
 
 def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
     """Yield what is wrong with a record of arrays."""
     if not dataclasses.is_dataclass(value) or isinstance(value, type) or jax.tree_util.all_leaves([value]):
-        yield f"{what} is {_name(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
+        yield f"{what} is {_shown(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
         return
     # A None would be no leaf; what is logged has no place for it.
     for path, leaf in jax.tree_util.tree_flatten_with_path(value, is_leaf=lambda leaf: leaf is None)[0]:
@@ -88,7 +89,7 @@ def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
     for name in ("position_ned", "velocity_body", "rates_body"):
         yield from _vector(f"{what}.{name}", getattr(value, name), shape)
     if not isinstance(value.attitude, Euler):
-        yield f"{what}.attitude is {_name(value.attitude)}; expected a qrsim.Euler of arrays of shape {shape}"
+        yield f"{what}.attitude is {_shown(value.attitude)}; expected a qrsim.Euler of arrays of shape {shape}"
     yield from _each(what, value, shape)
 
 
@@ -97,7 +98,7 @@ def unchanged(what: str, before: object, after: object) -> Iterator[str]:
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)
     if old != new:
-        yield f"{what} was {_tree(before)} and is now {_tree(after)}; expected the same structure"
+        yield f"{what} was {_tree_shown(before)} and is now {_tree_shown(after)}; expected the same structure"
         return
     for (path, one), other in zip(jax.tree_util.tree_flatten_with_path(before)[0], jax.tree.leaves(after), strict=True):
         was, now = (f"{jnp.result_type(leaf)} of shape {tuple(np.shape(leaf))}" for leaf in (one, other))
@@ -105,8 +106,8 @@ def unchanged(what: str, before: object, after: object) -> Iterator[str]:
             yield f"{what}{jax.tree_util.keystr(path)} was {was} and is now {now}; expected no change"
 
 
-def _tree(value: object) -> str:
-    return "nothing" if value is None else _name(value)
+def _tree_shown(value: object) -> str:
+    return "nothing" if value is None else _shown(value)
 
 
 RETURNED = "it returned"
@@ -114,7 +115,7 @@ RETURNED = "it returned"
 Check = Callable[[Any, tuple[Any, ...], Any], Iterator[str]]
 
 
-def _size(args: tuple[object, ...]) -> tuple[int, ...] | None:
+def _shape_in(args: tuple[object, ...]) -> tuple[int, ...] | None:
     """Return (n,) of the first vector, angles or array with one number for each vehicle among some arguments."""
     shapes = (tuple(np.shape(leaf)) for leaf in jax.tree.leaves(args))
     return next((shape for shape in shapes if len(shape) == 1), None)
@@ -125,7 +126,7 @@ def _own(self: Any) -> tuple[int, ...]:
     return () if self._size is None else (self._size,)
 
 
-def _reading(self: Any, args: object, result: Any) -> Iterator[str]:
+def _check_reading(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new state and the reading")
     yield from _each("the reading", result[1], _own(self))
     for field in dataclasses.fields(result[1]):
@@ -134,57 +135,58 @@ def _reading(self: Any, args: object, result: Any) -> Iterator[str]:
             yield f"{name} has no unit; expected {field.name}: ... = qrsim.quantity(unit=..., doc=...)"
 
 
-def _next_reading(self: object, args: Any, result: Any) -> Iterator[str]:
-    yield from _reading(self, args, result)
+def _check_next_reading(self: object, args: Any, result: Any) -> Iterator[str]:
+    yield from _check_reading(self, args, result)
     yield from unchanged("the state", args[0], result[0])
 
 
-def _alike(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position: int) -> Check:
+def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position: int) -> Check:
     """Return the check of a result that has as many numbers as an argument."""
 
     def checked(self: object, args: Any, result: object) -> Iterator[str]:
-        shape = _size(args[position : position + 1])
+        shape = _shape_in(args[position : position + 1])
         if shape is not None:
             yield from check("the result", result, shape)
 
     return checked
 
 
-def _state_only(self: object, args: Any, result: Any) -> Iterator[str]:
+def _check_state(self: object, args: Any, result: Any) -> Iterator[str]:
+    """Yield in what the returned state is of another kind than the state that was passed."""
     yield from unchanged("the state", args[0], result)
 
 
-def _commanding(self: Any, args: object, result: Any) -> Iterator[str]:
-    yield from _state_and_given(self, "the command", args, result)
+def _check_command(self: Any, args: object, result: Any) -> Iterator[str]:
+    yield from _check_state_and(self, "the command", args, result)
     yield from _each("the command", result[1], _own(self))
 
 
-def _guiding(self: object, args: object, result: object) -> Iterator[str]:
-    yield from _state_and_given(self, "the set-point", args, result)
+def _check_setpoint(self: object, args: object, result: object) -> Iterator[str]:
+    yield from _check_state_and(self, "the set-point", args, result)
 
 
-def _state_and_given(self: Any, what: str, args: Any, result: Any) -> Iterator[str]:
+def _check_state_and(self: Any, what: str, args: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, f"the new state and {what}")
     yield from unchanged("the state", args[0], result[0])
     gives = getattr(type(self), "gives", None)
     if gives is not None and not isinstance(result[1], gives):
-        yield f"{what} is {_name(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
+        yield f"{what} is {_shown(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
 
 
-def _idle(self: object, args: object, result: object) -> Iterator[str]:
+def _check_idle_command(self: object, args: object, result: object) -> Iterator[str]:
     own = getattr(type(self), "command_type", object)
     if not isinstance(result, own):
-        yield f"the command is {_name(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
+        yield f"the command is {_shown(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
     yield from _each("the command", result, _own(self))
 
 
-def _vehicle_step(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _check_vehicle_step(self: Any, args: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new state and the specific force")
     yield from unchanged("the state", args[0], result[0])
     yield from _vector("the specific force", result[1], _own(self))
 
 
-def _vehicle_state(self: object, args: object, result: object) -> Iterator[str]:
+def _check_vehicle_state(self: object, args: object, result: object) -> Iterator[str]:
     if isinstance(result, Pose):
         yield from _posed("the state", result, _own(self))
     yield from _each("the state", result, _own(self))
@@ -192,33 +194,33 @@ def _vehicle_state(self: object, args: object, result: object) -> Iterator[str]:
         yield "the state has no position_ned, a qrsim.Vec3"
 
 
-def _pose(self: object, args: object, result: object) -> Iterator[str]:
+def _check_pose(self: object, args: object, result: object) -> Iterator[str]:
     if not isinstance(result, Pose):
-        yield f"it returned {_name(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
+        yield f"it returned {_shown(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
     yield from _posed("the pose", result, _own(self))
 
 
-def _load(self: Any, args: object, result: Any) -> Iterator[str]:
+def _check_load(self: Any, args: object, result: Any) -> Iterator[str]:
     if not isinstance(result, Load):
-        yield f"it returned {_name(result)}; expected a Load (qrsim.models.vehicles.contracts)"
+        yield f"it returned {_shown(result)}; expected a Load (qrsim.models.vehicles.contracts)"
     yield from _number("the load.thrust", result.thrust, _own(self))
     yield from _number("the load.weight", result.weight, _own(self))
     if result.power is not None:
         yield from _number("the load.power", result.power, _own(self))
 
 
-def _force(self: object, args: object, result: object) -> Iterator[str]:
+def _check_specific_force(self: object, args: object, result: object) -> Iterator[str]:
     yield from _vector("the specific force", result, _own(self))
 
 
-def _charged(self: Any, args: object, result: Any) -> Iterator[str]:
+def _check_battery_state(self: Any, args: object, result: Any) -> Iterator[str]:
     if self.drains and not hasattr(result, "charge"):
-        yield f"the state is {_name(result)}; expected a record with the field charge, since drains is True"
+        yield f"the state is {_shown(result)}; expected a record with the field charge, since drains is True"
     elif self.drains:
         yield from _array("the state.charge", result.charge, _own(self))
 
 
-def _voltage(self: object, args: Any, result: object) -> Iterator[str]:
+def _check_voltage(self: object, args: Any, result: object) -> Iterator[str]:
     if result is not None:
         yield from _array("the voltage", result, _own(self))
     elif args[0] is None:
@@ -229,34 +231,34 @@ def _voltage(self: object, args: Any, result: object) -> Iterator[str]:
         )
 
 
-def _checks(self: object, args: Any, result: object) -> Iterator[str]:
-    shape = _size(args[:1])
+def _check_area_checks(self: object, args: Any, result: object) -> Iterator[str]:
+    shape = _shape_in(args[:1])
     assert shape is not None
     if not isinstance(result, list | tuple):
-        yield f"it returned {_name(result)}; expected a list of (code, value, broken)"
+        yield f"it returned {_shown(result)}; expected a list of (code, value, broken)"
         return
     for number, check in enumerate(result):
         if not isinstance(check, tuple) or len(check) != 3:
-            yield f"check {number} is {_name(check)}; expected (code, value, broken)"
+            yield f"check {number} is {_shown(check)}; expected (code, value, broken)"
             return
         code, value, broken = check
         if not isinstance(code, int) or not 0 < code < len(REASONS):
             yield f"the code of check {number} is {code!r:.60}; expected reason_code(...) of qrsim.models.scene.area"
         yield from _array(f"the value of check {number}", value, shape)
         if getattr(broken, "shape", None) != shape or broken.dtype != bool:
-            yield f"broken of check {number} is {_name(broken)}; expected an array of bool of shape {shape}"
+            yield f"broken of check {number} is {_shown(broken)}; expected an array of bool of shape {shape}"
 
 
-def _placed(self: Any, args: object, result: Any) -> Iterator[str]:
+def _check_placement(self: Any, args: object, result: Any) -> Iterator[str]:
     yield from _pair(result, "the start and whether a place was found")
     if not isinstance(result[0], Start):
-        yield f"the start is {_name(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
+        yield f"the start is {_shown(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
     yield from _posed("the start", result[0], _own(self))
     if getattr(result[1], "shape", None) != () or result[1].dtype != bool:
-        yield f"whether a place was found is {_name(result[1])}; expected one bool"
+        yield f"whether a place was found is {_shown(result[1])}; expected one bool"
 
 
-def _judged(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _check_reward(self: Any, args: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new memory and the reward")
     yield from unchanged("the memory", args[0], result[0])
     yield from _for_each_fleet(self, args[1], "the reward", result[1], lambda what, n, part: _array(what, part, (n,)))
@@ -275,51 +277,51 @@ def _for_each_fleet(
         yield from check(what, sizes[task.fleet], result)
         return
     if not isinstance(result, dict) or set(result) != set(task.fleets):
-        found = f"a dict of {', '.join(map(str, result)) or 'nothing'}" if isinstance(result, dict) else _name(result)
+        found = f"a dict of {', '.join(map(str, result)) or 'nothing'}" if isinstance(result, dict) else _shown(result)
         yield f"{what} is {found}; expected a dict with one for each fleet of agents: {', '.join(task.fleets)}"
         return
     for fleet in task.fleets:
         yield from check(f"{what} of fleet '{fleet}'", sizes[fleet], result[fleet])
 
 
-def _seen(whole: str, n: int, result: object) -> Iterator[str]:
+def _check_observation(whole: str, n: int, result: object) -> Iterator[str]:
     parts = result if isinstance(result, dict) else {"": result}
     for name, part in parts.items():
         what = f"{whole}{f' {name!r}' if name else ''}"
         found = tuple(np.shape(part)) if hasattr(part, "shape") else None
         if found is None:
-            yield f"{what} is {_name(part)}; expected an array whose first axis has {n} entries, one for each vehicle"
+            yield f"{what} is {_shown(part)}; expected an array whose first axis has {n} entries, one for each vehicle"
         elif found[:1] != (n,) or (not name and len(found) != 2):
             yield f"{what} has shape {found}; expected ({n}, O), a row for each vehicle"
 
 
-def _named(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _check_axis_names(self: Any, args: Any, result: Any) -> Iterator[str]:
     """The names of an observation are axes, as many as it has numbers."""
-    yield from _for_each_fleet(self, args[0], RETURNED, result, _axes)
+    yield from _for_each_fleet(self, args[0], RETURNED, result, _check_axes)
 
 
-def _axes(what: str, n: int, result: object) -> Iterator[str]:
+def _check_axes(what: str, n: int, result: object) -> Iterator[str]:
     verb = "" if what == RETURNED else " is"
     for axes in result.values() if isinstance(result, dict) else (result,):
         if not isinstance(axes, tuple | list) or not all(isinstance(axis, Axis) for axis in axes):
-            yield f"{what}{verb} {_name(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
+            yield f"{what}{verb} {_shown(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
 
 
-def _agreed(self: Any, args: Any, result: Any) -> Iterator[str]:
+def _check_observation_names(self: Any, args: Any, result: Any) -> Iterator[str]:
     names = self.sees(args[1])
 
     def agreed(what: str, n: int, part: Any) -> Iterator[str]:
         fleet = next((name for name in self.fleets if part is result.get(name)), "") if len(self.fleets) > 1 else ""
-        yield from _seen(what, n, part)
-        yield from _named_as(self, what, part, names[fleet] if fleet else names)
+        yield from _check_observation(what, n, part)
+        yield from _check_names_match(self, what, part, names[fleet] if fleet else names)
 
     yield from _for_each_fleet(self, args[1], "the observation", result, agreed)
 
 
-def _named_as(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
+def _check_names_match(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
     """Yield where an observation is not what ``sees`` says of it."""
     if isinstance(names, dict) != isinstance(result, dict):
-        yield f"{whole} is {_name(result)}, but {type(self).__name__}.sees returns {_name(names)}"
+        yield f"{whole} is {_shown(result)}, but {type(self).__name__}.sees returns {_shown(names)}"
     for name, axes in names.items() if isinstance(result, dict) else (("", names),):
         what = f"{whole}{f' {name!r}' if name else ''}"
         if name and name not in result:
@@ -330,31 +332,31 @@ def _named_as(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
             yield f"{what} has {count} numbers, but {type(self).__name__}.sees names {len(axes)}; expected as many"
 
 
-def _commanded(self: object, args: Any, result: object) -> Iterator[str]:
+def _check_actions(self: object, args: Any, result: object) -> Iterator[str]:
     fleets = args[1].fleets
     if not isinstance(result, tuple) or len(result) != len(fleets):
-        yield f"it returned {_name(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"
+        yield f"it returned {_shown(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"
         return
     for fleet, action in zip(fleets, result, strict=True):
-        for part in _parts(action):
-            yield from _action(fleet, part)
+        for part in _commands_in(action):
+            yield from _check_action(fleet, part)
 
 
-def _parts(action: object) -> list[object]:
+def _commands_in(action: object) -> list[object]:
     """Return the commands and set-points that are in an action."""
     if isinstance(action, Saying):
-        return _parts(action.action)
+        return _commands_in(action.action)
     if isinstance(action, Some):
         return [part for _, part in action.parts]
     return [] if action is None or isinstance(action, Piloted) else [action]
 
 
-def _action(fleet: Any, action: Any) -> Iterator[str]:
+def _check_action(fleet: Any, action: Any) -> Iterator[str]:
     what = f"the action of fleet '{fleet.name}'"
     taken = (*getattr(type(fleet.controller), "setpoints", ()), *fleet.vehicle.actions)
     if not isinstance(action, taken):
         names = ", ".join(dict.fromkeys(each.__name__ for each in taken))
-        yield f"{what} is {_name(action)}; expected a kind that its controller and vehicles take: {names}; or None"
+        yield f"{what} is {_shown(action)}; expected a kind that its controller and vehicles take: {names}; or None"
         return
     for path, leaf in jax.tree_util.tree_leaves_with_path(action):
         name = f"{type(action).__name__}{jax.tree_util.keystr(path)}"
@@ -363,36 +365,36 @@ def _action(fleet: Any, action: Any) -> Iterator[str]:
 
 
 CHECKS: dict[tuple[str, str], Check] = {
-    ("sensor", "init"): _reading,
-    ("sensor", "step"): _next_reading,
-    ("wind", "velocity_ned"): _alike(_vector, 0),
-    ("gust", "velocity_ned"): _alike(_vector, 0),
-    ("updraft", "velocity_ned"): _alike(_vector, 0),
-    ("turbulence", "step"): _state_only,
-    ("turbulence", "gust_ned"): _alike(_vector, 1),
-    ("turbulence", "gust_rates_ned"): _alike(_vector, 1),
-    ("vehicle", "initial_state"): _vehicle_state,
-    ("vehicle", "pose"): _pose,
-    ("vehicle", "idle_command"): _idle,
-    ("vehicle", "load"): _load,
-    ("vehicle", "specific_force"): _force,
-    ("vehicle", "step"): _vehicle_step,
-    ("vehicle", "stopped"): _state_only,
-    ("battery", "init"): _charged,
-    ("battery", "step"): _state_only,
-    ("battery", "voltage"): _voltage,
-    ("controller", "idle_command"): _idle,
-    ("controller", "step"): _commanding,
-    ("guidance", "step"): _guiding,
-    ("area", "check"): _checks,
-    ("area", "margin"): _alike(_array, 0),
-    ("area", "height_agl"): _alike(_array, 0),
-    ("ground", "down"): _alike(_array, 0),
-    ("ground", "normal"): _alike(_vector, 0),
-    ("sky", "step"): _state_only,
-    ("placement", "place"): _placed,
-    ("task", "judge"): _judged,
-    ("task", "observe"): _agreed,
-    ("task", "sees"): _named,
-    ("task", "commands"): _commanded,
+    ("sensor", "init"): _check_reading,
+    ("sensor", "step"): _check_next_reading,
+    ("wind", "velocity_ned"): _same_shape_as(_vector, 0),
+    ("gust", "velocity_ned"): _same_shape_as(_vector, 0),
+    ("updraft", "velocity_ned"): _same_shape_as(_vector, 0),
+    ("turbulence", "step"): _check_state,
+    ("turbulence", "gust_ned"): _same_shape_as(_vector, 1),
+    ("turbulence", "gust_rates_ned"): _same_shape_as(_vector, 1),
+    ("vehicle", "initial_state"): _check_vehicle_state,
+    ("vehicle", "pose"): _check_pose,
+    ("vehicle", "idle_command"): _check_idle_command,
+    ("vehicle", "load"): _check_load,
+    ("vehicle", "specific_force"): _check_specific_force,
+    ("vehicle", "step"): _check_vehicle_step,
+    ("vehicle", "stopped"): _check_state,
+    ("battery", "init"): _check_battery_state,
+    ("battery", "step"): _check_state,
+    ("battery", "voltage"): _check_voltage,
+    ("controller", "idle_command"): _check_idle_command,
+    ("controller", "step"): _check_command,
+    ("guidance", "step"): _check_setpoint,
+    ("area", "check"): _check_area_checks,
+    ("area", "margin"): _same_shape_as(_array, 0),
+    ("area", "height_agl"): _same_shape_as(_array, 0),
+    ("ground", "down"): _same_shape_as(_array, 0),
+    ("ground", "normal"): _same_shape_as(_vector, 0),
+    ("sky", "step"): _check_state,
+    ("placement", "place"): _check_placement,
+    ("task", "judge"): _check_reward,
+    ("task", "observe"): _check_observation_names,
+    ("task", "sees"): _check_axis_names,
+    ("task", "commands"): _check_actions,
 }

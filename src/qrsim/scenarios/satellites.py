@@ -47,7 +47,7 @@ def needs_slots(scenario: ScenarioSpec, errors: RangeErrors) -> bool:
 
 
 def for_receivers(scenario: ScenarioSpec, ephemeris: object) -> Any:
-    """Return an ephemeris with the systems of the receivers, where it is of a file and the scenario names none.
+    """Return an ephemeris with the receivers' systems, if it is from a file and the scenario names none.
 
     Raises:
         UsageError: the file cannot be read.
@@ -122,7 +122,7 @@ def base_station(scenario: ScenarioSpec) -> BaseStation | None:
 
 
 def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> object:
-    """Return a receiver of a fleet that knows which vehicle is its moving base, and which of them are spoofed."""
+    """Return a receiver with the vehicle that is its moving base, and which vehicles are spoofed."""
     if not isinstance(sensor, Gnss):
         return sensor
     names = vehicle_names(fleet_name, fleet)
@@ -131,6 +131,7 @@ def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: Sce
 
 
 def _takes_base(sensor: Any) -> bool:
+    """Return whether a receiver takes the corrections of a base station."""
     return sensor.corrections in BASED
 
 

@@ -60,6 +60,7 @@ class Scenario(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
+        """Return the table of parts, types and given parameters that prints and notebooks show."""
         spec, parts = self.spec, []
         for name in type(spec.world).model_fields:
             parts.append((f"world.{name}", getattr(spec.world, name)))
@@ -147,6 +148,7 @@ def _given(part: BaseModel) -> str:
 
 
 def _of_content(content: Mapping[str, object]) -> Scenario:
+    """Build a scenario from its content in another process, for pickle."""
     # Another process has yet to load the components from outside.
     provide_components(content, "scenario")
     return Scenario(ScenarioSpec.model_validate(content))

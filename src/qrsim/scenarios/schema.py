@@ -91,6 +91,7 @@ class VehicleSpec(Strict):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> VehicleSpec:
+        """Refuse a vehicle with two starts or two routes, or without a start."""
         places, routes = (
             [name for name in names if name in self.model_fields_set and getattr(self, name)]
             for names in (("position_ned", "position_geodetic"), ROUTES)
@@ -264,6 +265,7 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: object) -> Any:
+        """Fill in controller and guidance: the vehicle's controller and what fits it."""
         if not isinstance(data, dict):
             return data
         data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})
@@ -322,7 +324,7 @@ class RangeSpec(Strict):
 
 
 def _only_in_a_source(value: object) -> object:
-    """Whoever reads a scenario takes the key out; what arrives here comes too late."""
+    """Refuse a key that only a scenario's source may have: reading a scenario removes it."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 
 

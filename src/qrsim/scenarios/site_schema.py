@@ -30,6 +30,7 @@ class PlanSpec(Strict):
     @field_validator("file")
     @classmethod
     def _has_home(cls, file: str) -> str:
+        """Refuse a plan in a format without a home position."""
         if file.lower().endswith(_HOMELESS):
             raise ValueError(f"'{shortened(file, 200)}' has no home; expected a .plan")
         return file
@@ -68,6 +69,7 @@ class RoutePlanSpec(Strict):
     @field_validator("home")
     @classmethod
     def _on_earth(cls, home: list[float] | None) -> list[float] | None:
+        """Refuse a home that is no latitude and longitude [deg]."""
         if home and (abs(home[0]) > 90.0 or abs(home[1]) > 180.0):
             hint = "; is it longitude, latitude?" if abs(home[0]) > 90.0 and abs(home[1]) <= 90.0 else ""
             raise ValueError(f"{home[:2]} is no latitude, longitude{hint}")
@@ -106,7 +108,7 @@ class SiteSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Leave out a height above mean sea level that there is not."""
+        """Write the site without ``height_amsl`` if that is None."""
         found: Content = handler(self)
         if self.height_amsl is None:
             found.pop("height_amsl", None)
@@ -114,6 +116,7 @@ class SiteSpec(Strict):
 
     @model_validator(mode="after")
     def _one_height(self) -> SiteSpec:
+        """Refuse two heights of the site, unless they agree by the geoid."""
         if self.height_amsl is None or "height" not in self.model_fields_set:
             return self
         # Saved scenarios have both.

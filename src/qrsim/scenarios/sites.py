@@ -49,7 +49,7 @@ def altitude_of(scenario: ScenarioSpec) -> float:
 
 
 def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
-    """Return a sensor of a vehicle that knows what the scenario's site has, where it asks for any of that."""
+    """Return a sensor with the field, air and steel of the scenario's site, as far as it has parameters for them."""
     if isinstance(sensor, Magnetometer | IdealMagnetometer):
         place = scenario.site
         site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
@@ -78,7 +78,7 @@ def _steel(scenario: ScenarioSpec) -> Steel | None:
 
 
 def _centre(obstacle: Any) -> list[float]:
-    """Return the middle [m] of an obstacle of any kind: of its corners, and half way up."""
+    """Return the centre [m] of an obstacle: the mean of its corners, half way up."""
     if obstacle.type == "box":
         level = [0.5 * (obstacle.x_min + obstacle.x_max), 0.5 * (obstacle.y_min + obstacle.y_max)]
     elif obstacle.type == "cylinder":

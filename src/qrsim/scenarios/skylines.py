@@ -138,6 +138,7 @@ def _made(digest: str, held: _Held) -> Skyline:
 
 
 def _folder() -> Path | None:
+    """Return the folder of kept skylines in the user's cache; None if caching is off or it is not private."""
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
     place = cache_folder() / "skylines"
@@ -154,6 +155,7 @@ def _read(path: Path, frame: Frame) -> Skyline | None:
 
 
 def _write(path: Path, made: Skyline) -> None:
+    """Keep a skyline in the cache, compressed; errors of the file system are ignored."""
     # A cache that cannot be written costs time, nothing else.
     with contextlib.suppress(OSError):
         tidy(path.parent)

@@ -58,6 +58,7 @@ class Slot:
 
 
 def _validated(make: Maker, value: object) -> Strict:
+    """Validate a value with the model that ``make`` returns."""
     return make().model_validate(value)
 
 
@@ -71,6 +72,7 @@ def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[st
     made: dict[tuple[str, type], type[Strict]] = {}
 
     def make(name: str, component: type) -> type[Strict]:
+        """Return the pydantic model of a component, made once for each name and class."""
         if (name, component) not in made:
             made[name, component] = component_model(name, component, each=each, more=more)
         return made[name, component]

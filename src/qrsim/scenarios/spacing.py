@@ -14,7 +14,7 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 
 def clearance_of(fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[float, str]:
-    """Return how far [m] the vehicles of a fleet keep from obstacles, and what says so."""
+    """Return the distance [m] that vehicles of a fleet keep from obstacles, and the parameter that sets it."""
     if fleet.radius is None:
         return scenario.world.collision_distance / 2, "half of world.collision_distance"
     return fleet.radius, "radius of the fleet"
@@ -78,7 +78,7 @@ def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
 def inside_obstacles(
     fleet_path: str, fleet: FleetSpec, solids: list[Any], clearance: float, source: str, called: list[str]
 ) -> dict[int, list[str]]:
-    """Return who starts at an obstacle or is sent there: sentences by the vehicle's number.
+    """Return problems by vehicle number: starts and waypoints inside or too near an obstacle.
 
     ``called`` has what to add to the number of each obstacle.
     """

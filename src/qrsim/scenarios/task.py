@@ -52,7 +52,7 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield what is wrong with the sensors that agents are to see by."""
+    """Yield problems of the sensors in an agent's observation."""
     names = vars(task).get("senses") or ()
     if is_outside("task", task.type):
         return
@@ -69,7 +69,7 @@ def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None) -> Iterator[str]:
-    """Yield why a fleet of agents does not fly what a task asks of it."""
+    """Yield a problem if a fleet's controller does not take the set-points of its task."""
     task, fleet = scenario.task, scenario.fleets[name]
     if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:
         fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]
@@ -86,6 +86,7 @@ def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None)
 
 
 def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the sensors that a task names and its fleet lacks, or has of another type."""
     task = scenario.task
     yield from _senses_problems(task, fleet)
     for field, types in SENSORS.items():

@@ -87,7 +87,7 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
         return
     kinds, drawn = {component: kind for component, (_, kind) in strange.items()}, _DRAWN.set({})
     try:
-        _fly(scenario, kinds)
+        _trace_first_tick(scenario, kinds)
     except FaultError as error:
         component = error.args[1]
         yield f"{strange[component][0]}: {error.args[0]}"
@@ -102,7 +102,8 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
         _DRAWN.reset(drawn)
 
 
-def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
+def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
+    """Trace a reset and the first tick of a scenario with watched components; a world that passed is skipped."""
     world, task = build.build_world(scenario, "float32"), build.build_task(scenario, "float32")
     steps = round(scenario.duration / scenario.task.period) if scenario.task.type != "none" else 0
     key = (tuple(kinds), jax.tree.structure((world, task)), tuple(map(np.shape, jax.tree.leaves((world, task)))))
@@ -111,6 +112,8 @@ def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
             return
 
     def watched(part: object, size: int | None) -> Any:
+        """Return a part of the world with watched components in place of those from outside."""
+
         def watch(item: Any) -> object:
             own: Any = type(item)
             if own not in kinds:
@@ -124,9 +127,9 @@ def _fly(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
     keys = Key.root(0)
     with jax.enable_x64(False):
         if steps:
-            _play(cast(Play(task, world, steps), np.dtype("float32")), keys)
+            _trace_episode(cast(Play(task, world, steps), np.dtype("float32")), keys)
         else:
-            _tick(world, keys)
+            _trace_tick(world, keys)
         if hasattr(world.area, "_watched"):
             # The metrics of a flight ask for it, no tick does.
             jax.eval_shape(lambda area, at: area.margin(at), world.area, world.fleets[0].start.position_ned)
@@ -155,6 +158,7 @@ def _check_normals(part: Any, kind: str) -> None:
 
 
 def _fewer(drawn: int, name: str, declared: int) -> str:
+    """Return the words of a problem: a method draws ``drawn`` normals and its class declares another number."""
     count = f"{drawn or 'no'} normal{'' if drawn == 1 else 's'}"
     return f"it draws {count}, and the class declares {name} = {declared}; expected {name} = {drawn}"
 
@@ -180,7 +184,8 @@ class _Counted:
         return getattr(self._noise, name)
 
 
-def _tick(world: World, key: Key) -> None:
+def _trace_tick(world: World, key: Key) -> None:
+    """Trace a reset and a tick of a world without a task; raise FaultError for readings that change in kind."""
     state = jax.eval_shape(ticks.reset, world, key)
     actions = (None,) * len(world.fleets)
     after = jax.eval_shape(
@@ -194,7 +199,8 @@ def _tick(world: World, key: Key) -> None:
                     raise FaultError(_blamed(watched, "step", problem), watched)
 
 
-def _play(play: Play, key: Key) -> None:
+def _trace_episode(play: Play, key: Key) -> None:
+    """Trace a reset and a step of an episode of a task."""
     keys = play.keys(key)
     episode, _ = jax.eval_shape(lambda play, keys: play.reset(keys), play, keys)
     action = np.zeros((len(play.agents), play.width), np.float32)
@@ -203,12 +209,12 @@ def _play(play: Play, key: Key) -> None:
 
 @lru_cache(maxsize=64)
 def _watched(component: type, kind: str, size: int | None) -> type:
-    """Return a class derived from a component's whose methods are looked at; ``size`` is that of its fleet."""
+    """Return a class derived from a component with checked methods; ``size`` is that of its fleet."""
     contract = CONTRACTS.get(kind)
     names = [name for name in vars(contract or component) if not name.startswith("_")]
     methods = {name: getattr(component, name) for name in names if callable(getattr(component, name, None))}
     found = {
-        name: _looked_at(component, kind, name, method)
+        name: _with_checks(component, kind, name, method)
         for name, method in methods.items()
         if hasattr(method, "__code__") and not _free(component, name)
     }
@@ -221,7 +227,8 @@ def _free(component: type, name: str) -> bool:
     return isinstance(inspect.getattr_static(component, name), staticmethod | classmethod)
 
 
-def _looked_at(component: type, kind: str, name: str, method: Callable[..., object]) -> Callable[..., object]:
+def _with_checks(component: type, kind: str, name: str, method: Callable[..., object]) -> Callable[..., object]:
+    """Return a method that also counts normals drawn and raises FaultError for wrong results or an exception."""
     check = CHECKS.get((kind, name))
     draws = name in _DRAWING.get(kind, ())
 
@@ -253,6 +260,7 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., obje
 
 
 def _blamed(component: type, method: str, problem: str) -> str:
+    """Return a problem with the file, class and method that cause it in front."""
     return f"{file_of_class(component)}: {component.__name__}.{method}: {problem}"
 
 

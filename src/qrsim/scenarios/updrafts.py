@@ -58,5 +58,6 @@ _mean = on_host(lambda wind, height: wind.mean_velocity_ned(height))
 
 
 def _is_calm(scenario: ScenarioSpec) -> bool:
+    """Return whether the mean wind is zero at 20 m and 100 m."""
     mean = _mean(wind_of(scenario), np.array([20.0, 100.0], np.float32))
     return not (np.any(mean.x) or np.any(mean.y))

@@ -15,7 +15,7 @@ MOST_KG = 100.0
 
 
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield what does not fit a fleet's vehicle: its controller; of one that takes no commands, battery and route."""
+    """Yield a controller that does not fit its vehicle, and battery or route of a vehicle without commands."""
     vehicle = known.VEHICLES[fleet.vehicle.type]
     fitting = [name for name, cls in known.CONTROLLERS.items() if can_fly(cls, vehicle)]
     if fleet.controller.type not in fitting:
@@ -39,7 +39,7 @@ def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def can_fly(controller: type[Controller], vehicle: type[Vehicle]) -> bool:
-    """Return whether what a controller gives is for a vehicle, by their classes."""
+    """Return whether a vehicle takes the commands of a controller, by their classes."""
     if controller.gives is object:
         # The vehicle's own command of tilt and throttle, if it has one.
         return vehicle.handling is not Vehicle.handling

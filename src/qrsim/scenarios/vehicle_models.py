@@ -51,7 +51,7 @@ def _written(value: object) -> object:
 
 
 def insert_vehicle_models(content: Content, source: str) -> list[str]:
-    """Replace, in place, what names or derives the parameters of each multirotor by these; others beside it count.
+    """Replace, in place, model, own numbers and geometry of each multirotor by the parameters they imply.
 
     That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
 
@@ -81,6 +81,7 @@ def insert_vehicle_models(content: Content, source: str) -> list[str]:
 
 
 def _note(odd: list[str], fleet: str, words: str) -> None:
+    """Append a finding about a fleet's own vehicle model to ``odd``."""
     odd.append(f"fleets.{fleet}.vehicle.own.{words}")
 
 
@@ -89,7 +90,7 @@ SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
 
 
 def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
-    """Return a multirotor with its parameters in place of what stands for them.
+    """Return a multirotor's content with the parameters that its model, preset or numbers imply.
 
     Raises:
         UsageError: its message begins with the path below the vehicle.
@@ -111,7 +112,7 @@ def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
 
 
 def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
-    """Give a cascade, in place, the gains that a vehicle can follow which leans as fast as it does, where none are."""
+    """Set, in place, the missing gains of a cascade, as fast as the vehicle can lean."""
     controller = fleet.setdefault("controller", {"type": "cascade"})
     if isinstance(controller, dict) and controller.get("type") == "cascade":
         controller.setdefault("position_gain", min(1.2, attitude_bandwidth / 7.0))

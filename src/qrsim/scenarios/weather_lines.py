@@ -38,6 +38,7 @@ def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
+    """Return how long the printed wind holds: steady, or interpolated between two times in UTC."""
     if not times:
         return "steady:"
     begin, end = (
@@ -47,7 +48,7 @@ def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
 
 
 def _origin(height: float, heights: list[float], names: list[str]) -> str:
-    """Return from which levels the wind at a height is."""
+    """Return between which levels of the profile the wind at a height is interpolated, in words."""
     labels = [
         name if name.endswith(" m") else f"{name} ({own:.0f} m)" for own, name in zip(heights, names, strict=True)
     ]

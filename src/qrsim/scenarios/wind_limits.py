@@ -63,7 +63,7 @@ def voltages(fleet: FleetSpec) -> NumpyArray:
 
 
 def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
-    """Return what a fleet holds; None where its vehicle takes no tilt, or is from outside and has no envelope."""
+    """Return the wind that a fleet can hold; None if its vehicle takes no tilt or has no envelope."""
     size = len(fleet.vehicles)
     try:
         vehicle = vehicle_of(fleet, scenario)
@@ -151,7 +151,7 @@ def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield for each fleet that flies what steady airspeed it holds, and the wind where it is to fly."""
+    """Yield a line for each flying fleet: the steady airspeed that it holds, and the wind along its route."""
     for name, fleet in scenario.fleets.items():
         limits = limits_of(fleet, scenario)
         if limits is None:
@@ -167,10 +167,12 @@ def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _speed(held: Envelope, i: int) -> str:
+    """Return the airspeed of vehicle i in an envelope, with unit, as text."""
     return f"{held.airspeed[i]:.3g} m/s"
 
 
 def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
+    """Return how vehicle i holds its largest airspeed, by lean or by thrust, in words."""
     if not held.by_thrust[i]:
         return f"leaning as far as it can, {held.tilt[i]:.3g} rad ({math.degrees(held.tilt[i]):.0f} deg)"
     volts = f" at {limits.volts[i]:g} V" if math.isfinite(limits.volts[i]) else ""
@@ -178,10 +180,12 @@ def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
 
 
 def _as_let(limits: Limits, held: Envelope, i: int) -> str:
+    """Return the words for a vehicle i that leans up to the limit of its controller."""
     return f"leaning as far as its controller lets it, {limits.commanded[i]:g} rad"
 
 
 def _blows(scenario: ScenarioSpec) -> bool:
+    """Return whether a scenario has any wind or turbulence."""
     return scenario.world.wind.type != "calm" or scenario.world.turbulence.type != "still"
 
 

@@ -38,6 +38,7 @@ class WeatherFile:
 
 
 def _numbers(text: str, **bounds: float) -> Any:
+    """Return the annotation and field of a list of bounded numbers, empty by default."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **bounds)]
     return list[number], Field([], description=text, max_length=MOST_ROWS)
 
@@ -62,6 +63,7 @@ def profile_model() -> Any:
 
 @cache
 def _model(name: str, wind: type) -> type[Strict]:
+    """Return the pydantic model of a type of wind, made once for each class."""
     return component_model(name, wind)
 
 

@@ -45,6 +45,7 @@ def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P],
 
     @wraps(method)
     def called(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:
+        """Call the method while no other thread calls one of this object."""
         if not self._lock.acquire(False):
             self._wait_or_refuse(method.__name__)
         self._changes = True

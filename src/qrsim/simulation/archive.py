@@ -82,6 +82,7 @@ def _check_end(data: bytes, count: int) -> None:
 
 
 def _array(content: bytes) -> NumpyArray:
+    """Return the array in the bytes of an .npy file; raise DamagedError for any other content."""
     begin = len(MAGIC) + 2
     if content[: len(MAGIC)] != MAGIC or len(content) < begin:
         raise DamagedError("no array")

@@ -130,6 +130,7 @@ class Engine:
         return bool(np.all(flight.get(lambda carry: metrics.ended(carry.flight))))
 
     def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[Any]) -> None:
+        """Append what is recorded at a tick to ``found``, or pass it to the sink."""
         if self.record is None or tick % self.schedule.record_every:
             return
         found_now = flight.map(self.record, lambda carry: carry.state)
@@ -140,6 +141,7 @@ class Engine:
             self.sink(rows, tick, recorded)
 
     def _refuse(self, wrong_tick: NumpyArray, rows: NumpyArray) -> None:
+        """Raise UsageError if a policy returned a command that is not finite, for the first such vehicle."""
         if (wrong_tick < 0).all():
             return
         world, vehicle = np.argwhere(wrong_tick >= 0)[0]
@@ -249,6 +251,7 @@ class LockStep:
         """Return the reading of each world, and which of its vehicles (n,) fly."""
 
         def heard(carry: Carry) -> Any:
+            """Return the parts of a state that user's functions read."""
             fleets = [{name: getattr(fleet, name) for name in _TOLD_OF_FLEETS} for fleet in carry.state.fleets]
             return {name: getattr(carry.state, name) for name in _TOLD}, fleets
 
@@ -284,6 +287,7 @@ class LockStep:
 
     @staticmethod
     def _stack(function: UserFunction | None, answers: list[Any], count: int) -> object:
+        """Return the answers of all worlds as one tree with a leading axis; repeat the last up to ``count``."""
         # If no fleet of any world is commanded, the program is the one without a policy.
         if not jax.tree.leaves(answers):
             return ()

@@ -77,6 +77,7 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
 
 
 def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
+    """Return the world with another mean wind, from a tick on."""
     speed, from_deg = numbers.get("speed_20ft"), numbers.get("wind_from_deg")
     most = wind_limit(world)
     if speed is None and from_deg is None:
@@ -101,6 +102,7 @@ def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) 
 
 
 def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
+    """Return the world with gusts ``times`` as strong, from a tick on."""
     _in_range(numbers["times"], "times", 0.0, MOST_TIMES, "")
     if isinstance(world.turbulence, Still):
         raise UsageError("gusts: the scenario has none; give world.turbulence a type")
@@ -111,6 +113,7 @@ def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int])
 
 
 def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
+    """Return the world with another power of a jammer, from a tick on."""
     _in_range(numbers["power_w"], "power_w", 0.0, MOST_WATTS, "W")
     powers, jammer = () if world.changes is None else world.changes.powers, numbers["jammer"]
     if _powers_are_drawn(world):
@@ -128,6 +131,7 @@ def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -
 
 
 def _line(kind: str) -> str:
+    """Return the hint: the line of the scenario that allows a change."""
     return f"write 'injectable: [{kind}]' under world of the scenario"
 
 
@@ -183,6 +187,7 @@ def _steady(value: Any, legs: int) -> Course:
 
 
 def _course(legs: Sequence[_Leg], room: int, dtype: Any = np.float64) -> Course:
+    """Return legs as arrays with room for ``room`` of them."""
     unused = _Leg(LAST_TICK, 0, 0.0, 0.0)
     starts, ticks, before, after = zip(*[*legs, *[unused] * (room - len(legs))], strict=True)
     counts = (np.array(starts, np.int32), np.array(ticks, np.int32))

@@ -311,6 +311,7 @@ class Injecting(Alone):
                 self._requests.append(request)
 
     def _take(self, world: World) -> None:
+        """Fly on in a world that differs only in numbers; raise UsageError for others."""
         if world is self.world:
             return
         if Packer(world) != self._ticks.layout:
@@ -319,7 +320,7 @@ class Injecting(Alone):
             self.world, self._ticks = world, OneWorld(world)
 
     def _note(self, injection: Injection) -> bool:
-        """Keep an injection in place of those of its target and vehicles; return False for an end of nothing."""
+        """Keep an injection in place of earlier ones of its target and vehicles; return False if it ends none."""
         kept, ended, concerned = [], False, set(injection.vehicles)
         for one in self._injections:
             left = one.vehicles
@@ -338,6 +339,7 @@ class Injecting(Alone):
         self._take(world)
 
     def _injections_text(self) -> str:
+        """Return the injections as JSON, for a saved state."""
         weather = [one for one in self._requests if one.target == WORLD]
         return json.dumps([dataclasses.asdict(one) for one in (*weather, *self._injections)])
 

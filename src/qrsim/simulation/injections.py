@@ -68,7 +68,7 @@ class Injection:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Its number and ticks."""
+        """Number of the injection, its first and last tick, and the tick of the request."""
         return self.id, self.start_tick, self.end_tick, self.tick
 
 
@@ -202,6 +202,7 @@ def targets_of(fleet: Fleet) -> list[str]:
 
 
 def _slot(fleet: Fleet, target: str) -> bool:
+    """Return whether a fleet can be given faults of a target."""
     return plain_target(target) in targets_of(fleet)
 
 
@@ -211,6 +212,7 @@ def plain_target(target: str) -> str:
 
 
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
+    """Return the error for a target without a slot, with the line of the scenario that gives it one."""
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
     if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
         return UsageError("target: there is no battery that drains, so none can lose charge")
@@ -246,6 +248,7 @@ def _with_fault(
     numbers: Mapping[str, Any],
     dt: float,
 ) -> Fleet:
+    """Return the fleet with a fault of a target in the chosen vehicles (n,) bool, from tick to tick."""
     target = plain_target(target)
     for place, slot in enumerate(fleet.fault_slots):
         if slot.sensor == target:
@@ -266,6 +269,7 @@ def _with_fault(
 
 
 def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
+    """Return a tuple with one part replaced."""
     return (*parts[:place], part, *parts[place + 1 :])
 
 
@@ -278,6 +282,7 @@ def _sensor_fault(
     dt: float,
     white: Mapping[str, Any] | None = None,
 ) -> FaultSlot:
+    """Return the slot with a fault in the chosen vehicles; kind "ok" empties it there."""
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, empty)

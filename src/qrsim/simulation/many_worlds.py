@@ -41,14 +41,17 @@ def begin_function(setup: Setup) -> Function:
 
 
 def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], WorldKeys]) -> Carry:
+    """Return what one world carries from tick to tick, at its start."""
     return begin_world(setup, fixed, own[1], own[0])
 
 
 def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
+    """Return what one world carries after a tick."""
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 
 def _function(name: str, call: Any, setup: Setup) -> Function:
+    """Return a function of one world for the compiler, with the key of its program."""
     # Only setups of this package's own code can be identified by their structure in another process.
     measured = () if setup.metrics is FLIGHT_METRICS else (type(setup.metrics).__name__,)
     text = (setup.types, setup.varied, *measured) if setup.plain else None

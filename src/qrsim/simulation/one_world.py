@@ -15,14 +15,17 @@ from qrsim.world.state import Action, State, World, WorldKeys
 
 
 def _reset(world: World, own: tuple[Any, WorldKeys]) -> State:
+    """Return the state at the start, in the form that is compiled."""
     return ticks_of.reset(world, own[1])
 
 
 def _tick(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
+    """Return the state after a tick, in the form that is compiled."""
     return ticks_of.step(world, state, tick, *own[1])
 
 
 def _place(world: World, own: tuple[Any, Any], state: State, tick: object) -> State:
+    """Return the state with a fleet placed elsewhere, in the form that is compiled."""
     return place(world, own[1], state, tick)
 
 

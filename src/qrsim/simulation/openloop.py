@@ -29,6 +29,7 @@ def _scan(
     wind = Vec3.of(wind_body)
 
     def tick(carry: tuple[QuadrotorState, Vec3 | None], row: jax.Array) -> tuple[Any, jax.Array]:
+        """Advance by a command (5,); return the state and a row of it with the specific force."""
         command = Command(*(row[i] for i in range(5)))
         state, low, force = move(vehicle, *carry, command, lambda trig: wind, noise, dt)
         return (state, low), jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])

@@ -25,6 +25,7 @@ def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None
 
 
 def _unpickled(files: FileModules, kind: Any, kept: bytes) -> object:
+    """Return the object, after the modules that define its parts are loaded from their files."""
     load_files(files)
     item = kind.__new__(kind)
     item.__setstate__(pickle.loads(kept))

@@ -47,6 +47,7 @@ class Pilot:
         self._compile()
 
     def _compile(self) -> None:
+        """Compile the policy and the estimator that are to be compiled."""
         self._compiled = {
             function.what: jax.jit(lambda state, tick, memory, f=function: self._answer(f, state, tick, memory))
             for function in (self.policy, self.estimator)
@@ -91,6 +92,7 @@ class Pilot:
         return min(ticks, period - simulation.tick % period), estimate
 
     def _call(self, function: UserFunction) -> Any:
+        """Call a policy or an estimator, keep its memory, and return its checked result."""
         simulation, memory = self.simulation, self.memories[function.what]
         where = f", at tick {simulation.tick} ({simulation.time:g} s)"
         with simulation.precision_context(), function.blamed(where):

@@ -65,6 +65,7 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
 
 
 def _vehicles(fleet: Fleet, rows: Any) -> Any:
+    """Return the state of a fleet's vehicles from rows (n, 13)."""
     columns: list[Any] = [rows[:, i] for i in range(13)]
     vehicle = fleet.vehicle.initial_state(
         Vec3(*columns[0:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12])
@@ -73,7 +74,7 @@ def _vehicles(fleet: Fleet, rows: Any) -> Any:
 
 
 def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
-    """Return the fleets with what is wrong with each vehicle that was placed."""
+    """Return the states of the fleets with the violation of each vehicle that was placed."""
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
     collided = collisions(together, world.collision_distance, world.radii)
     checked, first = [], 0

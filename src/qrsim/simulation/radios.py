@@ -38,6 +38,7 @@ class Radios(Alone):
         raise NotImplementedError
 
     def _running(self) -> tuple[Packer, Buffers]:
+        """Return layout and buffers of the state; raise UsageError before the first reset."""
         raise NotImplementedError
 
     def send(self, vehicle: str | int, payload: object, to: str | int | None = None) -> None:
@@ -94,6 +95,7 @@ class Radios(Alone):
         return messages(self.world, self.state, self.tick, range(len(self.vehicle_names)))
 
     def _vehicle_number(self, what: str, vehicle: str | int) -> int:
+        """Return the number of a vehicle; raise UsageError, beginning with ``what``, for others."""
         number = receiver_number(vehicle, self.vehicle_names, f"{what}: vehicle")
         if number < 0:
             raise UsageError(f"{what}: vehicle: name one, or give its number")

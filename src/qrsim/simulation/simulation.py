@@ -191,6 +191,7 @@ class Simulation(Radios, Injecting, Tabled):
             self._lock.release()
 
     def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
+        """Fly some ticks with a command and, for controllers that take one, an estimate."""
         if estimate is None and self._state is not None and self._ticks.taken(command):
             count = checked_ticks(ticks, self.tick)
             self._detach_seen()

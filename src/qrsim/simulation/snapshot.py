@@ -158,6 +158,7 @@ class SavedState:
 
 
 def _data(source: object, where: str) -> bytes:
+    """Return the bytes of a saved state, from bytes or a file; raise UsageError if too large."""
     if isinstance(source, bytes | bytearray | memoryview):
         size = memoryview(source).nbytes
     elif isinstance(source, str | Path):
@@ -190,6 +191,7 @@ def _integer(array: NumpyArray) -> int | None:
 
 
 def _number(where: str, name: str, content: Content, largest: int) -> int:
+    """Return a whole number of the content, 0 to ``largest``; raise UsageError for others."""
     found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
@@ -198,6 +200,7 @@ def _number(where: str, name: str, content: Content, largest: int) -> int:
 
 
 def _text(where: str, name: str, content: Content) -> str:
+    """Return a text of the content; raise UsageError for others."""
     array = content[name]
     try:
         if array.shape == () and array.dtype.kind == "U":
@@ -208,6 +211,7 @@ def _text(where: str, name: str, content: Content) -> str:
 
 
 def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> NumpyArray:
+    """Return a row of numbers of the content, of one of the ``known`` types; raise UsageError for others."""
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(
@@ -250,6 +254,7 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, ob
 
 
 def _floats(where: str, tree: object, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
+    """Yield ``where`` with each array of floats in a tree; of vehicles, rows of those that fly."""
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]

@@ -205,7 +205,7 @@ class Play:
         return commands
 
     def observed(self, memory: object, state: State, tick: Array) -> Any:
-        """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
+        """Return the observation at a tick () int32 of the episode, with received messages if there is a radio."""
         seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
         if not self.message:
             return seen
@@ -224,7 +224,7 @@ class Play:
         return state, self.task.each_tick(memory, self.world, state)
 
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
-        """Return an episode with one more step done, and what that brings."""
+        """Return the episode after a step, and the step: observation, reward, ends."""
         state, number = episode.state, episode.step + 1
         found = self.rewarded(episode)
         after = Episode(state, found.memory, number, found.gone)

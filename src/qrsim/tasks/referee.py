@@ -225,7 +225,7 @@ def _watch_function() -> Callable[..., tuple[tuple[object, Array | None], Array,
 
 
 def _watch(play: Play, carried: object, states: object, first: Array, count: Array) -> tuple[Any, Array, Array]:
-    """Return memory and who has left after ``count`` ticks from ``first`` on; of all rewards (T, n), what goes on (T,).
+    """Return memory and absent agents after ``count`` ticks from ``first``; rewards (T, n), and what goes on (T,).
 
     What is returned of ticks that end no step has no meaning.
     """

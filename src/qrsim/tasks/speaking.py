@@ -41,7 +41,7 @@ def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -
 
 
 def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Array) -> tuple[Action, ...]:
-    """Return actions that hand what is said to the radio at one tick of a step only.
+    """Return actions that pass their messages to the radio at one tick of a step only.
 
     That is the first tick of a step at which a period of the radio begins: so every message is sent once, and of steps
     within one period those that cannot be sent do not crowd the queue.

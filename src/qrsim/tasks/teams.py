@@ -83,14 +83,14 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:
-    """Return actions (n, W) as a task takes them: as they are, of several fleets a dict by fleet of (n_f, A_f)."""
+    """Return actions (n, W) unchanged, or for several fleets as a dict by fleet of (n_f, A_f)."""
     if len(sides) == 1:
         return action
     return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
 
 
 def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
-    """Return what ``apart`` gives as an array (n, W), NumPy or JAX.
+    """Return actions by fleet (n_f, A_f) as one array (n, W) of NumPy or JAX; the inverse of ``apart``.
 
     Args:
         sides: of several fleets.
@@ -136,7 +136,7 @@ def of_all(sides: tuple[Side, ...], values: Any) -> Array:
 
 
 def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
-    """Return what one agent sees, leaves (B, ...), of what all do: leaves (B, n, ...), of several fleets by fleet."""
+    """Return one agent's observation, leaves (B, ...), from that of all, leaves (B, n, ...), by fleet if several."""
     side = side_of(sides, number)
     mine = seen if len(sides) == 1 else seen[side.fleet]
     return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)

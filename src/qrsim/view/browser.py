@@ -110,6 +110,7 @@ class Browser:
         self._profile.cleanup()
 
     def _connect(self) -> None:
+        """Wait for the browser's debugging port, open its page over a WebSocket and start to read."""
         from urllib.request import urlopen
 
         note = Path(self._profile.name) / "DevToolsActivePort"
@@ -147,6 +148,7 @@ class Browser:
         return result
 
     def _send(self, method: str, parameters: Mapping[str, object], **more: str) -> int:
+        """Send a command of the DevTools protocol and return its number; a closed browser is ignored."""
         with self._arrived:
             self._number += 1
             number = self._number
@@ -170,6 +172,7 @@ class Browser:
             self._arrived.notify_all()
 
     def _note(self, method: str, parameters: dict[str, Any]) -> None:
+        """Keep the addresses that the page requests; watch each worker before it starts."""
         if method == "Network.requestWillBeSent":
             self.requested.append(parameters["request"]["url"])
         elif method == "Network.webSocketCreated":

@@ -105,7 +105,7 @@ def _developed(
     index: int,
     i: Any,
 ) -> object:
-    """Return the last picture of vehicle ``i`` of a fleet, as one of (1,) vehicles."""
+    """Return the last picture of vehicle ``i`` of a fleet, in arrays (1, ...)."""
     world = world.with_drawn(drawn)
     fleet = world.fleets[number]
     # A number of a camera may differ from vehicle to vehicle.
@@ -138,7 +138,7 @@ def _windows(picture: Any, z: float) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _edges(where: Floats, picture: Any, z: float) -> Floats:
-    """Return lines (8, 2, 3) from where a picture was taken to its corners at a height -z [m], and round these."""
+    """Return lines (8, 2, 3) from where a picture was taken to its corners at a height -z [m], and its outline."""
     rows, columns = int(picture.rows), int(picture.columns)
     ends = ((0, 0), (0, columns), (rows, columns), (rows, 0))
     corners = np.array([(picture.north[end], picture.east[end], z) for end in ends])

@@ -93,6 +93,7 @@ class Clock:
                 self._changed.wait(0.25 if not self._playing else max(0.001, self._missing(step_s)))
 
     def _due(self, step_s: float, most: int) -> int:
+        """Return how many of at most ``most`` steps of ``step_s`` [s] to take now, and count their time as spent."""
         if self._closed:
             return most
         if self._steps:

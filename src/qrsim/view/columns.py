@@ -46,6 +46,7 @@ class Columns:
             self._read(run[stream].batches([column for columns in known.values() for column in columns]), known)
 
     def _read(self, batches: Iterable[Batch], known: dict[str, tuple[str, ...]]) -> None:
+        """Copy every ``stride``-th row of the columns into the vectors, batch by batch."""
         seen = kept = 0
         for batch in batches:
             chosen = slice(-seen % self.stride, None, self.stride)

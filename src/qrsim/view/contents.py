@@ -37,7 +37,7 @@ class Contents(Layer):
             self.look(frame.beside, frame.time)
 
     def look(self, beside: Beside, time: float) -> None:
-        """Draw."""
+        """Draw the layer from the contents ``beside`` the vehicles at a time [s]."""
 
 
 class Cover(Contents):
@@ -46,7 +46,7 @@ class Cover(Contents):
     title = "terrain"
 
     def begin(self) -> None:
-        """Nothing is known yet."""
+        """Start without plates, because the ground is drawn once an episode."""
         self._drawn = False
 
     def look(self, beside: Beside, time: float) -> None:
@@ -96,7 +96,7 @@ class Persons(Contents):
     title = "persons"
 
     def begin(self) -> None:
-        """Nobody is known yet."""
+        """Start without pins, because persons are drawn once an episode."""
         self._handle: Any = None
 
     def look(self, beside: Beside, time: float) -> None:
@@ -152,6 +152,7 @@ class Plume(Contents):
 
 
 def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any, places: Any) -> jax.Array:
+    """Return the concentration of plumes (k,) at places (k, 3) in NED [m] at a tick."""
     from qrsim.core.vectors import Vec3
     from qrsim.world.episode import surroundings
 

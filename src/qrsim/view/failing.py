@@ -53,6 +53,7 @@ def targets_of_all(world: World) -> list[list[Target]]:
 
 
 def _targets(fleet: Fleet) -> list[Target]:
+    """Return what can be made to fail in a fleet: its sensors with fault slots, then its parts."""
     sensors = [Target(slot.sensor, KINDS, slot.fields) for slot in fleet.fault_slots]
     parts = [name for name in targets_of(fleet) if name not in fleet.sensor_names]
     return sensors + [Target(name, tuple(PARTS[name.split()[0]]), is_part=True) for name in parts]
@@ -104,16 +105,19 @@ class FailingControls:
             control.visible = bool(own)
 
     def _chosen(self) -> Target | None:
+        """Return the target selected for the chosen vehicle; None without a vehicle."""
         own = [] if self._vehicle is None else self._targets[self._vehicle]
         return next((each for each in own if each.name == self.target.value), None)
 
     def _retarget(self) -> None:
+        """Offer the kinds of fault that the selected target can have."""
         chosen = self._chosen()
         if chosen is not None and self.kind.options != chosen.kinds:
             self.kind.options = chosen.kinds
         self._renumber()
 
     def _renumber(self) -> None:
+        """Fill in the default numbers of the selected kind of fault."""
         chosen = self._chosen()
         if chosen is not None:
             self.numbers.value = chosen.numbers(self.kind.value)

@@ -85,11 +85,12 @@ def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64
 
 
 def _most_frames(recording: Recording) -> int:
+    """Return the largest number of frames that a page of this recording may have, 2 at least."""
     return min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
 
 
 def _frames(recording: Recording) -> int:
-    """Return how many frames a film would have that may have any number."""
+    """Return the number of frames of a film at its usual rate, without a maximum."""
     return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 
@@ -141,16 +142,18 @@ def write_film(
 
 
 def _check_room(wanted: int, free: int) -> None:
+    """Raise RunError if a page of ``wanted`` bytes does not fit on the disk."""
     if wanted > free:
         raise RunError(f"no room for the page: it would have about {wanted / 1e6:.3g} MB, {free / 1e6:.3g} MB are free")
 
 
 def _write_element(file: BinaryIO, name: str, text: str) -> None:
+    """Write a text as an element that the browser does not run, for the scripts of the page to read."""
     file.write(f'<script type="text/plain" id="qrsim-{name}">{text}</script>\n'.encode())
 
 
 def _readings(recording: Recording) -> Iterator[str]:
-    """Yield what each vehicle measured, and the truth."""
+    """Yield measured and true values of each vehicle as text, for the plots of the page."""
     for measured, true in Readings(recording.run, recording.end).of_vehicles():
         packing = Packing()
         yield packing.text({"measured": packing.array(measured), "true": packing.array(true)})
@@ -169,6 +172,7 @@ def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, object]:
 
 
 def _script(recording: Recording) -> str:
+    """Return the script element that plays the page: player, timeline, end and marks of the events."""
     player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in ("film.js", "timeline.js"))
     data = json.dumps({"end": recording.end, "marks": _marks(recording)})
     return f"<script>{player}\n{{const data = {data};\n{timeline}}}".replace("</", "<\\/") + "</script>\n"
@@ -181,6 +185,7 @@ def _units(recording: Recording) -> list[str]:
 
 
 def _marks(recording: Recording) -> list[tuple[float, str]]:
+    """Return (time [s], text) of the events of a run; none if events were not recorded."""
     return marks(recording.run.events if EVENTS in recording.run else [])
 
 

@@ -154,6 +154,7 @@ class Cast:
 
     @property
     def _seen(self) -> Floats:
+        """All places (k, 3) in NED [m] that the camera should have in view at the start."""
         parts = [self.start_ned, self.ways]
         parts += [] if self.around is None else [self.around]
         return np.vstack(parts if self.places is None else [*parts, self.places.goals])
@@ -207,6 +208,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
     """Return the frame of a state of NumPy arrays of a world at a simulated time [s]."""
 
     def gather(pick: Any) -> Floats:
+        """Return a vector of each fleet's state, (n, 3) for the vehicles of all fleets."""
         return np.concatenate([axes_of(pick(fleet)) for fleet in state.fleets])
 
     models = [fleet.vehicle for fleet in world.fleets]

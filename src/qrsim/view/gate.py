@@ -57,6 +57,7 @@ class Link:
 
     @property
     def _most(self) -> int:
+        """Windows of messages that may be on their way at once."""
         # Of a link that is far but not narrow, as many as fill the time of its answers.
         return 1 + int((self._quickest_s or 0.0) / FRAME_S)
 
@@ -75,6 +76,7 @@ class Link:
             await self._freed.wait_for(lambda: len(self._sent) < self._most)
 
     def _acknowledged(self, answer: asyncio.Future[float]) -> None:
+        """Take the answer to the oldest window: measure its time and let the next one go."""
         # Also where the connection has ended.
         if not answer.cancelled() and answer.exception() is None:
             self.answer_s = time.perf_counter() - self._sent[0]
@@ -83,6 +85,7 @@ class Link:
         self._waking = asyncio.ensure_future(self._wake())
 
     async def _wake(self) -> None:
+        """Wake the sender, which waits for an acknowledgement."""
         async with self._freed:
             self._freed.notify_all()
 
@@ -114,7 +117,10 @@ class Gate:
         return None
 
     def _request(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Return viser's answer to HTTP requests behind a check of path, host and origin."""
+
         def process(connection: Any, request: Any) -> Any:
+            """Answer 403 to a refused request, and pass others on without the token."""
             headers = request.headers
             found = [headers.get_all(name) for name in ("Host", "Origin")]
             host, origin = (values[0] if len(values) == 1 else None for values in found)
@@ -133,7 +139,10 @@ class Gate:
         return max((link.lag_s for link in tuple(self._links)), default=0.0)
 
     def _guarded(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Return viser's handler of WebSockets with a ``Link`` for each connection."""
+
         async def handle(connection: Any) -> None:
+            """Serve a connection of a page through a link, or of its script."""
             if connection.request.path.partition("?")[0].endswith(WISHES):
                 return await self._listen(connection)
             link = Link(connection)
@@ -163,6 +172,7 @@ class Gate:
             plain = library.serve
 
             def serve(handler: Any, *place: Any, **options: Any) -> object:
+                """Start a server as websockets does, and one of viser's behind this gate."""
                 if not getattr(handler, "__module__", "").startswith("viser."):
                     return plain(handler, *place, **options)
                 options["process_request"] = self._request(options["process_request"])

@@ -195,6 +195,7 @@ class Obstacles(Layer):
             )
 
     def _add(self, name: str, mesh: shapes.Mesh, middle: Floats, size: Floats) -> None:
+        """Draw obstacles of one mesh at their centres (k, 3) and sizes (k, 3) [m]."""
         if len(middle):
             colour, scales = shapes.linear(OBSTACLE_COLOUR), np.asarray(size, np.float32)
             self.several(name, mesh, middle, colour, scales, opacity=0.8, receive_shadow=True)

@@ -31,7 +31,7 @@ class Interference(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add masts with what they are, and fences that are not there yet."""
+        """Add a mast and a label for each interferer, and a fence each that is not shown yet."""
         places = np.array([item.place_ned for item in self._found])
         tall, colour = 1.5 * self.stage.span, shapes.linear(GREY)
         self._places, self._active = places, np.zeros(len(places), bool)
@@ -43,7 +43,7 @@ class Interference(Layer):
             )
 
     def draw(self, frame: Frame) -> None:
-        """Put up the fences of what acts now, where that is not what acted before."""
+        """Show the fences of the interferers that act now, if these have changed."""
         active = np.array([item.acts(frame.time) for item in self._found])
         if np.array_equal(active, self._active):
             return
@@ -75,6 +75,6 @@ def mast() -> shapes.Mesh:
 
 
 def interference_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of what interferes at places in a world, if anything does."""
+    """Return the layer of interferers with a place in a world, if there are any."""
     found = tuple(item for item in of_world(world) if item.place_ned is not None)
     return [Interference(stage, found)] if found else []

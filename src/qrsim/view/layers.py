@@ -196,12 +196,12 @@ class Vehicles(Layer):
     title = "vehicles"
 
     def begin(self) -> None:
-        """Make one instance for each."""
+        """Make one instance of a body for each vehicle."""
         self._valid = np.ones(self.stage.cast.size, bool)
         self.bodies = Bodies(self, self.stage.colours)
 
     def draw(self, frame: Frame) -> None:
-        """Move and turn them."""
+        """Move and turn the vehicles."""
         size = self.stage.cast.size
         self.bodies.place(frame.position_ned, frame.attitude, np.full(size, self.stage.span))
         if not np.array_equal(frame.valid, self._valid):
@@ -212,6 +212,7 @@ class Vehicles(Layer):
         """Call a function with the number of a vehicle that is clicked (None: not known which), and the event."""
 
         def clicked(members: Floats, event: Any) -> None:
+            """Call back with the number of the vehicle among all; None where it has none."""
             # The outline of what the mouse is over has no number.
             index = event.instance_index
             call(None if index is None else int(members[index]), event)
@@ -227,11 +228,11 @@ class Poles(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one for each vehicle."""
+        """Make one pole for each vehicle."""
         self._handle = self.batch("poles", shapes.box((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0)), POLE_COLOUR, opacity=0.35)
 
     def draw(self, frame: Frame) -> None:
-        """Stretch them from the vehicles down to the ground."""
+        """Stretch the poles from the vehicles down to the ground."""
         top, ground = _finite(frame.position_ned, self.stage.cast.start_ned), self.stage.ground
         down = 0.0 if ground is None or ground.at_zero else down_at(ground, top[:, 0], top[:, 1])
         wide = np.full(len(top), 0.03 * self.stage.span)
@@ -247,11 +248,11 @@ class Ghosts(Layer):
     most = MANY
 
     def begin(self) -> None:
-        """Make one pale instance for each."""
+        """Make one pale body for each vehicle, at its estimated position."""
         self._bodies = Bodies(self, GHOST_COLOUR, opacity=0.4)
 
     def draw(self, frame: Frame) -> None:
-        """Move them; a vehicle without a fix has no ghost."""
+        """Move the ghosts to the estimates; a vehicle without a fix has none."""
         fixed = np.isfinite(frame.ghost_ned).all(axis=1)
         place = _finite(frame.ghost_ned, frame.position_ned)
         self._bodies.place(place, frame.attitude, np.where(fixed, self.stage.span, 0.0))
@@ -264,7 +265,7 @@ class Wind(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one arrow for each vehicle."""
+        """Make one wind arrow for each vehicle."""
         self._handle = self.batch("arrows", shapes.arrow(), np.tile(shapes.PALETTE[0], (self.stage.cast.size, 1)))
 
     def draw(self, frame: Frame) -> None:
@@ -281,7 +282,7 @@ class Gusts(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one arrow for each vehicle."""
+        """Make one gust arrow for each vehicle."""
         self._handle = self.batch("arrows", shapes.arrow(), GUST_COLOUR)
 
     def draw(self, frame: Frame) -> None:
@@ -298,15 +299,16 @@ class Names(Layer):
     every = 2
 
     def begin(self) -> None:
-        """Tell nobody yet."""
+        """Start without stopped vehicles."""
         self.tell: Callable[[dict[int, str]], None] = lambda reasons: None
 
     def draw(self, frame: Frame) -> None:
-        """Tell who has stopped, and why."""
+        """Send the overlay the stopped vehicles, and why they stopped."""
         self.tell(frame.reasons)
 
 
 def _finite(values: Floats, instead: Floats) -> Floats:
+    """Return values with those of ``instead`` where they are not finite."""
     return np.where(np.isfinite(values), values, instead)
 
 

@@ -92,7 +92,7 @@ class LiveView:
         return len(self._server.get_clients())
 
     def wait_for(self, what: str) -> None:
-        """Say on a page without a world what it waits for."""
+        """Show on a page without a world the thing that it waits for."""
         if self._page is not None:
             return
         if self._waiting is None:
@@ -141,6 +141,7 @@ class LiveView:
         self._thread.start()
 
     def _clear(self) -> None:
+        """End the thread that draws and empty the page, for the next simulation."""
         self._end_drawing()
         if self._page is not None:
             self._page.close()
@@ -163,6 +164,7 @@ class LiveView:
         self._offer(lambda _: (layout.unpack(copies), tick), 1)  # type: ignore[arg-type]
 
     def _offer(self, look: Callable[[int], tuple[State, int]], count: int) -> None:
+        """Leave ``count`` states for the thread that draws, in place of those that it has not taken."""
         with self._there:
             self._newest = _Offered(look, count, time.perf_counter())
             self._there.notify()
@@ -179,7 +181,7 @@ class LiveView:
             self._world = simulation.world
 
     def ask(self, request: Request) -> None:
-        """Have something done at the next tick; returns at once."""
+        """Queue a request for the next tick; returns at once."""
         self._asked.append(request)
         if self.clock is not None and not self.clock.playing:
             self.note("Asked for; it acts from the next tick on.")
@@ -193,6 +195,7 @@ class LiveView:
         self._server.stop()
 
     def _end_drawing(self) -> None:
+        """Let the thread draw what it has, and wait for its end."""
         with self._there:
             self._closed = True
             self._there.notify()
@@ -203,6 +206,7 @@ class LiveView:
     # ---- the page's thread ----
 
     def _draw_all(self) -> None:
+        """Draw the newest states until the view closes; the body of the thread."""
         due, span, before = time.perf_counter(), 0.0, None
         offered: _Offered | None = None
         row = -1
@@ -235,7 +239,7 @@ class LiveView:
         return due
 
     def _draw(self, offered: _Offered, row: int, span: float) -> int:
-        """Draw the state whose turn it is of those that came in a time ``span`` [s], and return its number."""
+        """Draw the state that is due of those offered, which came in ``span`` [s], and return its number."""
         assert self._page is not None
         share = (time.perf_counter() - offered.arrived + FRAME_S) / max(span, FRAME_S)
         now = min(offered.count - 1, max(0, int(share * offered.count) - 1))
@@ -265,6 +269,7 @@ class LiveView:
             self._skies = {vehicle: sky_of_state(state, *_place(self._world, vehicle)) for vehicle in chosen}
 
     def _plotted(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
+        """Return times [s], values and true values of a vehicle's quantity, as kept since it was chosen."""
         rows = [row for row in list(self._values.get(vehicle, ())) if quantity in row[1]]
         if not rows:
             return (np.zeros(0),) * 3
@@ -273,6 +278,7 @@ class LiveView:
         return times, np.array([row[1][quantity] for row in rows]), true_values(quantity, truth)
 
     def _add_wind(self, page: Page, world: World) -> None:
+        """Add the controls with which a user changes the wind, if the world has one that can change."""
         blows = wind_of(world)
         if blows is None:
             return
@@ -288,6 +294,7 @@ class LiveView:
 
 
 def _row(state: State, row: int) -> State:
+    """Return one of the states that are stacked along the first axis."""
     import jax
 
     found: State = jax.tree.map(lambda leaf: leaf[row], state)
@@ -304,6 +311,7 @@ def _place(world: World, vehicle: int) -> tuple[int, int]:
 
 
 def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
+    """Return the readings of one vehicle by sensor and quantity, without those of satellites."""
     number, i = _place(world, vehicle)
     names, readings = world.fleets[number].sensor_names, state.fleets[number].readings
     return {
@@ -315,6 +323,7 @@ def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
 
 
 def _true(state: State, world: World, vehicle: int) -> dict[str, float]:
+    """Return the true numbers of one vehicle by name: its state, pose and specific force."""
     number, i = _place(world, vehicle)
     fleet = state.fleets[number]
     pose = world.fleets[number].vehicle.pose(fleet.vehicle)

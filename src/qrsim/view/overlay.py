@@ -112,11 +112,12 @@ class Overlay:
         self._send()
 
     def _send(self) -> None:
+        """Send the overlay's scripts and their data to all browsers."""
         scripts = "\n".join(map(_text, ("sky.js", "overlay.js")))
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
-        """Let pages begin where they are told to, in place of where all vehicles are seen."""
+        """Let pages begin with the camera of the scene, not with a view of all vehicles."""
         self._data["frame"] = False
         self._send()
 
@@ -145,6 +146,7 @@ class Overlay:
         self._tell("sky", told, browser)
 
     def _tell(self, what: str, content: object, browser: object) -> None:
+        """Call a function of the overlay with some content, in one browser or, for None, in all."""
         # Also where the overlay's own script comes later.
         words = json.dumps(content)
         told = f"(window.qrsimTold ??= {{}}).{what} = {words}; window.qrsim?.{what}({words})"
@@ -174,6 +176,7 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[st
 
 
 def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
+    """Return a row of the legend; ``own`` are its colours (red, green, blue), 0 to 255."""
     return {"kind": kind, "colours": [[int(part) for part in colour] for colour in own], "text": text, "layer": layer}
 
 
@@ -185,4 +188,5 @@ def _plain(values: object) -> Any:
 
 
 def _text(name: str) -> str:
+    """Return the text of a script or style sheet of this package."""
     return files("qrsim.view").joinpath(name).read_text("utf-8")

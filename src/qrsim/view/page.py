@@ -94,6 +94,7 @@ class Page:
     # ---- browsers ----
 
     def _come(self, client: ClientHandle) -> None:
+        """Make the controls of a browser that has connected, or come back, with its choice of vehicle."""
         with self._lock:
             if not self._open:
                 return
@@ -111,22 +112,27 @@ class Page:
         self._chosen_now()
 
     def _gone(self, client: ClientHandle) -> None:
+        """Forget a browser that has left."""
         with self._lock:
             self.viewers.pop(client.client_id, None)
         if self._open:
             self._chosen_now()
 
     def _plotted_now(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
+        """Return times [s], values and true values to plot; empty arrays where there is nothing."""
         nothing = (np.zeros(0),) * 3
         return nothing if self.plotted is None else self.plotted(vehicle, quantity)
 
     def _sky_now(self, vehicle: int) -> list[Satellite]:
+        """Return the satellites that a vehicle receives now."""
         return self.sky(vehicle)
 
     def _chosen_now(self) -> None:
+        """Mark the vehicles that browsers have chosen in the scene."""
         self.scene.choose(*self.chosen)
 
     def _clicked(self, vehicle: int | None, event: Any) -> None:
+        """Choose the clicked vehicle, or the one nearest to the ray, in the browser that clicked."""
         viewer = self.viewers.get(event.client_id)
         if viewer is not None:
             by_ray = vehicle is None
@@ -180,6 +186,7 @@ class Page:
     # ---- the panel ----
 
     def _add_clock(self, clock: Clock) -> None:
+        """Add the buttons play, pause and step and the choice of speed."""
         gui = self.server.gui
         self.time_folder = gui.add_folder("Time", order=TIME)
         with self.time_folder:
@@ -203,6 +210,7 @@ class Page:
             clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
 
     def _add_layers(self) -> None:
+        """Add the switches of the layers and the size of drawn vehicles."""
         gui, stage = self.server.gui, self.scene.stage
         self._shown: dict[str, Any] = {}
         with gui.add_folder("Layers", order=LAYERS):
@@ -215,6 +223,7 @@ class Page:
             self._add_air()
 
         def resize(_: object) -> None:
+            """Scale the vehicles as slider and checkbox say."""
             size.disabled = true.value
             self.scene.resize(stage.cast.true_span if true.value else size.value)
 
@@ -232,6 +241,7 @@ class Page:
         self._air = (height, shows)
 
         def change(_: object) -> None:
+            """Show the air as height and kind are set."""
             self.scene.show_air(height.value, shows.value)
 
         height.on_update(change)
@@ -250,6 +260,7 @@ class Page:
     # ---- what happens ----
 
     def _show(self, title: str, event: Any) -> None:
+        """Show or hide a layer as its switch was set."""
         self.scene.show(title, event.target.value)
 
     def say(self, note: str) -> None:
@@ -274,6 +285,7 @@ class Page:
         self._delivery.sent()
 
     def _say(self, frame: Frame) -> None:
+        """Write time, number of vehicles in flight, dropped frames and stopped vehicles into the panel."""
         stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
         fliers = self.scene.cast.fliers
         flying = f"{int((frame.valid & fliers).sum())} of {int(fliers.sum())} vehicles fly{stopped}"
@@ -296,4 +308,5 @@ def _speed_name(speed: float) -> str:
 
 
 def _half(value: float) -> float:
+    """Round to a multiple of a half."""
     return round(2.0 * value) / 2.0

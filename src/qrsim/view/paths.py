@@ -70,13 +70,14 @@ class Paths(Layer):
         self._forget()
 
     def _restart(self, time: float, point: Floats) -> None:
+        """Begin the path of each vehicle again at a time [s] and its point (n, 3) in NED [m]."""
         self._points[:] = np.where(np.isfinite(point), point, self.stage.cast.start_ned)
         self._from[:], self._to[:] = time, -np.inf
         self._newest, self._known, self._corner_at = 0, 1, time
         self._changed = set(range(len(self._points)))
 
     def _keep_corner(self, time: float) -> None:
-        """Let what was the tip be a corner; a piece that is full, or long enough, is the newest no more."""
+        """Make the tip a corner, and begin a new piece if the newest is full or long enough."""
         self._known, self._corner_at = self._known + 1, time
         if self._known > self._corners or time - self._from[self._newest] >= self._piece_s * (1.0 - 1e-6):
             tip = self._points[self._newest, -1]
@@ -86,7 +87,7 @@ class Paths(Layer):
             self._changed.add(self._newest)
 
     def _forget(self) -> None:
-        """Let pieces vanish that ended more than a minute ago."""
+        """Remove pieces that ended more than a minute ago."""
         assert self._time is not None
         for number in np.flatnonzero(np.isfinite(self._to) & (self._to < self._time - LENGTH_S)).tolist():
             self._points[number], self._to[number] = self._points[number, -1], -np.inf
@@ -113,10 +114,12 @@ class Paths(Layer):
         self._changed.clear()
 
     def _segments(self, number: int) -> Floats:
+        """Return the path of a vehicle as line segments (corners, 2, 3) in NED [m]."""
         points = self._points[number]
         return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
     def _colours(self) -> Any:
+        """Return one colour for all segments, or one for each end of each."""
         colours = self.stage.colours
         if (colours == colours[0]).all():
             return tuple(colours[0].tolist())
@@ -131,7 +134,7 @@ class Routes(Layer):
     every = 1000.0
 
     def begin(self) -> None:
-        """Add them all as one node; they stay where they are."""
+        """Add all routes as one node."""
         pairs = [np.stack([route[:-1], route[1:]], axis=1) for route in self.stage.cast.routes]
         legs = np.concatenate(pairs).astype(np.float32)
         colours = np.repeat(shapes.linear(self.stage.colours), [len(own) for own in pairs], axis=0)

@@ -59,6 +59,7 @@ def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH
 
 
 def _wait_for_client(server: ViserServer) -> None:
+    """Wait until a browser has opened the page; raise RunError if none does in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not server.get_clients():
         if time.monotonic() > deadline:

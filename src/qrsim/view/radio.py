@@ -33,7 +33,7 @@ class RadioLinks(Layer):
     most_in_film = 300
 
     def begin(self) -> None:
-        """Make halves that are not there yet."""
+        """Make the half lines of links, not shown yet."""
         size = self.stage.cast.size
         room = self._room = min(MOST_DRAWN, size * (size - 1))
         self._handle = self.several(
@@ -44,7 +44,7 @@ class RadioLinks(Layer):
         )
 
     def draw(self, frame: Frame) -> None:
-        """Lay the halves along the links of the last period."""
+        """Draw the half lines along the links of the last period."""
         if frame.links is None:
             return
         start, vector, arrives, heard = halves(frame.links, frame.position_ned, frame.valid)
@@ -61,7 +61,7 @@ class RadioLinks(Layer):
 
 
 def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return where halves of links begin (L, 3) [m], what they go along (L, 3) [m], and how good the links are.
+    """Return start (L, 3) [m], vector (L, 3) [m] and quality (L,) of the half lines that links are drawn as.
 
     Args:
         links: of the last period.
@@ -85,6 +85,7 @@ def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, F
 
 
 def _filled(rows: Floats, room: int, filler: Floats) -> Floats:
+    """Return rows filled up to ``room`` of them with copies of ``filler``."""
     return np.concatenate([rows, np.broadcast_to(filler, (room - len(rows), len(filler)))])
 
 

@@ -98,6 +98,7 @@ class Excerpts:
     def _read(
         self, vehicle: int, stream: str, start: float, end: float
     ) -> tuple[float, float, Floats, dict[str, Floats]]:
+        """Return start, end and times [s] of a part of a stream, and a vehicle's numbers by name."""
         names = _numbers(self._run, stream)
         times, parts = [np.zeros(0)], {name: [np.zeros(0)] for name in names}
         for batch in self._run[stream].batches(names, start=start, end=end):

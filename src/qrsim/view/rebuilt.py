@@ -67,6 +67,7 @@ class Rebuilt:
         self._cameras = _cameras(run, world)
 
     def _precision(self) -> Any:
+        """Return a context with the precision in which the run was flown."""
         return jax.enable_x64(self._wide)
 
     def at(self, time: float) -> Beside:
@@ -82,7 +83,7 @@ class Rebuilt:
         return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras, self._field)
 
     def _blowing(self, time: float) -> World:
-        """Return the world with the weather that was asked for last; its changes at set times are part of it."""
+        """Return the world with the weather at a time [s]: as last requested, with its changes at set times."""
         tick: Any = np.int32(round(time / self._world.time_step))
         worlds = [world for since, world in self._worlds if since <= tick]
         changes = self._world.changes
@@ -124,7 +125,7 @@ def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
 
 
 def _drawn_again(world: World, keys: Any) -> tuple[Any, Any, object]:
-    """Draw the ranges of an episode, its contents at the start, and what its gusts share."""
+    """Return the episode's ranges, its contents at the start and its field of gusts, drawn as in the flight."""
     drawn, contents = drawn_contents(world, keys)
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
     return drawn, contents, draw_field(world.with_drawn(drawn), episode_draws(world, keys, like))
@@ -137,6 +138,7 @@ def _blown(world: World, keys: Any, puffs: Any, done: object, wanted: object) ->
     ticks = period_ticks(plume.period, world.time_step)
 
     def step(number: Any, puffs: Any) -> Any:
+        """Return the puffs after one step of the plume, the same as in the flight."""
         return plume.step(puffs, Draw(stream, (number + 1) * ticks, jnp.zeros((), puffs.age.dtype)))
 
     return lax.fori_loop(done, wanted, step, puffs)

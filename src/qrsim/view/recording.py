@@ -79,6 +79,7 @@ class Recording:
         return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
 
     def _surroundings(self) -> tuple[World | None, Cast]:
+        """Return world and cast of the recorded scenario; no world, with a warning, if it cannot be built."""
         start = self._truth.at("position", self.time[0])
         try:
             world = self.run.built().world(self.run.info.precision)
@@ -148,6 +149,7 @@ class Recording:
         return self._estimate(times)
 
     def _estimate(self, times: object) -> Floats:
+        """Return positions (..., n, 3) in NED [m] by the first receiver, with the height of a barometer."""
         estimate = self._measured.at("fix", times).copy()
         height = self._measured.at("height", times)[..., 0]
         estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])
@@ -198,11 +200,13 @@ def _first(run: Run, ending: str) -> str | None:
 
 
 def _fixes(run: Run) -> tuple[str, ...] | None:
+    """Return the columns of the first sensor that reports a position; None without one."""
     sensor = _first(run, "position_ned.x")
     return vector(run, "measurements", f"{sensor}.position_ned", AXES) if sensor else None
 
 
 def _heights(run: Run) -> tuple[str, ...] | None:
+    """Return the column of the first sensor that reports a height; None without one."""
     sensor = _first(run, "height")
     return (f"{sensor}.height",) if sensor else None
 

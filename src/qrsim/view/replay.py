@@ -49,6 +49,7 @@ class Replay:
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:
+        """Go to the time of the slider where a user has moved it."""
         # What the program itself moved has no client.
         if event.client is not None:
             self.seek(self._slider.value)
@@ -60,6 +61,7 @@ class Replay:
             self._show(everything=True)
 
     def _show(self, everything: bool = False) -> None:
+        """Draw the frame at the present time; ``everything``: also slow layers and the slider."""
         frame = self.recording.frame(self.time)
         remember_paths(self.page.scene, self.recording, frame.time)
         self.page.draw(frame, everything)

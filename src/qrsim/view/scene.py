@@ -95,6 +95,7 @@ class Scene:
         self.overlay.hold()
 
     def _begin(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
+        """Set where the camera of a new browser is: ``distance`` [m] from a place, in a direction in NED."""
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
         camera.look_at = tuple(at)
@@ -130,12 +131,13 @@ class Scene:
                 self._draw(*max(waiting, key=lambda late: self._due[late[0]]))
 
     def _draw(self, number: int, layer: Layer) -> None:
+        """Draw a layer that is due, and count that as done."""
         self._due[number] %= 1.0
         assert self.frame is not None
         layer.draw(self.frame)
 
     def _strained(self) -> float:
-        """Return how many times less often than usual things beside the vehicles are drawn, for slow links."""
+        """Return the factor by which slow links reduce how often layers besides the vehicles are drawn."""
         self._strain = min(MOST_STRAIN, max(1.0, self.lag_s() / LAG_S, STRAIN_LEFT * self._strain))
         return self._strain
 
@@ -189,7 +191,7 @@ class Scene:
 
 
 def _span(cast: Cast) -> float:
-    """Return how large vehicles are drawn at first [m]."""
+    """Return the size [m] in which vehicles are drawn at first."""
     largest = LARGEST_SPAN
     if cast.size > MANY:
         room = float(np.sqrt(np.prod(np.ptp(cast.start_ned[:, :2], axis=0)) / cast.size))

@@ -26,7 +26,7 @@ def of_satellites(column: str) -> bool:
 
 
 def satellites(said: Mapping[str, Floats]) -> list[Satellite]:
-    """Return what is drawn of a reading, by its fields (K,); those below the horizon and free slots are left out."""
+    """Return the satellites of a reading, by its fields (K,), without free slots and those below the horizon."""
     number, elevation = np.asarray(said["satellite"]), np.degrees(np.asarray(said["elevation"], np.float64))
     there = np.flatnonzero((number >= 0) & (elevation >= 0.0))
     azimuth = np.degrees(np.asarray(said["azimuth"], np.float64))

@@ -48,7 +48,7 @@ def wind_of(world: World) -> Wind | None:
 
 
 def steered(simulation: Simulation, request: Request) -> str:
-    """Do what is asked on the page from the next tick on; return a line that says so.
+    """Apply a request of the page from the next tick on; return a line that describes it.
 
     Raises:
         UsageError: it cannot be done; nothing has changed.

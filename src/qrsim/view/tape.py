@@ -42,7 +42,7 @@ class Packing:
         return {"__binary_index": len(self.arrays) - 1, "dtype": "<f4"}
 
     def _referring(self, value: object) -> Any:
-        """Replace bytes, for which JSON has no word."""
+        """Return a content for JSON, with bytes replaced by references to kept arrays."""
         if isinstance(value, bytes | bytearray | memoryview):
             self.arrays.append(memoryview(value).cast("B"))
             return {"__binary_index": len(self.arrays) - 1, "dtype": "|u1"}

@@ -30,11 +30,11 @@ class _Marks(Layer):
         super().__init__(stage)
 
     def mesh(self) -> shapes.Mesh:
-        """Return what stands at a place, of size 1."""
+        """Return the mesh of a mark, of size 1."""
         raise NotImplementedError
 
     def begin(self) -> None:
-        """Add them."""
+        """Add a mark at each place."""
         count, (corners, faces) = len(self._places), self.mesh()
         mesh = corners.astype(np.float32), faces.astype(np.uint32)
         scales = np.full((count, 3), self.spans * self.stage.span, np.float32)
@@ -53,7 +53,7 @@ class Goals(_Marks):
         return shapes.merged(*(shapes.box((-a, -b, -c), (a, b, c)) for a, b, c in bars))
 
     def begin(self) -> None:
-        """Add them, few of them with words."""
+        """Add a mark at each goal, with labels if there are few."""
         super().begin()
         for number, place in enumerate(self._places if len(self._places) <= MOST_NAMED else ()):
             above = place - [0.0, 0.0, 1.5 * self.stage.span]

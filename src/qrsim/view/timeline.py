@@ -43,6 +43,7 @@ class Timeline:
         self._run("timeline", f"window.qrsimTimeline = 1; const data = {json.dumps(data)};\n{script}")
 
     def _run(self, kind: str, source: str) -> None:
+        """Run a script in all browsers, but not in exported pages."""
         run_script(self._server, kind, source, exported=False)
 
     def show(self, time: float) -> None:
@@ -52,7 +53,7 @@ class Timeline:
         self._run("time", f"window.qrsimTime?.({time:.3f}, {playing}, {self._clock.speed:g})")
 
     def wish(self, wish: object) -> None:
-        """Do what a browser asks for; nonsense is not heard."""
+        """Seek, play, pause or change the speed as a browser requests; malformed requests are ignored."""
         if not isinstance(wish, dict):
             return
         time, clock = wish.get("time"), self._clock

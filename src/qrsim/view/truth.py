@@ -33,6 +33,7 @@ def true_values(quantity: str, truth: Mapping[str, Floats]) -> Floats:
 
 
 def _velocity_ned(truth: Mapping[str, Floats]) -> Floats:
+    """Return the velocity (k, 3) in NED [m/s] from attitude and body velocity; NaN without them."""
     names = [*(f"attitude.{angle}" for angle in ANGLES), *(f"velocity_body.{axis}" for axis in AXES)]
     if not all(name in truth for name in names):
         return np.full((len(next(iter(truth.values()))), 3), np.nan)

@@ -80,10 +80,12 @@ class Viewer:
 
     @property
     def _name(self) -> str:
+        """Name of the chosen vehicle, or the word for none."""
         vehicle = self.choice.vehicle
         return NOBODY if vehicle is None else self._scene.cast.names[vehicle]
 
     def _add_plot(self, gui: Any, quantities: list[str], number: int) -> tuple[Any, Any]:
+        """Add a choice of reading and its plot; return both handles."""
         shown = self.choice.vehicle is not None
         choice = gui.add_dropdown("Reading", quantities, initial_value=_first_choice(quantities, number), visible=shown)
         # Some times, because a plot that begins without any never finds its scale.
@@ -103,6 +105,7 @@ class Viewer:
         )
 
     def _named(self) -> None:
+        """Choose the vehicle whose name the user has selected."""
         name = self.who.value
         vehicle = None if name == NOBODY else self._scene.cast.names.index(name)
         if vehicle != self.choice.vehicle:
@@ -124,6 +127,7 @@ class Viewer:
         self._show()
 
     def _show(self) -> None:
+        """Show or hide overlay, plots and fault controls as the choice of vehicle requires."""
         vehicle, overlay = self.choice.vehicle, self._scene.overlay
         overlay.choose(vehicle, self._client)
         overlay.follow(vehicle if self.choice.follow else None, self._client)

@@ -108,6 +108,7 @@ def around_of(
     still = Vec3.zeros(pose.attitude.roll.shape, pose.attitude.roll.dtype)
 
     def ground(position_ned: Vec3) -> tuple[Array, Vec3]:
+        """Return the down coordinate [m] and the normal of the ground at places."""
         return world.ground_down(position_ned), world.ground.normal(position_ned)
 
     rates = still if rates_ned is None else rotation(pose.attitude).to_body(rates_ned)

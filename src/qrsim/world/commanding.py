@@ -114,6 +114,7 @@ def _joined(commands: Commands, which: Array, command: object) -> Commands:
 
 
 def _alike(one: object, other: object) -> bool:
+    """Return whether two actions have the same type and structure."""
     # To JAX, records that differ in nothing but their type are alike.
     return type(one) is type(other) and str(jax.tree.structure(one)) == str(jax.tree.structure(other))
 

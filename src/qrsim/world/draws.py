@@ -48,6 +48,7 @@ def stream_keys(fleet: Fleet, key: Key) -> StreamKeys:
 
 
 def _stream_names(fleet: Fleet, suffix: str) -> list[str]:
+    """Return the names of a fleet's random streams."""
     return [f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names]
 
 
@@ -58,7 +59,7 @@ def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
 
 
 def draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array, first: bool = False) -> dict[str, Noise]:
-    """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others.
+    """Return the noise of a tick by stream: drawn together for parts that step each tick, else on demand.
 
     Args:
         world, fleet: parameters.

@@ -59,6 +59,7 @@ def by_failsafe(
 
 
 def _as_path(setpoint: object) -> PathSetpoint:
+    """Return a set-point as one of position, velocity and acceleration; a waypoint is at rest."""
     if isinstance(setpoint, PathSetpoint):
         return setpoint
     assert isinstance(setpoint, WaypointSetpoint)

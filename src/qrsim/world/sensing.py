@@ -57,6 +57,7 @@ def sense(
             name: str = name,
             inputs: dict[str, object] = inputs,
         ) -> tuple[object, Record]:
+            """Return a sensor's next state and reading."""
             return sensor.step(memory, noise[name], **inputs)
 
         ticks, late = period_ticks(sensor.period, world.time_step), None
@@ -134,6 +135,7 @@ def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Reco
 
 
 def _fitted(state: FleetState, number: int) -> Fitted | None:
+    """Return the state of how a sensor is fitted; None if no sensor of the fleet has one."""
     return state.fitted[number] if state.fitted else None
 
 

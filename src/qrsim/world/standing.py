@@ -106,6 +106,7 @@ def _levelled(world: World, pose: Pose) -> Pose:
     share, largest = 1.0 - math.exp(-world.time_step / LEVELLING_TIME), LEVELLING_RATE * world.time_step
 
     def step(angle: Array) -> Array:
+        """Return the change of an angle [rad] towards level in a tick."""
         return jnp.where(jnp.abs(angle) < LEVEL, -angle, jnp.clip(-share * angle, -largest, largest))
 
     roll, pitch = step(pose.attitude.roll), step(pose.attitude.pitch)
@@ -171,6 +172,7 @@ def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
 
 
 def _is_soft(speed: Array, tilt: Array) -> Array:
+    """Return whether a touch-down is soft enough to land: speed [m/s] and tilt [rad]."""
     return (speed < SOFT_SPEED) & (tilt < SOFT_TILT)
 
 

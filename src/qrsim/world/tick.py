@@ -145,6 +145,7 @@ def step(
 
 
 def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
+    """Return the sky after a tick: common and satellite errors, if they are due."""
     draw = draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)
@@ -198,6 +199,8 @@ def _fly(
         around = around_of(world, pose, gust_rates, None if blown is None else blown[1], faults, tick)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
+        """Return the state after a tick of flight with a command, and its specific force."""
+
         def step(vehicle: VehicleState) -> tuple[Any, ...]:
             to_body = lambda trig: trig.rotation().to_body(air)  # noqa: E731
             return move(model, vehicle, state.position_low_ned, command, to_body, drawn, dt, around)

@@ -130,6 +130,7 @@ def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: 
     near = [_reached(jets, pose.position_ned, _extent(points)) & _others(jets, fleet, same) for jets, same in found]
 
     def felt() -> tuple[Vec3, Vec3]:
+        """Return the air velocity and rotation by all jets, pair by pair."""
         winds = [
             _sum([_sum_at(jets, place, inside, jet_speed) for (jets, _), inside in zip(found, near, strict=True)])
             for place in _points_ned(points, pose.position_ned, turned)
@@ -246,11 +247,13 @@ def _sum(vectors: list[Vec3]) -> Vec3:
 
 
 def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
+    """Return the jets below the rotors of a fleet's vehicles; None for vehicles without any."""
     wake = fleet.vehicle.wake()
     if wake is None:
         return None
 
     def upper(values: Array) -> Array:
+        """Return values of the fleet as a column (m, 1)."""
         return jnp.broadcast_to(values, (fleet.size,))[:, None]
 
     pose = fleet.vehicle.pose(state.vehicle)
@@ -293,6 +296,7 @@ def _sum_at(jets: Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:
 
 
 def _vector(point: Point, like: Array) -> Vec3:
+    """Return a point as a vector of arrays in the shape of ``like``."""
     return Vec3(*(jnp.broadcast_to(jnp.asarray(part, like.dtype), like.shape) for part in point))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS, with_duration
 from qrsim.apps.autopilot.shared import Injecting, check, check_rate, fresh_folder, recorded, report, say
 from qrsim.errors import UsageError
 
@@ -84,7 +84,7 @@ class Betaflight:
         from qrsim.links.autopilot.flight import Flight
         from qrsim.scenarios.scenario import load_scenario
 
-        overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
+        overrides = with_duration(self.set, self.duration)
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         scenario, injections = self.faults.applied(scenario)
         program = binary(self.binary)
@@ -163,7 +163,7 @@ class Ardupilot:
         from qrsim.links.autopilot.json_flight import JsonFlight, prepared
         from qrsim.scenarios.scenario import load_scenario
 
-        overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
+        overrides = with_duration(self.set, self.duration)
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         scenario, injections = self.faults.applied(scenario)
         folder = fresh_folder(self.out, "ardupilot", scenario.name, self.seed)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS, with_duration
 from qrsim.apps.autopilot.shared import Injecting, check, fresh_folder, recorded, report, say
 from qrsim.errors import RunError, UsageError
 from qrsim.links.pacing import FASTEST, SLOWEST
@@ -107,7 +107,7 @@ class Px4:
 
         own = checked(self.param)
         build = None if self.px4 is None else Build(self.px4)
-        overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
+        overrides = with_duration(self.set, self.duration)
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         start_usec = round(scenario.spec.start_time.timestamp() * 1e6)
         port = FIRST_PORT + self.first_instance if self.port is None else self.port
@@ -143,6 +143,7 @@ class Px4:
             raise RunError(f"{len(flight.lost)} of {len(flight.links)} PX4s ended in flight: {', '.join(flight.lost)}")
 
     def _check(self) -> None:
+        """Raise UsageError for options that are out of range or do not go together."""
         if not (math.isfinite(self.rate) and self.rate % FRAME_HZ == 0 and FRAME_HZ <= self.rate <= FASTEST_HZ):
             raise UsageError(f"--rate {self.rate:g}: expected {FRAME_HZ} Hz or a multiple of it, up to {FASTEST_HZ} Hz")
         if self.model.startswith(ELSEWHERE):
@@ -167,6 +168,7 @@ class Px4:
     def _print_environment(
         self, scenario: Scenario, fleets: tuple[str, ...], port: int, own: dict[str, int | float], build: str
     ) -> None:
+        """Print for each vehicle the shell commands that start its PX4: exports and the program."""
         from qrsim.links.autopilot.px4_flight import listed
         from qrsim.links.autopilot.px4_parameters import environment
         from qrsim.simulation.simulation import Simulation

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
+from qrsim.apps import check_seed
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
 from qrsim.view.flight import NOW, OFF, replay, shown, stay
@@ -80,10 +81,7 @@ def say(line: str) -> None:
 
 def check(options: Options) -> None:
     """Raise a UsageError for numbers and names out of range that all autopilots share."""
-    if not 0 <= options.seed < 2**63:
-        raise UsageError(f"--seed {options.seed}: expected an integer from 0 to 2**63 - 1")
-    if options.duration is not None and not (math.isfinite(options.duration) and options.duration > 0):
-        raise UsageError(f"--duration {options.duration:g}: expected a positive number of seconds")
+    check_seed(options.seed)
     if options.every < 1:
         raise UsageError(f"--every {options.every}: expected an integer from 1")
     if options.model not in MODELS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, progress_bar
+from qrsim.apps import OPTIONAL_SECONDS, check_seed, progress_bar, with_duration
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -74,8 +73,7 @@ class Check:
             raise UsageError(f"--seeds {self.seeds}: expected a positive number of runs")
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
-        if not 0 <= self.first_seed < 2**63 - self.seeds:
-            raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
+        check_seed(self.first_seed, "--first-seed", self.seeds)
         if self.out is not None:
             _check_picture(self.out)
         self._use_cores()
@@ -89,6 +87,7 @@ class Check:
         return 1 if found[-1].runs else 0
 
     def _use_cores(self) -> None:
+        """Let JAX use as many cores as asked for, or all; an option below 1 is refused."""
         from contextlib import suppress
 
         from qrsim.engine.settings import available_cores, configure
@@ -103,16 +102,13 @@ class Check:
             configure(cpu_devices=available_cores())
 
     def _scenario(self) -> Scenario:
+        """Load the scenario with --set and --duration."""
         from qrsim.scenarios.scenario import load_scenario
 
-        overrides = list(self.set)
-        if self.duration is not None:
-            if not (math.isfinite(self.duration) and self.duration > 0):
-                raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
-            overrides.append(f"duration={self.duration!r}")
-        return load_scenario(self.scenario, overrides)
+        return load_scenario(self.scenario, with_duration(self.set, self.duration))
 
     def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
+        """Fly the scenario with every seed; return the rollout and the wall time [s]."""
         import time
 
         from qrsim.interface.mission_metrics import MISSION_METRICS
@@ -143,6 +139,7 @@ class Check:
     def _report(
         self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float, picture: Path | None
     ) -> None:
+        """Print outcomes, margins and consistency of all runs as text or JSON."""
         from qrsim.apps.check.consistency import consistency, print_consistency
         from qrsim.apps.check.outcomes import UNFINISHED, margins
 
@@ -193,7 +190,7 @@ class Check:
 
 
 def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> RunError | None:
-    """Return why there is no picture: the numbers of a long check must not be lost with it."""
+    """Draw the picture; return the error, if any, so that a failure does not lose the numbers of a check."""
     from qrsim.apps.check.picture import save_picture
 
     try:
@@ -204,6 +201,7 @@ def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) 
 
 
 def _print_outcomes(found: list[Outcome], runs: int) -> None:
+    """Print a table: in how many runs each outcome occurred, with its interval, seeds and place."""
     width = max(len(outcome.name) for outcome in found)
     print(f"  {'in a run, any vehicle ...':<{width + 6}} {'runs':>5} {'fraction':>9}   95 % interval")
     for outcome in found:
@@ -217,6 +215,7 @@ def _print_outcomes(found: list[Outcome], runs: int) -> None:
 
 
 def _where(moment: Any) -> str:
+    """Return seed, vehicle, time and place of a moment, in words."""
     north, east, down = moment.position_ned
     place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"
     return f"seed {moment.seed}, {moment.vehicle}, {moment.time_s:.2f} s, {place}"
@@ -244,6 +243,7 @@ def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
     with progress_bar(scenario.name, scenario.ticks * runs, *texts, factor="compiling") as update:
 
         def show(done: int) -> None:
+            """Add ticks to the bar and update the real-time factor."""
             nonlocal ticks
             ticks += done
             factor = ticks * scenario.spec.time_step / max(time.perf_counter() - begun, 1e-9)

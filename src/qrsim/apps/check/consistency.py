@@ -60,7 +60,7 @@ class Row:
 
 
 def consistency(flown: Rollout) -> list[Row]:
-    """Return a row for each block of errors of which something is stated, [] where no estimator states anything."""
+    """Return a row for each block of errors with a stated covariance, [] if no estimator states one."""
     found = []
     for name, metric in ROWS.items():
         values = np.asarray(flown[metric], np.float64)
@@ -73,6 +73,7 @@ def consistency(flown: Rollout) -> list[Row]:
 
 
 def _row(name: str, runs: NumpyArray) -> Row:
+    """Return mean and confidence interval of a number that each run has one of; NaN bounds for one run."""
     from scipy import stats
 
     mean, count = float(runs.mean()), len(runs)

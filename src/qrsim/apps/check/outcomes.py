@@ -140,6 +140,7 @@ def _outcome(flown: Rollout, name: str, times: NumpyArray, places: NumpyArray) -
 def _moment(
     flown: Rollout, world: int, vehicle: int, times: NumpyArray, places: NumpyArray, value: float | None = None
 ) -> Moment:
+    """Return the moment of a vehicle in a world of the rollout, from arrays of times [s] and places in NED [m]."""
     north, east, down = (float(x) for x in places[world, vehicle])
     return Moment(
         int(flown.seeds[world]), flown.vehicles[vehicle], float(times[world, vehicle]), (north, east, down), value

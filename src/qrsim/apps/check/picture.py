@@ -46,6 +46,7 @@ def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path:
 
 
 def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
+    """Return a figure: a map of where runs went wrong, and bars of how many did."""
     figure = new_figure(12, 5.5)
     axes = figure.subplots(1, 2, width_ratios=(3, 2))
     _plan(axes[0], scenario, flown)
@@ -55,6 +56,7 @@ def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
 
 
 def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
+    """Draw the area, the routes and the places where runs went wrong, seen from above [m]."""
     area = scenario.spec.world.area
     if area.type == "zones":
         for zone in zones_of(area):
@@ -92,6 +94,7 @@ def outline(area: Any) -> list[list[float]]:
 
 
 def _bars(axes: Any, found: list[Outcome]) -> None:
+    """Draw the fraction of the runs with each outcome [%] and its 95 % interval."""
     names = [outcome.name for outcome in found]
     rows = np.arange(len(found))[::-1]
     fractions = np.array([100 * outcome.fraction for outcome in found])

@@ -117,6 +117,7 @@ def known_vehicles() -> dict[str, Any]:
 
 
 def _vehicle(name: str) -> Quadrotor:
+    """Return a known vehicle by its name; raise UsageError for other names."""
     vehicles = known_vehicles()
     if name not in vehicles:
         raise UsageError(f"--vehicle {name}: no such vehicle{did_you_mean(name, vehicles)}")
@@ -151,4 +152,5 @@ def _numbers(option: str, text: str, counts: tuple[int, ...], expected: str) -> 
 
 
 def _note(text: str) -> None:
+    """Print a note on standard error."""
     print(f"note: {text}", file=sys.stderr)

@@ -76,6 +76,7 @@ def read_commands(path: Path, units: Units) -> CommandTable:
 
 
 def _read_bytes(path: Path) -> bytes:
+    """Return the content of a file without a byte-order mark; raise UsageError if empty or unreadable."""
     try:
         content = read_bytes(path)
     except FileNotFoundError as error:
@@ -95,6 +96,7 @@ def _nearest_file(path: Path) -> str:
 
 
 def _read_header(path: Path, content: bytes, units: Units) -> _Header:
+    """Return names, positions and delimiter of the columns in line 1; raise UsageError if one is missing."""
     first_line = _decode(path, content.partition(b"\n")[0].rstrip(b"\r"))
     try:
         rows = CsvRows([first_line])
@@ -118,6 +120,7 @@ def _read_header(path: Path, content: bytes, units: Units) -> _Header:
 
 
 def _missing_column_hint(column: str, names: list[str], units: Units) -> str:
+    """Return a hint: wrong delimiter, a column in other units, or the nearest name."""
     if len(names) == 1 and re.search(r"[| ]", names[0]):
         return f"; the fields must be separated by commas, semicolons or tabs, found {_shown(names[0])}"
     if units == "raw" and column in ALIASES["si"].values() and set(names) & set(ALIASES["si"]):
@@ -150,7 +153,7 @@ def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
 
 
 def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[NumpyArray, NumpyArray]:
-    """Return the (T, 5) values and the (T,) lines, or name the first fault."""
+    """Return the (T, 5) values and their (T,) line numbers; raise UsageError for the first fault."""
     reader = CsvRows(io.StringIO(_decode(path, content), newline=""))
     # Flat arrays: a million small lists would keep the garbage collector busy.
     numbers, lines = array("d"), array("q")
@@ -197,6 +200,7 @@ def _number_problem(text: str) -> str:
 
 
 def _decode(path: Path, content: bytes) -> str:
+    """Return UTF-8 bytes as text; raise UsageError with the line of a byte that is not UTF-8."""
     try:
         return content.decode()
     except UnicodeDecodeError as error:
@@ -205,8 +209,10 @@ def _decode(path: Path, content: bytes) -> str:
 
 
 def _shown(text: str) -> str:
+    """Return a text in quotes, at most 40 characters of it."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def _fail(path: Path, line: int, problem: str) -> NoReturn:
+    """Raise UsageError with file and line in front of a problem."""
     raise UsageError(f"{path}: line {line}: {problem}")

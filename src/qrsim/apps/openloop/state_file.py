@@ -61,6 +61,7 @@ def write_states(states: NumpyArray, output: str) -> None:
 
 
 def _write_and_rename(path: Path, states: NumpyArray) -> None:
+    """Write states to a temporary file and move it into place when it is complete."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("w", newline="") as stream:
@@ -71,6 +72,7 @@ def _write_and_rename(path: Path, states: NumpyArray) -> None:
 
 
 def _write_rows(stream: IO[str], states: NumpyArray) -> None:
+    """Write header and states (steps, columns) as CSV, one row for each step from 1."""
     stream.write(HEADER + "\n")
     for first in range(0, len(states), _ROWS_PER_WRITE):
         block = states[first : first + _ROWS_PER_WRITE].astype(np.float64)

@@ -45,6 +45,7 @@ def si_within_limits(table: CommandTable, units: Units, clip: bool) -> tuple[Num
 
 
 def _refuse(table: CommandTable, units: Units, row: int, column: int, count: int) -> None:
+    """Raise UsageError for the command in a row and column that is out of its range, as first of ``count``."""
     low, high = limits_in(units)[column]
     # Rounded towards the inside, so that a bound copied from the message is itself allowed.
     low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0
@@ -57,4 +58,5 @@ def _refuse(table: CommandTable, units: Units, row: int, column: int, count: int
 
 
 def _shown(value: float) -> str:
+    """Return a number as text, without ".0" if it is whole."""
     return repr(float(value)).removesuffix(".0")

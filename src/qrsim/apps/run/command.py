@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, progress_bar
+from qrsim.apps import OPTIONAL_SECONDS, check_seed, progress_bar, with_duration
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.files.interruptions import word
@@ -122,21 +122,16 @@ class Run:
             gc.enable()
 
     def _run(self) -> None:
+        """Check the options, fly the scenario, print the summary, and keep the page open."""
         from qrsim.apps.run.every import parse_every
         from qrsim.scenarios.scenario import load_scenario
 
-        if self.seed < 0 or self.seed >= 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        check_seed(self.seed)
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
         if self.policy_ticks != 1 and self.policy == BASELINE:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: the baseline is called once per step of its task")
-        overrides = list(self.set)
-        if self.duration is not None:
-            if not (math.isfinite(self.duration) and self.duration > 0):
-                raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
-            overrides.append(f"duration={self.duration!r}")
-        scenario = load_scenario(self.scenario, overrides)
+        scenario = load_scenario(self.scenario, with_duration(self.set, self.duration))
         injections: tuple[Injection, ...] = ()
         if self.injectable:
             if self.view == OFF:
@@ -171,6 +166,7 @@ class Run:
         page: LiveView | None,
         injections: tuple[Injection, ...],
     ) -> Pace:
+        """Fly the scenario into a run folder; return its pace: simulated and wall time, late chunks."""
         from qrsim.runs.recorder import fly
         from qrsim.runs.waiting import waiting_since
 
@@ -210,6 +206,7 @@ class Run:
             raise
 
     def _report(self, folder: Path, pace: Pace) -> None:
+        """Print the summary of a run and draw its figure; raise if the figure could not be drawn."""
         from qrsim.runs import open_run
         from qrsim.runs.summary import summarise
 
@@ -226,6 +223,7 @@ class Run:
     def _print_result(
         self, recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, figure: Path | None
     ) -> None:
+        """Print the table of vehicles, the speed, and where run folder and figure are."""
         _print_table(recorded, summaries)
         factor = f"{pace.real_time_factor:.0f} times real time" if not self.realtime else "real time"
         print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({factor}), start-up {pace.start_up_s:.1f} s")
@@ -244,7 +242,7 @@ class Run:
 
 
 def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | None]:
-    """Return where the figure is, or why there is none: the numbers of a long run must not be lost with it."""
+    """Draw the figure; return its path, or the error, so that a failure does not lose the numbers of a run."""
     from qrsim.runs.figure import save_figure
 
     try:
@@ -255,6 +253,7 @@ def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | No
 
 
 def _new_folder(name: str, seed: int) -> Path:
+    """Return a path runs/NAME-seedN-TIME that does not exist yet."""
     from datetime import datetime
 
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -283,6 +282,7 @@ at the time of the fix, RMS over the fixes; wind max: gusts included."""
 
 
 def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
+    """Print a row for each vehicle: distance, errors, wind, waypoints and when it stopped."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -344,12 +344,14 @@ def _print_events(recorded: RecordedRun) -> None:
 
 
 def _number(value: float, digits: int = 2) -> str:
+    """Return a number with some digits as text, "-" if it is not finite."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _print_json(
     recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, folder: Path, figure: Path | None
 ) -> None:
+    """Print the result of a run as JSON."""
     import json
     from dataclasses import asdict
 

@@ -36,7 +36,7 @@ class CoverageGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def centroid(self, position_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the centroids [m] north and east (n,) of the vehicles' parts; of who has none, where it is."""
+        """Return north and east (n,) [m] of the centroid of each vehicle's cell; without one, its position."""
         middle = (jnp.arange(self.cells, dtype=position_ned.x.dtype) + 0.5) / self.cells
         (south, far_north), (west, far_east) = (
             [jnp.atleast_1d(edge)[None] for edge in edges]
@@ -46,6 +46,7 @@ class CoverageGuidance(TeamGuidance):
         east = (west + (far_east - west) * middle[:, None])[None]
 
         def squared(at_north: Array, at_east: Array) -> Array:
+            """Return the squared distance of each grid point from places."""
             return (north - at_north) ** 2 + (east - at_east) ** 2
 
         own = squared(position_ned.x[None, None], position_ned.y[None, None])
@@ -58,6 +59,7 @@ class CoverageGuidance(TeamGuidance):
         share = 1.0 / jnp.maximum(count, 1.0)
 
         def mean(axis: Array, stay: Array) -> Array:
+            """Return the mean coordinate of a vehicle's grid points, ``stay`` without any."""
             return jnp.where(some, jnp.sum(jnp.where(mine, axis, 0.0), axis=(0, 1)) * share, stay)
 
         return mean(north, position_ned.x), mean(east, position_ned.y)

@@ -57,6 +57,7 @@ class FlockingGuidance(TeamGuidance):
         share = jnp.where(count > 0.0, 1.0 / jnp.maximum(count, 1.0), 0.0)
 
         def mean(values: Array) -> Array:
+            """Return the mean over the known mates."""
             return share * jnp.sum(jnp.where(mates.known, values, 0.0), axis=0)
 
         goal_north, goal_east = towards(
@@ -64,6 +65,7 @@ class FlockingGuidance(TeamGuidance):
         )
 
         def wanted(goal: Array, apart: Array, other: Array) -> Array:
+            """Return one axis of the velocity: goal, separation, alignment and cohesion."""
             parting = self.separation_gain * jnp.sum(push * apart, axis=0)
             return goal + parting + self.alignment * mean(other) - self.cohesion_gain * mean(apart)
 

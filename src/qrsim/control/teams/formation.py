@@ -17,7 +17,7 @@ _LEADER_GAIN = 0.5
 
 
 def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted sums [m] north and east (n,) of what lacks to the wanted offsets to all that are known.
+    """Return the weighted sums north and east (n,) [m] of the errors of the offsets to all known mates.
 
     R. Olfati-Saber and R. M. Murray, Consensus problems in networks of agents, IEEE TAC 49 (2004), eq. 1, of positions
     less their places in the formation.
@@ -31,6 +31,7 @@ def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Arra
     row = jnp.maximum(mates.number, 0)
 
     def sums(place: Array, position: Array, theirs: Array) -> Array:
+        """Return the weighted sum over mates of the errors of the offsets along one axis."""
         wanted = jnp.asarray(place).at[row].get(mode="promise_in_bounds") - place[None]
         return jnp.sum(weight * jnp.where(mates.known, theirs - position[None] - wanted, 0.0), axis=0)
 

@@ -54,6 +54,7 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
     row = jnp.maximum(near.index, 0)
 
     def theirs(axis: Array) -> Array:
+        """Return a value of each mate, 0 without a mate."""
         return jnp.where(nobody, 0.0, jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
     return Mates(
@@ -87,6 +88,7 @@ def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, r
     known = (number >= 0) & near & jnp.isfinite(fast.dot(fast))
 
     def theirs(axis: Array) -> Array:
+        """Return a value of each mate, 0 where nothing was heard."""
         return jnp.where(known, axis, 0.0)
 
     return Mates(jnp.where(known, number, -1), place.map(theirs), fast.map(theirs), theirs(age))

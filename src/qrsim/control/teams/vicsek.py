@@ -21,6 +21,7 @@ def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
     """
 
     def directions(north: Array, east: Array) -> tuple[Array, Array]:
+        """Return unit vectors along velocities, 0 at rest."""
         speed = length_of(north, east)
         scale = jnp.where(speed > 0.0, 1.0 / jnp.where(speed > 0.0, speed, 1.0), 0.0)
         return north * scale, east * scale

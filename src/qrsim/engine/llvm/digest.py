@@ -86,7 +86,7 @@ class _Walk:
         return result.hexdigest()
 
     def _value(self, value: object) -> object:
-        """Return a parameter as something with a text that says all of it."""
+        """Return a parameter as an object with a complete text; raise UnknownError for unknown kinds."""
         for kinds, text in self._TEXTS:
             if isinstance(value, kinds):
                 return text(self, value)

@@ -192,6 +192,7 @@ class Emitter(Loops):
     # Reductions
 
     def _reduced_width(self, node: Node) -> int:
+        """Return the number of lanes in which a reduction is accumulated."""
         operand = node.args[0].node
         if self.side_by_side:
             return self._lanes_of(operand) if operand.op != "constant" else 1
@@ -255,7 +256,7 @@ class Emitter(Loops):
             self.copy(access, shape, moved)
 
     def _running(self, node: Node) -> None:
-        """Write what becomes of the elements before each one along an axis, itself included."""
+        """Write a cumulative operation along an axis, such as a running sum."""
         axis, backwards, how = node.attributes
         self.open_scope(node.shape)
         lanes, (last, dtype) = self._lanes_of(node), (node.shape[axis] - 1, node.dtype)

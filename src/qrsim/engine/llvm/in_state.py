@@ -114,7 +114,7 @@ class InState:
                 self._assign(output, place)
 
     def _within(self, step: Step) -> None:
-        """Let branches compute in the state what they hand out into it."""
+        """Let branches write their results directly to the leaves of the state."""
         for number, steps in enumerate(step.branches):
             read, results = readers(steps), step.nodes[0].regions[number].results
             made = {node.number: i for i, inner in enumerate(steps) for node in inner.nodes}
@@ -143,7 +143,7 @@ class InState:
 
 
 def _outputs(step: Step) -> Iterator[tuple[Node, list[Access]]]:
-    """List the wanted results of a branching, each with what its branches hand out."""
+    """Yield the result nodes of a branching, each with the accesses that its branches return for it."""
     regions = step.nodes[0].regions
     for node in step.nodes:
         if node.op == "output":

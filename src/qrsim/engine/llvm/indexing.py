@@ -121,6 +121,7 @@ class Indexing(Nodes):
         return View.whole(node, tuple(out.shape))
 
     def _clipped(self, start: View, largest: int, shape: Shape) -> View:
+        """Return the start of a slice, clipped to 0 and the largest that leaves room for it."""
         dtype = start.node.dtype
         low, high = (self.spread(self.graph.constant(np.asarray(v, dtype)), shape) for v in (0, largest))
         return self.apply("clamp", shape, dtype, low, start, high)
@@ -166,6 +167,7 @@ class Indexing(Nodes):
         return found
 
     def _number(self, value: int, shape: Shape) -> View:
+        """Return an integer as a view of a shape."""
         return self.spread(self.graph.constant(np.int32(value)), shape)
 
 

@@ -51,6 +51,7 @@ class Body:
 
 
 def _value(access: Access, values: dict[int, str], lanes: int) -> str:
+    """Return the name of an argument's value in a kernel; a constant as ``lanes`` copies."""
     node = access.node
     if node.op != "constant":
         return values[node.number]
@@ -97,8 +98,10 @@ def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
 
 
 def _symbol(name: str, lanes: int) -> str:
+    """Return the name of a kernel's function for a number of lanes."""
     return f"@kernel.{name}.{lanes}"
 
 
 def _result_type(name: str, lanes: int) -> str:
+    """Return LLVM's type of a kernel's results: a struct of vectors."""
     return "{ " + ", ".join(types(KERNELS[name].gives, lanes)) + " }"

@@ -77,7 +77,7 @@ class Lanes:
         return found
 
     def put(self, worlds: Array, tree: object) -> None:
-        """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
+        """Store the states of some worlds, from the first len(worlds) rows of each leaf."""
         tile, lane = np.divmod(worlds, self._lanes)
         for number, leaf in enumerate(jax.tree.leaves(tree)):
             self._part(number)[tile, :, lane] = self._stored(leaf)[: len(worlds)]

@@ -90,7 +90,7 @@ class Loops(Writer):
         return True
 
     def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
-        """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
+        """Return a value, but for the worlds in the mask ``keep`` the one that is in memory at ``to``."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
         value = self.widened((value, lanes), dtype, self.lanes)
@@ -115,12 +115,15 @@ class Loops(Writer):
             self.copy(access, shape, to, keep)
 
     def _lies_there(self, access: Access, shape: Shape, to: Place) -> bool:
+        """Return whether a value of this shape is already at the place, so that no copy is needed."""
         return not self._in_register(access.node) and self.place(access.node) == to and access.identical(shape)
 
     def _in_register(self, node: Node) -> bool:
+        """Return whether a node's value is in a register, not in memory."""
         return node.number in self.scalars or (node.op == "constant" and node.shape == ())
 
     def _stand_in(self, node: Node, shape: Shape, place: Place) -> Access:
+        """Return an access to a new node that reads what is at a place."""
         self.count += 1
         # Numbers below zero are of no node of the graph.
         copy = Node("input", (), shape, node.dtype, uniform=node.uniform, number=-self.count)

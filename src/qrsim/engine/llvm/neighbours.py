@@ -57,7 +57,7 @@ class Neighbours:
     # Who is near anybody
 
     def _near(self, node: Node) -> tuple[str, str]:
-        """Write who has somebody near; return where their numbers lie and how many there are."""
+        """Write the list of points that may have a neighbour; return the addresses of the list and of its length."""
         writer, count, lanes = self.writer, node.shape[0], self.writer.lanes
         words = 1 << (_BITS_FOR_A_POINT * count // 32 - 1).bit_length()
         marks, near = self._memory(8 * words), self._memory(4 * (count + lanes))
@@ -167,14 +167,16 @@ class Neighbours:
     # Cells of space
 
     def _memory(self, size: int) -> str:
+        """Write the address of ``size`` bytes of scratch memory and return its name."""
         return self.emit(f"getelementptr i8, ptr %scratch, i64 {self.writer.spare_bytes(size)}")
 
     def _fill(self, place: str, byte: int, size: int) -> None:
+        """Write a call that sets ``size`` bytes from an address on to one byte."""
         self.writer.declarations.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
         self.do(f"call void @llvm.memset.p0.i64(ptr {place}, i8 {byte}, i64 {size}, i1 false)")
 
     def _measure(self, reach: str) -> None:
-        """Compute what turns a coordinate into cubes."""
+        """Write the factor that scales a coordinate to cubes, from the reach."""
         smallest = literal(_SMALLEST_WIDTH if self.dtype.itemsize == 8 else np.float32(_SMALLEST_WIDTH), self.dtype)
         factor = literal(_WIDTH_IN_REACHES if self.dtype.itemsize == 8 else np.float32(_WIDTH_IN_REACHES), self.dtype)
         width = self.emit(f"fmul {self.of} {reach}, {factor}")
@@ -183,6 +185,7 @@ class Neighbours:
         self.scale = self.emit(f"fdiv {self.of} {literal(1.0, self.dtype)}, {width}")
 
     def _coordinate(self, access: Access, point: str) -> str:
+        """Write the read of one coordinate of a point and return the value's name."""
         self.writer.scope.variables[0] = point
         found: str = self.writer.read(access)[0]
         return found
@@ -207,6 +210,7 @@ class Neighbours:
         return self.emit(f"add {number} {cube}, {side}")
 
     def _hash(self, cube: str, axis: int, lanes: int = 1) -> str:
+        """Write the part of a cube's hash that one axis has and return its name."""
         return self.emit(f"mul {vector('i32', lanes)} {cube}, {splat(str(_PRIMES[axis]), 'i32', lanes)}")
 
     def _chain(self, parts: list[str]) -> str:
@@ -276,6 +280,7 @@ class Neighbours:
         return least
 
     def _fused(self, apart: str, rest: str) -> str:
+        """Write ``apart`` squared plus ``rest``, with one rounding, and return its name."""
         fma = f"llvm.fma.{suffix(self.of, 1)}"
         self.writer.declarations.add(f"declare {self.of} @{fma}({self.of}, {self.of}, {self.of})")
         return self.emit(f"call {self.of} @{fma}({', '.join(f'{self.of} {v}' for v in (apart, apart, rest))})")

@@ -395,5 +395,5 @@ def _known_number(node: Node) -> float | None:
 
 
 def _divides_well(divisor: Node) -> bool:
-    """Return whether whole numbers can be divided by what is known of a divisor."""
+    """Return whether a divisor is a constant other than 0 and -1, so that integers can be divided by it."""
     return _known_number(divisor) not in (None, 0, -1)

@@ -133,6 +133,7 @@ class Draft:
         self._schedule()
 
     def _trace(self, closed: ClosedJaxpr) -> None:
+        """Make the graph from the jaxpr, with a node for each leaf of the inputs and one for the tick."""
         views: list[View] = []
         for which, given in enumerate(self.inputs):
             layout, nodes = given.layout, []
@@ -149,6 +150,7 @@ class Draft:
         self.results = [view.access() for view in found]
 
     def _input(self, which: int, given: Input, shape: Shape, dtype: DType, part: slice, is_float: bool) -> Node:
+        """Return the node of an input's leaf, and note where in the buffer it is."""
         # As they lie in the buffers; others would be taken for what they are not.
         if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")
@@ -165,6 +167,7 @@ class Draft:
         return node
 
     def _schedule(self) -> None:
+        """Order the nodes into steps before the first tick and of each tick, and place what needs memory."""
         live = live_nodes(self.graph.region, self.results)
         scheduler = Scheduler(live)
         nodes = self.graph.region.nodes
@@ -202,7 +205,7 @@ class Draft:
         self._place_carries()
 
     def _place_carries(self) -> None:
-        """What a while hands from turn to turn lies where its results do, and so do the changes made in place."""
+        """Place the carries of while loops, and values changed in place, in the memory of their results."""
         for node in all_nodes([*self.prologue, *self.body]):
             if node.op == "while":
                 for carry, output in zip(*node.attributes, strict=True):
@@ -211,6 +214,7 @@ class Draft:
             self.places[number] = self.places[output.number]
 
     def _bytes(self, shape: Shape, node: Node) -> int:
+        """Return the bytes that a node's value takes in memory, as whole vectors."""
         lanes = self.lanes if self.side_by_side and not node.uniform else 1
         return _padded(shape, self.lanes, self.side_by_side) * stored_bytes(node.dtype) * lanes
 
@@ -226,6 +230,7 @@ class Draft:
         return self._take(node, shape)
 
     def _take(self, node: Node, shape: Shape | None = None) -> Place:
+        """Return a place in scratch memory for a node's value."""
         shape = self._kept_shape(node) if shape is None else shape
         own = self.side_by_side and not node.uniform
         element = stored_bytes(node.dtype) * (self.lanes if own else 1)
@@ -314,10 +319,12 @@ def flushing(writer: Writer) -> tuple[list[str], list[str]]:
 
 
 def _in_register(node: Node) -> bool:
+    """Return whether a node's value needs no memory, because it is a scalar computed by one instruction."""
     return node.shape == () and node.op not in ("reduce", "output", *ALONE, *NESTED)
 
 
 def _row_major(shape: Shape, element: int) -> tuple[int, ...]:
+    """Return the strides [bytes] of a shape with elements of ``element`` bytes, last axis fastest."""
     strides, size = [], element
     for extent in reversed(shape):
         strides.append(size)
@@ -331,6 +338,7 @@ def _whole(extent: int, lanes: int) -> int:
 
 
 def _padded(shape: Shape, lanes: int, side_by_side: bool) -> int:
+    """Return the number of elements in memory for a shape with rows of whole vectors."""
     size = 1
     for axis, extent in enumerate(shape):
         size *= _whole(extent, lanes) if axis == len(shape) - 1 and not side_by_side else extent

@@ -20,7 +20,7 @@ def reduces_rows(node: Node) -> bool:
 
 
 def along(access: Access, reader: Node) -> bool:
-    """Return whether a node reads another's elements at the same place of both last axes, and nowhere else there."""
+    """Return whether a node reads another's elements at its own index of the last axis only."""
     last = len(reader.domain) - 1
     followed = [axis for axis, _ in access.index]
     return (
@@ -59,7 +59,7 @@ class _Cluster:
         self.reduced: set[int] = set()
 
     def of(self, waiting: dict[int, Node]) -> list[Node]:
-        """Return the reductions, what depends on them, and what either needs, as far as one loop can compute it."""
+        """Return the nodes that one loop over rows can compute: reductions, their users, and the inputs of both."""
         after: set[int] = set()
         for node in waiting.values():
             fits = self.loops(node) and self._fits(node)
@@ -83,6 +83,7 @@ class _Cluster:
         return [node for number, node in self.inside.items() if number in needed]
 
     def _fits(self, node: Node) -> bool:
+        """Return whether a node can be computed row by row: same last axis, no reduction across rows."""
         domain = node.domain
         return (
             bool(domain)
@@ -92,6 +93,7 @@ class _Cluster:
         )
 
     def _with_what_they_need(self, nodes: Iterable[Node]) -> set[int]:
+        """Return the numbers of nodes and of all nodes of the cluster that they depend on."""
         found: set[int] = set()
         stack = list(nodes)
         while stack:

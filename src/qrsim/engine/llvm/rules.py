@@ -101,6 +101,7 @@ def _rows() -> dict[str, Rule]:
 
 
 def _known() -> dict[Primitive, Rule]:
+    """Return the rule of each primitive that can be compiled."""
     found: dict[Primitive, Rule] = {}
     for name, rule in _rows().items():
         # One that this version of JAX does not have occurs in no program.

@@ -58,4 +58,5 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
 
 
 def _lies_there(writer: Loops, node: Node) -> bool:
+    """Return whether the result is in the memory of the first argument, so that no copy is needed."""
     return writer.places.get(node.args[0].node.number) == writer.places[node.number]

@@ -101,6 +101,7 @@ class Scheduler:
         return found
 
     def _rows(self, nodes: list[Node], sizes: Counter[Shape]) -> Step:
+        """Return one step that computes nodes row by row."""
         step = Step("rows", (nodes[0].domain[-1],), nodes)
         waiting = Waiting(nodes, self.reads, sizes)
         while waiting.nodes:
@@ -110,6 +111,7 @@ class Scheduler:
         return step
 
     def _next(self, waiting: Waiting, wanted: set[int] | None = None, left_out: Collection[int] = ()) -> Step:
+        """Return the next step: the first waiting node, with all that fits into its loop."""
         first = waiting.first(wanted)
         if first.op in NESTED:
             return self._branching(first, waiting)
@@ -135,6 +137,7 @@ class Scheduler:
         return self._outside[node.number]
 
     def _branching(self, cond: Node, waiting: Waiting) -> Step:
+        """Return the step of a cond, with the steps of each branch."""
         outputs = [node for node in waiting.readers[cond.number] if node.op == "output"]
         step = Step(cond.op, (), [cond, *outputs])
         step.branches = [self.steps(region.nodes) for region in cond.regions]
@@ -266,7 +269,7 @@ class Arena:
 
 
 def readers(steps: list[Step]) -> dict[int, list[Reading]]:
-    """Return for each node number who reads it."""
+    """Return for each node number the steps and nodes that read it."""
     found: dict[int, list[Reading]] = defaultdict(list)
     for i, step in enumerate(steps):
         for reader, access in step.accesses:

@@ -148,7 +148,7 @@ class Tracer(Indexing):
         ]
 
     def transparent(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Pass the arguments on."""
+        """Return the arguments as results, for primitives that change nothing."""
         return inputs
 
     def call(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
@@ -234,7 +234,7 @@ class Tracer(Indexing):
         return inputs[0].moved(moves, tuple(out.shape))
 
     def slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return a part."""
+        """Return the part of an array that a slice without strides takes."""
         if any(stride != 1 for stride in parameters["strides"] or ()):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))

@@ -47,6 +47,7 @@ class Waiting:
                 self._ready[self._rank(node)].add(node.number)
 
     def _rank(self, node: Node) -> _Rank:
+        """Return the key by which waiting nodes are chosen: small domains first, changes of a carry last."""
         # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
         # that it may do so in its place.
         return node.op in NESTED, changes_carry(node), self._sizes[node.domain] if node.domain else -1
@@ -61,7 +62,7 @@ class Waiting:
         raise UnsupportedError("a graph with a cycle")
 
     def take(self, nodes: list[Node]) -> None:
-        """Let nodes be computed."""
+        """Remove nodes that a step computes, and release those that only waited for them."""
         for node in nodes:
             del self.nodes[node.number]
             self._ready[self._rank(node)].discard(node.number)

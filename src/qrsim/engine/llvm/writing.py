@@ -243,7 +243,7 @@ class Writer:
         return self._gathered(node, place, index, across), self.lanes
 
     def _fetch(self, address: str, distance: int) -> None:
-        """Let the processor bring what lies a distance [B] after an address, while it works on what lies there."""
+        """Write a prefetch of the memory at a distance [B] after an address."""
         self.declarations.add("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
         ahead = self.emit(f"getelementptr i8, ptr {address}, i64 {distance}")
         # To be read, and kept close; data, not code.

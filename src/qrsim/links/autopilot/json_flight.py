@@ -53,7 +53,7 @@ class JsonFleet(FlownFleet):
         self._start = self.sight.positions()
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Return the speeds of a vehicle's motors once its autopilot has sent them."""
+        """Return the speeds of a vehicle's motors, as fractions of the maximum, once its autopilot has sent them."""
         return ardupilot.speeds(self._links[number].wait().pulses, len(self.order))
 
     def answer(self) -> None:

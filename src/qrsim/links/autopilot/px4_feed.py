@@ -9,6 +9,7 @@ import numpy as np
 
 from qrsim.errors import UsageError, warn_user
 from qrsim.links.autopilot import px4_messages as messages
+from qrsim.links.autopilot.px4_parameters import of_vehicle
 from qrsim.links.autopilot.px4_truth import TrueStates
 from qrsim.links.autopilot.sensing import FleetSight, pressure_of
 from qrsim.links.mavlink.frames import frame
@@ -163,7 +164,7 @@ class Px4Feed:
             sensor = self._sensor_of(s.RANGE)
             low, high = IDEAL_RANGES
             if isinstance(sensor, Rangefinder):
-                low, high = (_number(limit, i) for limit in (sensor.range_min, sensor.range_max))
+                low, high = (of_vehicle(limit, i) for limit in (sensor.range_min, sensor.range_max))
             payloads.append((messages.DISTANCE, messages.distance_sensor(usec, row[s.RANGE], low, high, sensor.axis)))
         if s.FLOW in news and news[s.FLOW][i]:
             period = round(1e6 * self._sensor_of(s.FLOW).period)
@@ -189,12 +190,6 @@ _COLUMNS = (s.RATES, s.FORCE, s.FIELD, s.FIX_POSITION, s.HEIGHT, s.PRESSURE, s.D
 def _type_name(sensor: object) -> str:
     """Return the name of a sensor's class."""
     return type(sensor).__name__
-
-
-def _number(value: object, i: int) -> float:
-    """Return a parameter of a sensor, which may be one for each vehicle."""
-    found = np.ravel(np.asarray(value, np.float64))
-    return float(found[i if len(found) > 1 else 0])
 
 
 def fix_of(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:

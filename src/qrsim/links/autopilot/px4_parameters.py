@@ -54,7 +54,7 @@ def parameters(fleet: Fleet, order: Sequence[int], sight: FleetSight, number: in
         number: of the vehicle in the fleet.
     """
     vehicle: Any = fleet.vehicle
-    torque_ratio = _of_vehicle(vehicle.torque_ratio, number)
+    torque_ratio = of_vehicle(vehicle.torque_ratio, number)
     found: dict[str, Number] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(order)}
     for motor, rotor in sorted(zip(order, vehicle.rotors, strict=True), key=lambda pair: pair[0]):
         name = f"CA_ROTOR{motor}_"
@@ -72,9 +72,9 @@ def parameters(fleet: Fleet, order: Sequence[int], sight: FleetSight, number: in
         found["MAV_TYPE"] = TYPES[len(order)]
     handling = vehicle.handling()
     hover = (
-        _of_vehicle(handling.mass, number)
-        * _of_vehicle(handling.gravity, number)
-        / _of_vehicle(handling.thrust_max, number)
+        of_vehicle(handling.mass, number)
+        * of_vehicle(handling.gravity, number)
+        / of_vehicle(handling.thrust_max, number)
     )
     found["MPC_THR_HOVER"] = min(max(hover, HOVER_LIMITS[0]), HOVER_LIMITS[1])
     return found | ALWAYS | _sensor_parameters(fleet, sight)
@@ -85,7 +85,7 @@ def _nudged(value: float, built: float) -> float:
     return round(value if abs(value - built) > AWAY / 2.0 else built + AWAY, 6)
 
 
-def _of_vehicle(values: object, number: int) -> float:
+def of_vehicle(values: object, number: int) -> float:
     """Return a vehicle's value of a parameter that is one for all or one for each."""
     found = np.ravel(np.asarray(values, np.float64))
     return float(found[number if len(found) > 1 else 0])

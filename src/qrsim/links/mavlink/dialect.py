@@ -269,6 +269,7 @@ class Layout:
 
 
 def _layouts() -> dict[str, Layout]:
+    """Return the layouts of all messages by name, from the table above."""
     lines: list[str] = []
     for line in _TABLE.strip().splitlines():
         if line.startswith(" "):

@@ -84,18 +84,21 @@ _TARGETS = _targets()
 
 
 def _command_long(system: System, link: Link, frame: Frame) -> None:
+    """Answer COMMAND_LONG: let the stack, or the link itself, carry out the command."""
     message = frame.message()
     params = tuple(getattr(message, f"param{number}") for number in range(1, 8))
     _obey(system, link, frame, Command(message.command, params))
 
 
 def _command_int(system: System, link: Link, frame: Frame) -> None:
+    """Answer COMMAND_INT: let the stack, or the link itself, carry out the command."""
     m = frame.message()
     params = (m.param1, m.param2, m.param3, m.param4)
     _obey(system, link, frame, Command.of_int(m.command, m.frame, params, m.x, m.y, m.z))
 
 
 def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
+    """Carry out a command, acknowledge it and send what it requests."""
     answer = requests.answer(system, link, command)
     ack, payloads = (system.stack.command(command), ()) if answer is None else answer
     acknowledge(link, frame, command.id, ack)
@@ -120,6 +123,7 @@ def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
 
 
 def _set_mode(system: System, link: Link, frame: Frame) -> None:
+    """Answer SET_MODE with the acknowledgement of the command DO_SET_MODE."""
     message = frame.message()
     acknowledge(link, frame, DO_SET_MODE, Ack(system.stack.set_mode(message.base_mode, message.custom_mode)))
 
@@ -128,15 +132,18 @@ def _set_mode(system: System, link: Link, frame: Frame) -> None:
 
 
 def _axes(m: Message, *names: str) -> Any:
+    """Return the values of some fields of a message."""
     return tuple(getattr(m, name) for name in names)
 
 
 def _take(system: System, link: Link, target: Target) -> None:
+    """Pass a target to the stack; from now on the link flies the vehicle, if the mode takes set-points."""
     system.stack.setpoint(target)
     link.flies, link.owes = system.stack.takes_setpoints, False
 
 
 def _local_target(system: System, link: Link, frame: Frame) -> None:
+    """Take SET_POSITION_TARGET_LOCAL_NED."""
     m = frame.message()
     target = LocalTarget(
         m.coordinate_frame,
@@ -151,6 +158,7 @@ def _local_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _global_target(system: System, link: Link, frame: Frame) -> None:
+    """Take SET_POSITION_TARGET_GLOBAL_INT."""
     m = frame.message()
     target = GlobalTarget(
         m.coordinate_frame,
@@ -167,6 +175,7 @@ def _global_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _attitude_target(system: System, link: Link, frame: Frame) -> None:
+    """Take SET_ATTITUDE_TARGET."""
     m = frame.message()
     rates = _axes(m, "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
     _take(system, link, AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
@@ -196,11 +205,13 @@ def _override(system: System, link: Link, frame: Frame) -> None:
 
 
 def _follow(system: System, link: Link, frame: Frame) -> None:
+    """Take FOLLOW_TARGET: the place that a vehicle in follow mode flies behind."""
     m = frame.message()
     system.stack.follow_target(FollowTarget(m.lat * 1e-7, m.lon * 1e-7, m.alt, m.vel))
 
 
 def _actuators(system: System, link: Link, frame: Frame) -> None:
+    """Tell the client once that SET_ACTUATOR_CONTROL_TARGET is not flown."""
     system.tell_once("actuators", Text(Severity.WARNING, "SET_ACTUATOR_CONTROL_TARGET is not flown"))
 
 
@@ -208,11 +219,13 @@ def _actuators(system: System, link: Link, frame: Frame) -> None:
 
 
 def _heartbeat(system: System, link: Link, frame: Frame) -> None:
+    """Note that a ground station is there, for the failsafe of the data link."""
     if frame.message().type == GROUND_STATION:
         system.stack.heard_ground()
 
 
 def _ping(system: System, link: Link, frame: Frame) -> None:
+    """Answer a PING that is addressed to everybody."""
     message = frame.message()
     if message.target_system == 0:
         link.say(
@@ -225,6 +238,7 @@ def _ping(system: System, link: Link, frame: Frame) -> None:
 
 
 def _timesync(system: System, link: Link, frame: Frame) -> None:
+    """Answer TIMESYNC with the simulated time [ns]."""
     message = frame.message()
     if message.tc1 == 0:
         link.say("TIMESYNC", tc1=int(system.view.seen.time * 1e9), ts1=message.ts1)
@@ -246,14 +260,17 @@ def _file(system: System, link: Link, frame: Frame) -> None:
 
 
 def _logs(system: System, link: Link, frame: Frame) -> None:
+    """Answer that there are no logs."""
     link.say("LOG_ENTRY")
 
 
 def _partner(frame: Frame) -> tuple[int, int]:
+    """Return (system, component) of the sender."""
     return frame.system, frame.component
 
 
 def _set_current(system: System, link: Link, frame: Frame) -> None:
+    """Take MISSION_SET_CURRENT and answer with MISSION_CURRENT."""
     system.stack.set_current(frame.message().seq)
     payload = ENCODERS[LAYOUTS["MISSION_CURRENT"].number](system.view)
     assert payload is not None

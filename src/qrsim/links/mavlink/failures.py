@@ -62,7 +62,7 @@ class Failures:
         self._fleet = next(fleet for fleet in simulation.world.fleets if name in fleet.vehicle_names)
 
     def inject(self, unit: int, kind: int, instances: Sequence[int], critical: float) -> tuple[Result, str]:
-        """Let something fail, and return the answer and what to say.
+        """Inject a failure that a client requests; return the result and a text for it.
 
         Args:
             unit: FAILURE_UNIT.
@@ -92,6 +92,7 @@ class Failures:
     def _inject(
         self, targets: list[str], what: str, instances: Sequence[int], word: str, asked: tuple[str, dict[str, Any]]
     ) -> tuple[Result, str]:
+        """Inject a fault into the named instances, counted from 1, or all; return result and words for the client."""
         if not targets:
             return Result.DENIED, f"Not injectable: {what}; start qrsim mavlink with --injectable all"
         if any(not 0 < number <= len(targets) for number in instances):

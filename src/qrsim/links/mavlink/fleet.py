@@ -187,6 +187,7 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
 
 
 def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
+    """Return what a stack has to know about a vehicle: limits, area, kinds of order, battery, speeds."""
     area: Any = world.area
     limited, zones = area.is_box or isinstance(area, PolygonArea | ZonesArea), _zones(area)
     ceiling, floor = (float(area.z_min), float(area.z_max)) if limited else (-np.inf, np.inf)
@@ -207,6 +208,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     controller = fleet.controller
 
     def own(value: object) -> float:
+        """Return a vehicle's number of a parameter that is one for all or one for each."""
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     if isinstance(controller, RoverController):
@@ -233,6 +235,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
 
 
 def _at_zero(ground: Ground) -> bool:
+    """Return whether the ground is the plane z = 0."""
     return isinstance(ground, FlatGround) and bool(ground.at_zero)
 
 
@@ -243,6 +246,7 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
     guidance: Any = fleet.guidance
 
     def own(value: object) -> float:
+        """Return a vehicle's number of a parameter that is one for all or one for each."""
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     circles = isinstance(guidance, FixedWingGuidance)

@@ -127,6 +127,7 @@ def _whole(data: bytes, begin: int, end: int) -> int | None:
 
 
 def _size(data: bytes, at: int) -> int:
+    """Return the length in bytes of the frame that begins at ``at``."""
     length = data[at + 1]
     if data[at] == VERSION_1:
         return length + 8
@@ -134,6 +135,7 @@ def _size(data: bytes, at: int) -> int:
 
 
 def _read(data: bytes, at: int, size: int) -> Frame | None:
+    """Return the frame of ``size`` bytes at ``at``; None if its checksum or its flags are wrong."""
     length = data[at + 1]
     if data[at] == VERSION_1:
         head = 6

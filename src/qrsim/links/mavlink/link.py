@@ -56,7 +56,7 @@ class Link:
         self.flush()
 
     def flush(self) -> None:
-        """Send what waits."""
+        """Send the waiting messages."""
         if self._parts:
             data = self._parts[0] if len(self._parts) == 1 else b"".join(self._parts)
             self._parts, self._size = [], 0

@@ -53,9 +53,11 @@ class Lockstep:
             await self._heard(left)
 
     def _owing(self) -> list[tuple[System, Link]]:
+        """Return the links that fly a vehicle and still owe a set-point for this step."""
         return [(system, link) for system in self._systems for link in system.links if link.flies and link.owes]
 
     def _give_up(self, owing: list[tuple[System, Link]]) -> None:
+        """No longer wait for links that have owed a set-point for too long, and log it."""
         for system, link in owing:
             link.flies = False
             self._say(
@@ -64,6 +66,7 @@ class Lockstep:
             )
 
     async def _heard(self, seconds: float) -> None:
+        """Wait until anything arrives, at most some seconds."""
         self._news.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):

@@ -82,6 +82,7 @@ def opened(count: int, host: str, tcp: bool, own_ports: bool) -> Ports:
 
 
 def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
+    """Return a non-blocking socket that is bound to a port."""
     found = socket.socket(socket.AF_INET, kind)
     try:
         if kind is socket.SOCK_STREAM:

@@ -49,11 +49,12 @@ def data_stream(system: System, link: Link, frame: Frame) -> None:
 
 
 def _number(value: float) -> int:
-    """Return the number of a message that a command names; -1 for what is none."""
+    """Return the parameter of a command as the number of a message; -1 if it is not a number."""
     return int(value) if math.isfinite(value) and abs(value) < 2**24 else -1
 
 
 def _set_interval(system: System, link: Link, command: Command) -> Answer:
+    """Answer SET_MESSAGE_INTERVAL."""
     number, interval = _number(command.params[0]), command.params[1]
     if not sendable(number, system.view) or not math.isfinite(interval):
         return Ack(Result.DENIED), ()
@@ -62,6 +63,7 @@ def _set_interval(system: System, link: Link, command: Command) -> Answer:
 
 
 def _get_interval(system: System, link: Link, command: Command) -> Answer:
+    """Answer GET_MESSAGE_INTERVAL."""
     number = _number(command.params[0])
     interval = link.streams.interval_us(number) if number in ENCODERS else 0
     payload = LAYOUTS["MESSAGE_INTERVAL"].payload(message_id=max(number, 0) & 0xFFFF, interval_us=interval)
@@ -69,6 +71,7 @@ def _get_interval(system: System, link: Link, command: Command) -> Answer:
 
 
 def _request(system: System, link: Link, command: Command) -> Answer:
+    """Answer REQUEST_MESSAGE."""
     number = _number(command.params[0])
     if number == _MODES:
         # Of one mode by its number from 1 on, or of all.
@@ -85,6 +88,7 @@ def _send(system: System, number: int) -> Answer:
 
 
 def _request_version(system: System, link: Link, command: Command) -> Answer:
+    """Answer REQUEST_AUTOPILOT_CAPABILITIES, as the flavour of autopilot does."""
     # PX4's MavlinkReceiver does not look at the parameter, ArduPilot wants 1.
     if system.stack.heartbeat().autopilot == ARDUPILOT and command.params[0] != 1.0:
         return Ack(Result.FAILED), ()
@@ -92,6 +96,7 @@ def _request_version(system: System, link: Link, command: Command) -> Answer:
 
 
 def _request_protocol(system: System, link: Link, command: Command) -> Answer:
+    """Answer REQUEST_PROTOCOL_VERSION, which ArduPilot does not support."""
     if system.stack.heartbeat().autopilot == ARDUPILOT:
         return Ack(Result.UNSUPPORTED), ()
     return _send(system, NUMBERS["PROTOCOL_VERSION"])

@@ -96,6 +96,7 @@ class Server:
         return self._pacer.report()
 
     async def _open(self, sock: Any, system: System, rates: dict[str, float], peer: Address, phase: float) -> None:
+        """Serve a system on a UDP socket; ``peer`` is where messages go before anybody has sent one."""
         loop = asyncio.get_running_loop()
         await loop.create_datagram_endpoint(lambda: _Datagrams(self, system, rates, peer, phase), sock=sock)
 
@@ -138,6 +139,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._system.links.append(self._link)
 
     def datagram_received(self, data: bytes, address: Any) -> None:
+        """Handle the frames of a datagram, and answer to its sender from now on."""
         for frame in self._reader.datagram(data):
             self._peer = address
             self._server.heard([(self._system, self._link)], frame)
@@ -146,6 +148,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         """Nobody listens there yet."""
 
     def _send(self, data: bytes) -> None:
+        """Send bytes to the peer that was heard last."""
         if self._transport is not None:
             self._transport.sendto(data, self._peer)
 
@@ -161,6 +164,7 @@ class _Connection(asyncio.Protocol):
         self._nonsense = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Give a new client a link to each system; refuse it if there are too many."""
         assert isinstance(transport, asyncio.Transport)
         server = self._server
         if len(server.clients) >= MOST_CLIENTS:
@@ -177,6 +181,7 @@ class _Connection(asyncio.Protocol):
             system.links.append(link)
 
     def connection_lost(self, error: Exception | None) -> None:
+        """Remove the client's links from the systems."""
         self._transport = None
         self._server.clients.discard(self)
         for number, link in self._links.items():
@@ -185,6 +190,7 @@ class _Connection(asyncio.Protocol):
             system.transfers.forget(link)
 
     def data_received(self, data: bytes) -> None:
+        """Handle the frames in received bytes; give up a client that sends something else."""
         systems = self._server.systems
         self._nonsense += len(data)
         for frame in self._reader.feed(data):
@@ -195,9 +201,11 @@ class _Connection(asyncio.Protocol):
             self._give_up("sends no MAVLink")
 
     def _has_room(self) -> bool:
+        """Return whether the client reads fast enough for telemetry to be sent."""
         return self._transport is not None and self._transport.get_write_buffer_size() < MOST_STALE
 
     def _send(self, data: bytes) -> None:
+        """Send bytes to the client; one that does not read is given up."""
         if self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > MOST_WAITING:
@@ -206,6 +214,7 @@ class _Connection(asyncio.Protocol):
         self._transport.write(data)
 
     def _give_up(self, why: str) -> None:
+        """Close the connection and log why."""
         if self._transport is not None:
             self._server.say(f"a client by TCP {why}, and is given up")
             self._transport.abort()

@@ -60,13 +60,14 @@ class SimWind:
         self.now = self._of_world()
 
     def _of_world(self) -> tuple[float, float] | None:
+        """Return speed [m/s] at 20 ft and direction [deg] of the wind; None if it has no such numbers."""
         found = self._simulation.world.wind
         if not isinstance(found, LogShear | VeeringShear):
             return None
         return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
 
     def ask(self, speed: float, bearing: float, constant: float, asked_by: str) -> None:
-        """Let the wind change; raises UsageError where it cannot be like that, and nothing has changed."""
+        """Let the wind approach a speed [m/s] and bearing [deg]; raise UsageError, without a change, if too fast."""
         most = wind_limit(self._simulation.world)
         if speed > most:
             raise UsageError(f"{speed:g} m/s; allowed: 0 to {most:g} m/s")
@@ -78,7 +79,7 @@ class SimWind:
             table["SIM_WIND_SPD"], table["SIM_WIND_DIR"] = speed, bearing
 
     def again(self) -> None:
-        """Let it be what the parameters say, after a reset, which ends shoves."""
+        """Apply the wind parameters again after a reset, and end all shoves."""
         self.now = self._of_world()
         for _, values in self.shoves.values():
             values["SIM_SHOVE_TIME"] = 0.0
@@ -131,7 +132,7 @@ class SimParameters:
         craft.parameters.changed = self._changed
 
     def _changed(self, name: str) -> bool:
-        """Do what a parameter says now; return whether that can be done, and say why not."""
+        """Apply a parameter that has changed; return whether it could be applied, and tell the client why not."""
         values, family = self._values, name.split("_")[1]
         try:
             if family == "WIND":
@@ -149,7 +150,7 @@ class SimParameters:
         return True
 
     def again(self) -> None:
-        """Do again what the parameters say, after a reboot or a reset, which end faults."""
+        """Apply all parameters again after a reboot or a reset, which end faults."""
         self._faults.clear()
         self._air.shoves.pop(self._name, None)
         self._values["SIM_SHOVE_TIME"] = 0.0
@@ -185,6 +186,7 @@ class SimParameters:
         self._air.shoves[self._name] = (self._simulation.time + seconds, self._values)
 
     def _drop(self, volts: float) -> None:
+        """Lower the battery's charge to that of a cell voltage."""
         if self._volts is None:
             raise UsageError("there is no battery that could lose charge")
         numbers = {"charge": float(np.interp(volts, self._volts, CHARGES))}
@@ -199,6 +201,7 @@ def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
         return None
 
     def own(value: object) -> Any:
+        """Return a vehicle's number of a parameter that is one for all or one for each."""
         return np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number]
 
     if isinstance(battery, LithiumCells):
@@ -223,6 +226,7 @@ def _nonzero(values: Values, name: str, field: str, factor: float = 1.0) -> dict
 
 
 def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the GNSS receiver that SIM_GPS parameters ask for, by target."""
     place = UNITS[GPS].field
     rates = _nonzero(values, "GPS1_GLTV", place)
     north, east, up = (values[f"SIM_GPS1_GLTCH_{axis}"] + values[f"SIM_GPS_GLITCH_{axis}"] for axis in AXES)
@@ -241,6 +245,7 @@ def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the barometer that SIM_BARO parameters ask for, by target."""
     height = UNITS[BARO].field
     fault: Fault | None = None
     if values["SIM_BARO_DISABLE"]:
@@ -259,6 +264,7 @@ def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Faul
 
 
 def _magnetometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the magnetometer that SIM_MAG1 parameters ask for, by target."""
     # SIM_Compass.cpp subtracts the offsets.
     bias = _nonzero(values, "MAG1_OFS", UNITS[MAG].field, -UT_PER_MGAUSS)
     fault: Fault | None = ("wrong", {"bias": bias}) if bias else None
@@ -284,18 +290,21 @@ def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _pitot(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the airspeed sensor that SIM_ARSPD_FAIL asks for, by target."""
     speed = values["SIM_ARSPD_FAIL"]
     numbers = {"field": UNITS[AIRSPEED].field, "scale": 0.0, "bias": speed}
     return {_target(fleet, AIRSPEED): ("wrong", numbers) if speed else None}
 
 
 def _sonar(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the fault of the rangefinder that SIM_SONAR parameters ask for, by target."""
     share, offset = values["SIM_SONAR_GLITCH"], values["SIM_SONAR_OFFSET"]
     fault: Fault | None = ("wrong", {"field": UNITS[SONAR].field, "bias": offset}) if offset else None
     return {_target(fleet, SONAR): ("intermittent", {"share": share}) if share else fault}
 
 
 def _engines(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
+    """Return the faults of the rotors in the mask SIM_ENGINE_FAIL, by target; None for healthy ones."""
     mask, health = int(values["SIM_ENGINE_FAIL"]), values["SIM_ENGINE_MUL"]
     rotors = motor_order(fleet)
     if mask >> len(rotors):

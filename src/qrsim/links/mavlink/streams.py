@@ -74,6 +74,7 @@ class Streams:
         heapify(self._due)
 
     def _begin(self, number: int, interval: float, tick: int | None = None) -> None:
+        """Send a message every ``interval`` [s]: first in the tick after ``tick``, or by the phase of the link."""
         ticks = max(interval, self._least) / self._dt
         self._intervals[number] = ticks
         heappush(self._due, (self._phase * ticks if tick is None else tick + 1.0, number))

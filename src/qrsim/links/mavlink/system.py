@@ -97,6 +97,7 @@ class System:
             self.transfers.ask_again(wall)
 
     def _tell(self, event: Event) -> None:
+        """Send what an event of the stack makes due at once: mode, home, landed, item reached."""
         if event.kind == "item_reached":
             self._broadcast("MISSION_ITEM_REACHED", LAYOUTS["MISSION_ITEM_REACHED"].payload(seq=event.number))
         self.reboots |= event.kind == "reboot"
@@ -125,7 +126,7 @@ class System:
             self._broadcast("STATUSTEXT", LAYOUTS["STATUSTEXT"].payload(**values))
 
     def present(self) -> None:
-        """Say that it is there, where no tick does."""
+        """Send a HEARTBEAT while no ticks are flown."""
         payload = ENCODERS[NUMBERS["HEARTBEAT"]](self.view)
         assert payload is not None
         self._broadcast("HEARTBEAT", payload)
@@ -133,6 +134,7 @@ class System:
             link.flush()
 
     def _note(self, line: str) -> None:
+        """Log a line with the time and the name of the vehicle."""
         self._log(f"t = {self.view.seen.time:.10g} s, '{self.name}': {line}")
 
     def note_once(self, line: str) -> None:
@@ -148,5 +150,6 @@ class System:
             self.text(text)
 
     def _broadcast(self, name: str, payload: bytes) -> None:
+        """Send a message on all links of the system."""
         for link in self.links:
             link.put(NUMBERS[name], payload)

@@ -94,6 +94,7 @@ def _format(system: System, type: int) -> struct.Struct:
 
 
 def _payload(system: System, parameter: Parameter) -> bytes:
+    """Return the payload of PARAM_VALUE of a parameter."""
     table = system.stack.parameters
     value = table[parameter.name]
     kind = _format(system, parameter.type)
@@ -102,6 +103,7 @@ def _payload(system: System, parameter: Parameter) -> bytes:
 
 
 def _refuse(link: Link, frame: Frame, name: bytes, index: int, error: int) -> None:
+    """Answer with PARAM_ERROR."""
     link.say(
         "PARAM_ERROR",
         target_system=frame.system,

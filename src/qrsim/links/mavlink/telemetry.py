@@ -101,6 +101,7 @@ def gps_raw_int(v: View) -> Payload:
 
 
 def _accuracy(value: float) -> int:
+    """Return an accuracy [m or m/s] in thousandths, 0 if it is unknown."""
     return 0 if value != value else int(min(round(value * 1e3), 0xFFFFFFFF))
 
 
@@ -174,7 +175,7 @@ def _throttle(v: View) -> int:
 
 
 def altitude(v: View) -> Payload:
-    """ALTITUDE; what is above terrain is above home."""
+    """ALTITUDE, with the height over home as the one over terrain."""
     seen = v.seen
     if not seen.valid:
         return None
@@ -385,7 +386,7 @@ ENCODERS: dict[int, Encoder] = {
 
 
 def sendable(number: int, view: View) -> bool:
-    """Return whether a vehicle has a message of this kind to send: now, or once it has something to say."""
+    """Return whether a vehicle can send a message with this number, now or at some later time."""
     if number not in ENCODERS:
         return False
     later: tuple[object, ...] = (

@@ -100,6 +100,7 @@ class Transfers:
             self._go_on()
 
     def _guided(self, message: Message) -> PlanResult:
+        """Take a mission item as ArduPilot's GUIDED does: fly there, or change the altitude only."""
         if message.current == ALTITUDE_ONLY:
             # As GCS_MAVLINK::handle_mission_item, whatever the vehicle does about it.
             self._stack.change_altitude(item_of(message))
@@ -107,6 +108,7 @@ class Transfers:
         return PlanResult.ACCEPTED if self._stack.go_to(item_of(message)) else PlanResult.ERROR
 
     def _go_on(self) -> None:
+        """Request the next item of an upload, or accept the plan after the last one."""
         upload = self.upload
         assert upload is not None
         if len(upload.items) == upload.count:
@@ -139,6 +141,7 @@ class Transfers:
             self._ack(upload.link, upload.partner, PlanResult.CANCELLED, upload.kind)
 
     def _give_up(self, upload: Upload) -> None:
+        """End an upload that has timed out; the plan of before stays."""
         self.cancel()
         what = f"{upload.kind.name.capitalize()} upload timed out at item {len(upload.items)} of {upload.count}"
         self._say(Text(Severity.WARNING, f"{what}; the one of before stays"))
@@ -214,14 +217,17 @@ class Transfers:
 
     @staticmethod
     def _ack(link: Link, partner: Partner, result: PlanResult, kind: int) -> None:
+        """Send MISSION_ACK."""
         link.say("MISSION_ACK", **_to(partner), type=int(result), mission_type=int(kind))
 
 
 def _kind(number: int) -> PlanKind | None:
+    """Return the kind of plan with a number of MAVLink; None for an unknown one."""
     return PlanKind(number) if number in tuple(PlanKind) else None
 
 
 def _to(partner: Partner) -> dict[str, int]:
+    """Return the fields of a message that address a partner."""
     return {"target_system": partner[0], "target_component": partner[1]}
 
 
@@ -235,14 +241,17 @@ def item_of(message: Message) -> Item:
 
 
 def _scale(frame: int) -> float:
+    """Return how many units of a mission item's integer x and y are one metre or degree."""
     return 1.0 if frame == _MISSION_FRAME else 1e4 if frame in _LOCAL_FRAMES else 1e7
 
 
 def _as_integer(frame: int, value: float) -> int:
+    """Return x or y of a mission item as an integer; UNSET_INT for NaN."""
     number = value * _scale(frame)
     return round(number) if math.isfinite(number) and abs(number) < UNSET_INT else UNSET_INT
 
 
 def _as_float(frame: int, value: int) -> float:
+    """Return x or y of a mission item as the nearest float32; NaN for UNSET_INT."""
     number = math.nan if value == UNSET_INT else value / _scale(frame)
     return float(struct.unpack("<f", struct.pack("<f", number))[0])

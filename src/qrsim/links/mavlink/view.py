@@ -52,7 +52,7 @@ class View:
 
     @property
     def row(self) -> list[float]:
-        """Its numbers."""
+        """Numbers of the vehicle as a list of floats."""
         if self._row is None:
             self._row = self.numbers.tolist()
         return self._row

@@ -123,16 +123,18 @@ class FlownWorld:
                     stack.parameters.set(name, value)
 
     def _warm(self) -> None:
-        """Compile what is flown, and what puts a vehicle back."""
+        """Compile the programs of flight and of restarts before the first tick."""
         self.simulation.advance(self._latches.actions())
         self.simulation.set_state(np.full_like(self.simulation.truth.state, np.nan))
         self.simulation.reset()
 
     def _fresh_restarts(self) -> Restarts:
+        """Return a new object that restarts vehicles, with none waiting."""
         systems = list(zip(self._rows, self.systems, strict=True))
         return Restarts(self.simulation, self._latches, systems, self._respawn, self._put_back)
 
     def _put_back(self, row: int) -> None:
+        """Note in the recording that a vehicle has been restarted."""
         if self.recording is not None:
             self.recording.restarted(row)
 
@@ -193,6 +195,7 @@ class FlownWorld:
                 self._fly(system, order)
 
     def _fly(self, system: System, order: Order) -> None:
+        """Give a system's order to the latches; one that cannot be flown is told and the last one holds."""
         try:
             # A set-point has no range of its own; the whole check, with its words, is for what cannot be flown.
             if not (order.kind in NEEDED and math.isfinite(sum(order.numbers))):

@@ -103,7 +103,7 @@ class Connection(asyncio.Protocol):
         return True
 
     def pause_writing(self) -> None:
-        """Hold the next request."""
+        """Answer no further request while the client does not read."""
         self._can_write.clear()
 
     def resume_writing(self) -> None:
@@ -142,7 +142,7 @@ class Connection(asyncio.Protocol):
         self._held.append(content)
 
     def send_held(self) -> None:
-        """Send the held messages."""
+        """Send the messages that were held until the end of a request."""
         if self._held and not (self.gone.is_set() or self.transport.is_closing()):
             self.transport.write(b"".join(self._held))
         self._held.clear()

@@ -60,6 +60,7 @@ def _session_options(
 
 
 def _task_info(session: Session) -> pb.TaskInfo:
+    """Return the message TaskInfo of a session: time step and number of vehicles."""
     return pb.TaskInfo(timestep=session.time_step, numUAVs=session.simulation.size)
 
 
@@ -73,6 +74,7 @@ async def reset(connection: Client, message: Message) -> None:
 
 
 def _print_episode(connection: Client, session: Session) -> None:
+    """Log session, episode and seed."""
     connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
@@ -220,6 +222,7 @@ def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContex
 
 
 def _send_session(connection: Client, session: Session) -> None:
+    """Send the client its session, and its state to those that watch."""
     simulation = session.simulation
     message = pb.Session(
         id=session.number,
@@ -317,6 +320,7 @@ async def play(connection: Client, message: Message) -> None:
 
 
 def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptions:
+    """Return the options of an episode session; raise UsageError if this server cannot play."""
     options = connection.server.options
     if options.record is not None or options.view is not None:
         raise UsageError(

@@ -125,7 +125,7 @@ class Client(Protocol):
         """Send an ACK."""
 
     def any_session(self) -> Session | EpisodeSession:
-        """Return the session."""
+        """Return the client's session of either kind."""
 
     def required_session(self) -> Session:
         """Return the session, a simulation."""

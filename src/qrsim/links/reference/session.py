@@ -21,8 +21,7 @@ from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Events
 from qrsim.links.reference.readout import States
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.sensors import SensorReadout
-from qrsim.runs import Column, EpisodesWriter, RunWriter
-from qrsim.runs.recorder import run_info
+from qrsim.runs import Column, EpisodesWriter, RunInfo, RunWriter
 from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.scenario import Scenario
@@ -193,7 +192,7 @@ class Session:
     def _new_writer(self, folder: Path) -> RunWriter:
         """Create the run folder of the present episode, and return its writer."""
         simulation = self.simulation
-        info = run_info(self.scenario, simulation)
+        info = RunInfo.of_flight(self.scenario, simulation)
         if self._recording is None:
             stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
             name = f"{stamp}-{self.scenario.name}-session{self.number}".replace("/", "-")

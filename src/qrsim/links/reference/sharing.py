@@ -70,7 +70,7 @@ class Sharing:
         self._clock = asyncio.create_task(self._run_free()) if session.pace == "free" else None
 
     def end(self) -> None:
-        """Stop the clock."""
+        """Cancel the tasks that advance the shared world."""
         for task in (self._clock, self._mover):
             if task is not None:
                 task.cancel()

@@ -98,7 +98,7 @@ def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
 
 
 def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
-    """Return what an Imu message needs of a vehicle, whose sensor sets its pace, and the paths that it has not."""
+    """Return an Imu message's columns, the column whose time paces it, and its fields without a sensor."""
     gyroscope, accelerometer = sensors(s.RATES) is not None, sensors(s.FORCE) is not None
     if gyroscope and accelerometer:
         return (n.RATES, n.FORCE), s.RATES, ()

@@ -15,8 +15,7 @@ from qrsim.errors import RunError, warn_user
 from qrsim.links.shared.latches import Latches
 from qrsim.links.shared.recorded import RESTARTED, STREAM, basic_columns, stacked
 from qrsim.links.shared.spoken import Spoken
-from qrsim.runs import EpisodesWriter, RunWriter
-from qrsim.runs.recorder import run_info
+from qrsim.runs import EpisodesWriter, RunInfo, RunWriter
 from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
@@ -69,7 +68,7 @@ class Recording:
         described = [] if self._spoken is None else self._spoken.described()
         self._orders = [*basic_columns(self._latches.numbers.shape[1]), RESTARTED, *described]
         self._columns = columns(simulation.world, beginning)
-        info = run_info(scenario, simulation)
+        info = RunInfo.of_flight(scenario, simulation)
         self._writer = RunWriter.create(
             self._episodes.begin(simulation.seed),
             info=info,

@@ -14,9 +14,8 @@ from qrsim.links.shared.kinds import NAMES
 from qrsim.links.shared.latches import Latches
 from qrsim.links.shared.recorded import RESTARTED, STREAM
 from qrsim.links.shared.spoken import TICK, Spoken
-from qrsim.runs import Run, RunWriter
+from qrsim.runs import Run, RunInfo, RunWriter
 from qrsim.runs.layout import INJECTIONS_FILE
-from qrsim.runs.recorder import run_info
 from qrsim.runs.request_log import RequestLog
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.injection_file import read_injections
@@ -59,7 +58,7 @@ def replay(run: Run, out: Path) -> Path:
     # Those of the orders are written as they are read.
     known = columns(simulation.world, beginning)
     orders = [run[STREAM].column(name) for name in run[STREAM].columns()]
-    info = run_info(scenario, simulation)
+    info = RunInfo.of_flight(scenario, simulation)
     with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
         schedule = Schedule(simulation, injections)
         requests = RequestLog(simulation, writer.note_injection, writer.append_event)

@@ -369,6 +369,7 @@ class Dryden(Turbulence):
         )
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
+        """Return length scales and standard deviations of the gusts at heights over the ground [m]."""
         return dryden_scales(height_agl, self.speed_20ft, self.severity, near_ground=self.near_ground)
 
     def _pitch_length(self) -> Array:

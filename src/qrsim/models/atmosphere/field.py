@@ -246,9 +246,11 @@ class DrydenField(Turbulence):
         )
 
     def _modes(self) -> Modes:
+        """Return the modes of the field, as many as its settings say."""
         return modes(self.chains, self.octaves)
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
+        """Return length scales and standard deviations of the gusts at heights over the ground [m]."""
         high = HIGH_LENGTH_FT if self.spectrum == "dryden" else VON_KARMAN_HIGH_LENGTH_FT
         return dryden_scales(height_agl, self.speed_20ft, self.severity, high, self.near_ground)
 
@@ -333,6 +335,7 @@ def _group_values(of: Modes, own: Floats, turns: Array, amplitude: Array | None,
 
 
 def _numbers(table: Floats, like: Array) -> Array:
+    """Return a table as an array of the type of ``like``."""
     return jnp.asarray(table.astype(like.dtype))
 
 

@@ -233,4 +233,5 @@ class WindGridFile:
 
 
 def _step(values: NumpyArray) -> float:
+    """Return the mean distance between neighbouring grid values."""
     return float(values[-1] - values[0]) / (len(values) - 1)

@@ -90,6 +90,7 @@ def read_grid(file: str, layout: Layout) -> GridFile:
 
 @lru_cache(maxsize=2)
 def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
+    """Return the wind grid of a NetCDF file; ``changed`` and ``size`` identify its version in the cache."""
     xarray = extras.load("wind", "a wind from a NetCDF file", "xarray")
     path = os.path.expanduser(file)
     try:
@@ -157,6 +158,7 @@ def _variable(file: str, content: Any, name: str, which: int) -> Any:
 
 
 def _towards(which: int) -> str:
+    """Return the direction of a component of the wind, in words."""
     return "upwards" if which == 2 else f"to the {DIRECTIONS[which]}"
 
 
@@ -218,6 +220,7 @@ def _times(file: str, content: Any, name: str) -> Floats:
 
 
 def _numbers(file: str, content: Any, name: str, least: int = 2) -> Floats:
+    """Return a coordinate (k,) as float64; raise UsageError for fewer than ``least`` finite numbers."""
     if name not in content.coords:
         raise UsageError(f"{file}: '{name}' is a dimension without coordinates; expected a variable '{name}'({name})")
     variable = content[name]

@@ -65,6 +65,7 @@ class ProfileTable:
     def _summed(
         self, height: Array, logarithm: Array, row: Any, lowest: tuple[Array, Array], slopes: list[Array]
     ) -> tuple[Array, Array]:
+        """Return north and east wind at heights: of the lowest layer, and its changes above."""
         own = row if self.heights.shape[0] > 1 else 0
         heights, share = jnp.asarray(self.heights)[own], jnp.asarray(self.log_share)[own]
         part = jnp.minimum(logarithm * share, 1.0)
@@ -107,6 +108,7 @@ class WindProfile(Wind):
         return Vec3(north, east, jnp.zeros_like(north))
 
     def _logarithm(self, height: Array) -> Array:
+        """Return the logarithm of heights over the roughness length, at least 0."""
         return log(jnp.maximum(height / self.roughness, 1.0))
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
@@ -124,6 +126,7 @@ class WindProfile(Wind):
 
 
 def _on_host(table: ProfileTable, row: int, height: Floats, roughness: float) -> tuple[Floats, Floats]:
+    """Return north and east wind at heights [m] with NumPy, in float64."""
     own = row if len(table.heights) > 1 else 0
     heights, share = np.asarray(table.heights, np.float64)[own], float(table.log_share[own])
     part = np.minimum(np.log(np.maximum(height / roughness, 1.0)) * share, 1.0)

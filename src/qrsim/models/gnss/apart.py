@@ -31,6 +31,7 @@ class Apart:
 
 
 def _normals(draw: Draw, slots: Slots) -> tuple[list[Drawn], list[Drawn]]:
+    """Return the normals of each satellite's own errors, and of those that all of them share."""
     each = [Drawn(draw.normal_pairs(slots.ids + jnp.uint32(first))) for first in (_SIGNAL_PAIRS, _LOCAL_PAIRS)]
     rows = draw.normal_rows(8, first=_TOGETHER_PAIR)
     return each, [Drawn((rows[2 * i], rows[2 * i + 1])) for i in range(4)]

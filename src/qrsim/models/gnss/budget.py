@@ -32,10 +32,12 @@ class BudgetState:
 
 
 def _std(default: float, unit: str, doc: str) -> Array:
+    """Return the declaration of a parameter that is a standard deviation, from 0."""
     return parameter(default=default, unit=unit, doc=doc, minimum=0.0)
 
 
 def _time(default: float, doc: str) -> Array:
+    """Return the declaration of a parameter that is a time constant [s], above 0."""
     return parameter(default=default, unit="s", doc=doc, above=0.0)
 
 
@@ -101,6 +103,7 @@ class ErrorBudget(RangeErrors):
         weather = self.troposphere * state.troposphere.error * sight.troposphere
 
         def delay(vertical: Array, gradient: Array, local: Array) -> Array:
+            """Return the ionospheric delay [m] of each satellite: vertical, gradient and local part."""
             plane = state.gradient_north.error * sight.pierce_north + state.gradient_east.error * sight.pierce_east
             return sight.ionosphere * (vertical * state.vertical.error + gradient * plane + local * state.local.error)
 
@@ -161,5 +164,5 @@ def _stepped(
 
 
 def one_for_all(draw: Draw) -> Draw:
-    """Return the draw (1,) of what all satellites of a stream share."""
+    """Return the draw (1,) for errors that all satellites of a stream share."""
     return draw.alone(ALL)

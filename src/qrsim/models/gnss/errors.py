@@ -177,6 +177,7 @@ class GaussMarkov2(RangeErrors):
         return np.asarray(sum(weight * exponential_allan_variance(window, tau) for weight, tau in self._terms()))
 
     def _rates(self) -> tuple[Array, Array]:
+        """Return the inverse time constants [1/s] of the process and of its drive."""
         return 1.0 / jnp.asarray(self.time_constant), 1.0 / jnp.asarray(self.drive_time_constant)
 
     def _terms(self) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -57,7 +57,7 @@ class Tracking:
 
     @property
     def held(self) -> Array:
-        """Time [s] (K, n) that counts for the weight, 0 of what is blocked."""
+        """Time [s] (K, n) since each satellite was last blocked, for its weight; 0 while it is blocked."""
         return jnp.where(self.since < AWAY, 0.0, self.since)
 
     @property
@@ -196,6 +196,7 @@ def _either(chosen: Array, yes: Geometry, no: Geometry) -> Geometry:
     """Choose between two geometries, receiver by receiver (n,)."""
 
     def pick(a: Array, b: Array) -> Array:
+        """Return ``a`` for the chosen receivers, else ``b``."""
         if not jnp.ndim(a):
             return a
         return jnp.where(chosen if jnp.ndim(b) == 1 else chosen[None, :], a, b)

@@ -39,10 +39,12 @@ _NEAREST = 1.0
 
 
 def _start() -> Array:
+    """Return the declaration of the parameter ``start`` [s]."""
     return parameter(default=0.0, unit="s", doc="start of the interference", minimum=0.0)
 
 
 def _end() -> Array:
+    """Return the declaration of the parameter ``end`` [s], None for the end of the run."""
     return parameter(
         default=None, unit="s", doc="end of the interference; null: the end of the run", above=0.0, nullable=True
     )
@@ -176,6 +178,7 @@ class Interference:
             return None
 
         def on(item: Jammer | Disc | Spoofer | Outage) -> Array:
+            """Return whether an interferer acts at this time."""
             return is_on(item.start, item.end, seconds, fraction)
 
         emitters = tuple(
@@ -191,6 +194,7 @@ class Interference:
         return Interfering(emitters, discs, lies, silent)
 
     def _lie(self, item: Spoofer, on: Array, seconds: Array, fraction: Array) -> Lie:
+        """Return what a spoofer makes receivers in its circle report at a time, or jams at first."""
         passed = since(item.start, seconds, fraction)
         rate = _vector(item.rate_ned)
         where = Circle(_vector(item.position_ned), jnp.where(on, jnp.asarray(item.radius), -1.0))
@@ -263,11 +267,13 @@ def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> 
 
 
 def _inside(circle: Circle, position_ned: Vec3) -> Array:
+    """Return whether positions in NED are in a circle; never while its radius is negative."""
     way = position_ned - circle.position_ned
     # The radius is negative while the disc is off, so that no receiver is inside.
     return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
 
 
 def _vector(values: object) -> Vec3:
+    """Return three numbers as a vector."""
     array = jnp.asarray(values)
     return Vec3(array[0], array[1], array[2])

@@ -322,6 +322,7 @@ def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, floa
 
 
 def _vectors(name: str, values: npt.ArrayLike) -> Float64:
+    """Return an array (..., 3) as float64; raise UsageError, which names it, for other shapes."""
     array = np.asarray(values, np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")

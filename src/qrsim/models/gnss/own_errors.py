@@ -22,7 +22,7 @@ MULTIPATH_PAIRS = 1 << 24
 def first_common(
     receiver: ReceiverParameters, now: Geometry, draw: Draw, sky: SkyState
 ) -> tuple[Vec3, Array | None, Apart | None]:
-    """Return the solution's error by common errors at a start, and what is to be remembered."""
+    """Return the solution's error by common errors at a start, and the ranges and states to remember."""
     slots: Slots = sky.slots
     if slots.own is not None:
         apart = apart_init(slots.own, draw, slots)

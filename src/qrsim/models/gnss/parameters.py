@@ -14,6 +14,7 @@ from qrsim.models.gnss.sight import MASK_LOWEST
 
 
 def _number(name: str, unit: str, doc: str, *, positive: bool = False, most: float | None = None) -> Array:
+    """Return the declaration of a receiver's parameter, with the usual receiver's number as default."""
     least, above = (None, 0.0) if positive else (0.0, None)
     return parameter(default=default(name), unit=unit, doc=doc, minimum=least, maximum=most, above=above)
 

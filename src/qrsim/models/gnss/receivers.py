@@ -129,6 +129,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     count = jnp.sum(weight, axis=0)
 
     def centred(value: Array) -> Array:
+        """Return values less their mean over the used satellites, 0 for others."""
         # Selected, not multiplied by the weight, because a satellite without a position is NaN.
         mean = jnp.sum(jnp.where(used, value, 0.0), axis=0) / jnp.maximum(count, 1.0)
         return jnp.where(used, value - mean[None, :], 0.0)
@@ -141,6 +142,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     xx, xy, xz, yy, yz, zz = inverse
 
     def solved(residual: Array) -> Vec3:
+        """Return the position error by least squares for range residuals [m]."""
         bx, by, bz = (-jnp.sum(u * residual, axis=0) for u in (ux, uy, uz))
         return Vec3(xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz)
 
@@ -150,6 +152,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     enough = count >= FEWEST_SATELLITES
 
     def or_nan(value: Array) -> Array:
+        """Return a value, NaN for receivers with too few satellites."""
         return jnp.where(enough, value, math.nan)
 
     return Fix(
@@ -333,7 +336,7 @@ class GnssReceiver(Sensor):
 
 
 def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the solution of receivers (n,), the true position and what the solution leaves out, as a state has them.
+    """Return a solution (n,) in a state's parts: rounded position, true position, and the rounded-off rest.
 
     From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
     """

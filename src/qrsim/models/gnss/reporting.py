@@ -63,6 +63,7 @@ def fix_of(
     wider = grown * receiver.period
 
     def chosen(new: Array, old: Array) -> Array:
+        """Return the new value with enough satellites, the old one while coasting, else NaN."""
         return jnp.broadcast_to(jnp.where(enough, new, jnp.where(coasting, old, jnp.nan)), shape)
 
     fix = jnp.broadcast_to(enough | coasting, shape)

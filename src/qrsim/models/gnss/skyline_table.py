@@ -213,6 +213,7 @@ def _block(
 
 
 def _quantized(tangent: Float64) -> NumpyArray:
+    """Return elevations as bytes, in units of ANGLE, from their tangents."""
     return np.round(np.arctan(tangent) * (1.0 / ANGLE)).astype(np.uint8)
 
 

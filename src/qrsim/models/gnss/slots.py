@@ -124,6 +124,7 @@ class SlottedSky(Sky):
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[object, ...]:
+            """Return the sky unchanged between knots."""
             # Interference changes at every epoch and is set below.
             return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
@@ -153,6 +154,7 @@ class SlottedSky(Sky):
         epoch = max(1, round(self.period / self.time_step))
 
         def held() -> tuple[object, ...]:
+            """Return the sky unchanged between knots."""
             return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
 
         def knot() -> tuple[object, ...]:
@@ -166,7 +168,7 @@ class SlottedSky(Sky):
         return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
 
     def _knot(self, state: SkyState, draw: Draw) -> tuple[object, ...]:
-        """Advance to a knot: what was to come is here, and the next one is computed."""
+        """Advance to a knot: the next one becomes the present one, and a new next one is computed."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
         here = memory.after_ned
         ahead = self.orbits.positions_ned(*split_time(tick + self.knot_ticks, self.time_step, draw.like.dtype))
@@ -245,6 +247,7 @@ class SlottedSky(Sky):
 
 
 def _between(first: Array, last: Array, part: Array) -> Array:
+    """Interpolate linearly: ``first`` at part 0, ``last`` at part 1."""
     return first + part * (last - first)
 
 
@@ -268,6 +271,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
     free, wanted = jnp.sum(~kept, dtype=jnp.int32), jnp.sum(new, dtype=jnp.int32)
 
     def by_height() -> Array:
+        """Return the rank of each new satellite by elevation."""
         height = jnp.where(new, highest, -2.0)
         same = (height[:, None] == height[None, :]) & (number[:, None] < number[None, :])
         return jnp.sum(new[:, None] & ((height[:, None] > height[None, :]) | same), axis=0, dtype=jnp.int32)

@@ -133,7 +133,7 @@ def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, 
 
 
 def _reweighted(weight: Array, errors: Array, axes: Sequence[Array], moved: Vec3, shift: Array, std: Array) -> Array:
-    """Return weights (K, m) by what a solution that is ``moved``, its clock by ``shift`` [m], leaves of errors."""
+    """Return weights (K, m), smaller for large residuals of a solution moved by ``moved`` and ``shift`` [m]."""
     left = errors + sum(u * d[None, :] for u, d in zip(axes, moved.axes, strict=True)) - shift[None, :]
     size = jnp.abs(left) / std
     return weight * jnp.where(size < FITS, 1.0, jnp.where(size < FITS_NOT, FITS / jnp.maximum(size, FITS), LEFT))

@@ -225,6 +225,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @property
     def _letters(self) -> str:
+        """Letters of the satellite systems that are used."""
         return "G" if self.systems is None else self.systems
 
     @cached_property
@@ -252,6 +253,7 @@ class Sp3Ephemeris(Ephemeris):
         return windows
 
     def _interval_of(self, since_first: Float64) -> npt.NDArray[np.intp]:
+        """Return the number of the interval between epochs for times [s] since the first epoch."""
         return np.clip(since_first // self.data.interval, 0, len(self.data.clocks) - 2).astype(np.intp)
 
     def _interpolate(self, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
@@ -289,5 +291,6 @@ class Sp3Ephemeris(Ephemeris):
         return np.asarray(times - first)
 
     def _span_text(self) -> str:
+        """Return the first and the last epoch, in UTC, as text."""
         first, last = (f"{utc_from_gps_seconds(time):%Y-%m-%d %H:%M:%S}" for time in self.span_gps_seconds)
         return f"{first} to {last} UTC"

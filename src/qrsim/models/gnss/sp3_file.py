@@ -110,6 +110,7 @@ class _Lines:
         self.text = data.decode("latin-1").splitlines()
 
     def fail(self, line: int, words: str) -> NoReturn:
+        """Raise UsageError with file and line in front."""
         raise UsageError(f"{self.path}, line {line}: {words}")
 
     def number(self, line: int, first: int, end: int, what: str) -> float:
@@ -182,6 +183,7 @@ def read_sp3(path: str | Path) -> Sp3File:
 
 
 def _version(lines: _Lines) -> str:
+    """Return the version letter of an SP3 file; raise UsageError for others than those supported."""
     head = lines.text[0] if lines.text else ""
     if not head.startswith("#") or len(head) < 2:
         lines.fail(1, f"'{head[:20]}' is not the start of an SP3 file, which is '#c' or the like")

@@ -43,6 +43,7 @@ def _listened(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Arr
     number = jnp.arange(wants.shape[0], dtype=jnp.int32)
 
     def busy(begin: Array) -> Array:
+        """Return whether an audible vehicle began before this one and still sends."""
         theirs = begin.at[neighbour].get(mode="promise_in_bounds")
         sends = hears & wants.at[neighbour].get(mode="promise_in_bounds")
         # Of two that start at the same time, the lower number is first.

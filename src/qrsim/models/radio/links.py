@@ -165,11 +165,12 @@ def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
 def _disturbance(
     network: Channel, power: Array, begin: Array, sends: Array, there: Array, comes: Array
 ) -> tuple[Array, Array]:
-    """Return the power (K, n) [mW] of all others while a packet comes in, and who sends itself then."""
+    """Return the power (K, n) [mW] of other packets during each packet, and whether its receiver sends then."""
     air, period = network.air_time, network.mac.period
     theirs = begin.at[there].get(mode="promise_in_bounds")
 
     def together(one: Array, other: Array) -> Array:
+        """Return whether two packets that begin at these times overlap."""
         apart = jnp.abs(one - other)
         # What goes on at the end of a period disturbs the beginning of the next, which is as any other.
         apart = jnp.minimum(apart, period - apart) if network.mac.type == "aloha" else apart

@@ -153,6 +153,7 @@ class Network(Channel, Radio):
         place = jnp.where(here, jnp.minimum(length, queue - 1), -1)[None]
 
         def put(rows: Array, new: Array) -> Array:
+            """Return the queue with a new row at the first free place; a full one loses its oldest."""
             shifted = _shifted(rows, full)
             at = place if rows.ndim == 2 else place[:, None]
             number = row if rows.ndim == 2 else row[:, None]
@@ -222,6 +223,7 @@ class Network(Channel, Radio):
 
     @staticmethod
     def _stream(keys: StreamKeys, which: int, ids: object, frame: object) -> Stream:
+        """Return the random stream of one purpose for senders in a frame."""
         low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
@@ -233,6 +235,7 @@ class Network(Channel, Radio):
         return self._stream(keys, which, receiver, frame), sender
 
     def _chance(self, keys: StreamKeys, near: Neighbours, ids: object, frame: Array) -> Array:
+        """Return a uniform number in [0, 1) for each pair of receiver and sender in a frame."""
         stream, sender = self._pair(keys, PACKET, near, ids, frame)
         return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
 
@@ -288,6 +291,7 @@ def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants
     """Return the counts with the outcomes of a period's packets added."""
 
     def of(outcome: int) -> Array:
+        """Return the number of links (n,) with an outcome."""
         return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0, dtype=jnp.int32)
 
     return replace(

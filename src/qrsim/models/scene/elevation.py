@@ -229,6 +229,7 @@ def _help_to_cover(file: str, found: Elevations, origin: tuple[float, float], bo
 
 
 def _extent(rows: Float64, columns: Float64, first: str, second: str, unit: str, form: str) -> str:
+    """Return the extent of rows and columns in words."""
     parts = [
         f"{name} {format(values.min(), form)} to {format(values.max(), form)}"
         for name, values in ((first, rows), (second, columns))
@@ -294,6 +295,7 @@ def _upwards(found: Elevations) -> Elevations:
 
 
 def _from_archive(file: str, data: bytes) -> Elevations:
+    """Return the elevations in a .npz archive; raise UsageError for missing or wrong arrays."""
     content = read_arrays(file, data, MOST_HEIGHTS)
     frame: Frame = "geodetic" if "latitude_deg" in content else "local"
     wanted = (*KEYS[frame], "height")
@@ -381,6 +383,7 @@ def _is_name(word: str) -> bool:
 
 
 def _number(file: str, name: str, text: str) -> float:
+    """Return a number of an ASCII grid's header; raise UsageError for one that cannot be."""
     try:
         number = float(text)
     except ValueError:

@@ -78,6 +78,7 @@ class ElevationFile:
         return self._read(site, box)[1]
 
     def _read(self, site: Site, box: Bounds | None) -> tuple[GridGround, tuple[str, ...]]:
+        """Return the ground and its notes, read once; raise the UsageError of the first reading again."""
         # A scenario is checked before it is built, and its files are read for both.
         found = _made(self, site, box, self._stamps())
         if isinstance(found, UsageError):

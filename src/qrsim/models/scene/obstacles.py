@@ -94,6 +94,7 @@ class Obstacles:
 
 
 def _as_columns(item: T) -> T:
+    """Return a record of arrays (k,) with arrays (k, 1), to broadcast against vehicles."""
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
@@ -104,4 +105,5 @@ def _beyond(value: Array, low: Array, high: Array) -> Array:
 
 
 def _length(x: Array, y: Array, z: Array) -> Array:
+    """Return the length of vectors, without a slope of NaN at zero."""
     return length_of(library_of(x), x * x + y * y + z * z)

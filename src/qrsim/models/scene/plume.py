@@ -76,6 +76,7 @@ class Wind:
 
 
 def _count(which: str) -> int:
+    """Return the declaration of a setting that is a number of sources."""
     return setting(default=1, unit="1", doc=f"{which} sources of an episode", minimum=1, maximum=100)
 
 

@@ -135,6 +135,7 @@ class Pieces:
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
+    """Return the distance of values outside the range from low to high; 0 inside."""
     return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
 
 
@@ -155,7 +156,7 @@ class Prisms:
 
     @property
     def count(self) -> int:
-        """Number of pieces (T)."""
+        """Number of trapezoids (T) that the prisms consist of."""
         return int(self.pieces.south.shape[0]) - (self.near is not None)
 
     def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:
@@ -190,6 +191,7 @@ class Prisms:
 
 
 def _finite(lib: ModuleType, value: Array) -> Array:
+    """Return values with 0 where they are not finite."""
     return lib.where(lib.isfinite(value), value, 0.0)
 
 
@@ -277,6 +279,7 @@ def prisms_of(
 
 
 def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pieces:
+    """Return trapezoids (T, 6), with heights and prism numbers (T,), as a record."""
     column = [np.ascontiguousarray(part) for part in flat.T]
     ends = (top, bottom, number)
     return record_of(Pieces, column[0], column[1], (column[2], column[3]), (column[4], column[5]), *ends)

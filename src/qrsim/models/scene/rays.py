@@ -65,6 +65,7 @@ def can_hide(obstacles: Obstacles, ground: Ground) -> bool:
 
 
 def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
+    """Return the common shape of the rays."""
     return jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
 
 
@@ -116,6 +117,7 @@ def _met_before(met: Array, owner: Array) -> Array:
 
 
 def _as_columns(solids: object, column: tuple[int, ...]) -> object:
+    """Return the arrays of solids in the shape ``column``, to broadcast against rays."""
     import jax
 
     return jax.tree.map(lambda leaf: jnp.reshape(jnp.asarray(leaf), column), solids)
@@ -146,6 +148,7 @@ def _above(start: Array, rate: Array) -> Span:
 
 
 def _all(*spans: Span) -> Span:
+    """Return the intersection of spans: the part of each ray that is in all of them."""
     low, high = spans[0]
     for first, last in spans[1:]:
         low, high = jnp.maximum(low, first), jnp.minimum(high, last)
@@ -153,6 +156,7 @@ def _all(*spans: Span) -> Span:
 
 
 def _in_boxes(boxes: Any, origin: Vec3, ray: Vec3) -> Span:
+    """Return the span (low, high) of each ray inside each box, low above high if it misses."""
     return _all(
         _between(origin.x, ray.x, boxes.x_min, boxes.x_max),
         _between(origin.y, ray.y, boxes.y_min, boxes.y_max),
@@ -161,6 +165,7 @@ def _in_boxes(boxes: Any, origin: Vec3, ray: Vec3) -> Span:
 
 
 def _in_cylinders(cylinders: Any, origin: Vec3, ray: Vec3) -> Span:
+    """Return the span (low, high) of each ray inside each upright cylinder, low above high if it misses."""
     x, y = origin.x - cylinders.x, origin.y - cylinders.y
     square = ray.x * ray.x + ray.y * ray.y
     upright = square <= _ALONG
@@ -176,6 +181,7 @@ def _in_cylinders(cylinders: Any, origin: Vec3, ray: Vec3) -> Span:
 
 
 def _in_pieces(pieces: Any, origin: Vec3, ray: Vec3) -> Span:
+    """Return the span (low, high) of each ray inside each trapezoid of a prism."""
     tall = pieces.north - pieces.south
     spans = [_between(origin.x, ray.x, pieces.south, pieces.north)]
     for (low, high), sign in ((pieces.west, 1.0), (pieces.east, -1.0)):

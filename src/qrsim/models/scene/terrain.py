@@ -82,6 +82,7 @@ class PatchyGround(GroundCover):
         return jax.tree.map(lax.stop_gradient, self)._grown(draw)
 
     def _grown(self, draw: Draw) -> TerrainState:
+        """Return the cells with patches of clutter, then of occlusion, grown to their shares."""
         cells = jnp.full((self.side, self.side), CLEAR, jnp.int32)
         first = jnp.int32(0)
         for number, share in ((CLUTTER, self.clutter_share), (OCCLUSION, self.occlusion_share)):

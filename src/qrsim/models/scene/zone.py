@@ -220,6 +220,7 @@ def in_polygon(corners: Sequence[Point], north: float, east: float) -> bool:
 
 
 def _edges(ring: tuple[Point, ...]) -> list[tuple[Point, Point]]:
+    """Return the edges of a closed ring, each from one corner to the next."""
     return list(zip(ring, (*ring[1:], ring[0]), strict=True))
 
 

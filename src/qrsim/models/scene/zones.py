@@ -250,6 +250,7 @@ class ZonesArea(Area):
         )
 
     def _checks(self, position_ned: Vec3, left: Callable[[Array], Array]) -> list[tuple[int, Array, Array]]:
+        """Return the stop conditions (n,) of zones and heights: (code, value, broken)."""
         z = position_ned.z
         vertical = (reason_code("out_of_area", "position_ned.z"), z, (z < self.z_min) | (z > self.z_max))
         if self.breach == "report" or not self.sets:
@@ -327,11 +328,13 @@ def sets_of(zones: Sequence[Zone]) -> tuple[ZoneSet, ...]:
 
 
 def _walls(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Walls | None:
+    """Return the sides of polygons as one record, None without any."""
     sides = sides_of(polygons, zones)
     return record_of(Walls, *map(np.ascontiguousarray, sides.T)) if len(sides) else None
 
 
 def _circles(circles: Sequence[Zone]) -> Circles | None:
+    """Return circular zones as one record, None without any."""
     if not circles:
         return None
     rows = np.array([(*zone.centre, zone.radius, *heights_of(zone)) for zone in circles])
@@ -339,6 +342,7 @@ def _circles(circles: Sequence[Zone]) -> Circles | None:
 
 
 def _outlines(zones: Sequence[Zone]) -> Outlines:
+    """Return corners, rings and numbers of all zones as arrays, for pictures and logs."""
     rings = [(i, ring) for i, zone in enumerate(zones) for ring in zone.rings]
     corners = np.array([corner for _, ring in rings for corner in ring], np.float64).reshape(-1, 2)
     sizes = [len(ring) for _, ring in rings]

@@ -18,6 +18,7 @@ from qrsim.models.sensors.quantization import quantized
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
+    """Return the declaration of a parameter from 0, with the usual sensor's number as default."""
     return parameter(default=default_airspeed(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -126,6 +127,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> AirspeedReading:
+        """Return the reading for a state and a normal (n,): pressure with its errors, then speed."""
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         true = 0.5 * density * (speed * speed) * jnp.where(speed > 0.0, 1.0, -jnp.asarray(self.reverse))

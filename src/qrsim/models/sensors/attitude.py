@@ -54,6 +54,7 @@ class AttitudeEstimator(Sensor):
 
     @staticmethod
     def _read(error: Vec3, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
+        """Return the state and the reading of a true attitude with an error [rad]."""
         yaw = wrap_angle(attitude.yaw + error.z)
         estimate = Euler(attitude.roll + error.x, attitude.pitch + error.y, yaw)
         return AttitudeState(error), AttitudeReading(estimate)

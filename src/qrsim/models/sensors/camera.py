@@ -122,6 +122,7 @@ class PersonClassifier:
         """Return ln N(score; person) - ln N(score; none)."""
 
         def log_density(mean: Array, std: Array) -> Array:
+            """Return the logarithm of a normal density at the score, without its constant."""
             offset = (score - mean) / std
             return -0.5 * offset * offset - log(std)
 
@@ -238,6 +239,7 @@ class Camera(Sensor):
         side = jnp.sqrt(0.5 * jnp.abs(doubled))
 
         def cut(length: int, most: int) -> tuple[Array, Array, Array]:
+            """Return number and length of windows along one side of the picture, and the margin."""
             count = jnp.clip(jnp.round(length / side), 1.0, most)
             window = jnp.floor(length / count)
             return count, window, jnp.floor(0.5 * (length - window * jnp.floor(length / window)))
@@ -293,6 +295,7 @@ class Camera(Sensor):
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
+        """Return whether pixel coordinates are within the picture."""
         return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
 
 

@@ -128,6 +128,7 @@ def fault_numbers(
     kind = kind_of(word)
 
     def number(name: str, default: float) -> float:
+        """Return a given number of the fault, or a default."""
         value = given.get(name)
         return default if value is None else float(value)
 

@@ -102,6 +102,7 @@ class _Fault:
 
     @property
     def _repeats(self) -> bool:
+        """True if the fault can hold a reading back, so that the last ones must be kept."""
         raise NotImplementedError
 
     def _delivered(
@@ -127,6 +128,7 @@ class _Fault:
 
     @property
     def _order(self) -> int:
+        """Number of the fault among those of its sensor, for its random numbers."""
         return 0
 
     # ---- output while it is active ----
@@ -216,6 +218,7 @@ class Fault(_Fault):
         return self.kind in RANDOM
 
     def _is(self, kind: Kind) -> bool | Array:
+        """Return whether the fault is of a kind."""
         return self.kind == kind
 
     def kinds_of(self, count: int) -> list[Kind]:
@@ -260,6 +263,7 @@ class FaultSlot(_Fault):
     _repeats = True
 
     def _is(self, kind: Kind) -> bool | Array:
+        """Return for each vehicle (n,) whether its fault is of a kind."""
         if kind == "delayed" and not self.remembered:
             return False
         return self.kinds == KINDS.index(kind)
@@ -280,6 +284,7 @@ class FaultSlot(_Fault):
         active, of = self.active(tick), tick if late is None else late.taken
 
         def choose(known: FaultMemory | None) -> T:
+            """Return the faulty reading for affected vehicles, computed only if there are any."""
             output = lambda: select(active, self._output(reading, known, of, draw), reading)  # noqa: E731
             chosen: T = lax.cond(jnp.any(active), output, lambda: reading)
             return chosen
@@ -288,6 +293,7 @@ class FaultSlot(_Fault):
 
 
 def _dtype(reading: Any) -> Any:
+    """Return the type of the first array in a reading."""
     return jax.tree.leaves(reading)[0].dtype
 
 

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import reduce
+from operator import add
 from typing import Any, ClassVar, Literal, cast
 
 import jax.numpy as jnp
@@ -45,10 +47,12 @@ Six = tuple[Array, ...]
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
+    """Return the declaration of a parameter from 0, with the usual sensor's number as default."""
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
 def _structure(name: str, unit: str, doc: str) -> float:
+    """Return the declaration of a setting from 0, with the usual sensor's number as default."""
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -154,7 +158,7 @@ class Imu(Sensor):
     def bias(self, state: ImuState) -> tuple[Vec3, Vec3]:
         """Return the true bias (n,) of gyroscope [rad/s] and accelerometer [m/s^2]."""
         found = [
-            scale * _sum(slow) + walk
+            scale * reduce(add, slow) + walk
             for scale, slow, walk in zip(self.bias_scale, state.wandering, state.walk, strict=True)
         ]
         return Vec3(*found[:3]), Vec3(*found[3:])
@@ -241,6 +245,7 @@ class Imu(Sensor):
 
     @property
     def _shakes(self) -> bool:
+        """True if the sensor vibrates."""
         return self.vibration != "none"
 
     def _measure(
@@ -304,6 +309,7 @@ class Imu(Sensor):
         return k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
 
     def _at_rest(self, values: Six) -> tuple[tuple[Array, Array], ...]:
+        """Return the state of the low-pass filter after long constant input, for each of six values."""
         b0, _, a2 = self._low_pass(self.period / self.subsamples)
         return tuple((x * (1.0 - b0), x * (b0 - a2)) for x in values)
 
@@ -359,11 +365,5 @@ def _rows(given: Iterator[Array], diagonal: Array, beside: Array) -> tuple[Vec3,
 
 
 def _times(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
+    """Return the product of a matrix, given by its rows, and a vector."""
     return Vec3(*(row.dot(vector) for row in rows))
-
-
-def _sum(values: Six) -> Array:
-    total = values[0]
-    for value in values[1:]:
-        total = total + value
-    return total

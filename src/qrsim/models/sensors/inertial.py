@@ -27,6 +27,7 @@ class AccelerometerReading:
 
 
 def _with_white(value: Vec3, std: Array, draw: Noise) -> Vec3:
+    """Return a vector with white noise of a standard deviation added to each axis."""
     x, y, z = draw.normals(3)
     return Vec3(value.x + std * x, value.y + std * y, value.z + std * z)
 

@@ -35,10 +35,12 @@ Rows = tuple[Vec3, Vec3, Vec3]
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
+    """Return the declaration of a parameter from 0, with the usual sensor's number as default."""
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
 def _structure(name: str, unit: str, doc: str) -> float:
+    """Return the declaration of a setting from 0, with the usual sensor's number as default."""
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -186,6 +188,7 @@ class Magnetometer(Sensor):
     def _measured(
         self, state: MagnetometerState, normals: tuple[Array, ...], position_ned: Vec3, attitude: Euler, load: Load
     ) -> MagnetometerReading:
+        """Return the reading for a state and normals: field in body axes [uT] with all its errors."""
         field = true_field_body(self.earth_field_ned, self.steel, position_ned, attitude)
         thrust = load.per_weight(position_ned.x)
         spread = self.noise * (1.0 / math.sqrt(self.period))
@@ -231,4 +234,5 @@ def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitu
 
 
 def _vector(given: Iterator[Array], std: Array | float) -> Vec3:
+    """Return a vector of the next three normals times a standard deviation."""
     return Vec3(*(std * next(given) for _ in range(_AXES)))

@@ -54,10 +54,12 @@ class NeighboursReading(Explained):
 
 
 def _slots() -> int:
+    """Return the declaration of the setting K, the number of neighbours in a reading."""
     return setting(default=4, unit="1", doc="largest number of neighbours in a reading (K)", minimum=1, maximum=MOST)
 
 
 def _velocity() -> bool:
+    """Return the declaration of the setting that adds relative velocities to readings."""
     return setting(default=False, doc="readings contain the relative velocity of neighbours")
 
 
@@ -262,6 +264,7 @@ def _in_axes(direction: Rotation, vector_ned: Vec3) -> Vec3:
 
 
 def _joined(one: Vec3, other: Vec3) -> Vec3:
+    """Return two vectors of arrays, one array behind the other."""
     return Vec3(*(jnp.concatenate(both) for both in zip(one.axes, other.axes, strict=True)))
 
 

@@ -37,6 +37,7 @@ PRESETS: Presets = {
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
+    """Return the declaration of a parameter, with the PMW3901's number as default."""
     return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)
 
 

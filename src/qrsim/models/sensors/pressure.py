@@ -23,6 +23,7 @@ from qrsim.models.vehicles.contracts import Load
 
 
 def _port(side: str) -> Array:
+    """Return the declaration of the pressure coefficient of the port for air from one side."""
     return parameter(
         default=-0.1, unit="1", doc=f"pressure at the port relative to the dynamic pressure, for air {side}"
     )

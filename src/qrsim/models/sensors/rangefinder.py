@@ -35,6 +35,7 @@ Axis = Literal["down", "up", "forward", "backward", "right", "left"]
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
+    """Return the declaration of a parameter, with the usual sensor's number as default."""
     return parameter(default=default_rangefinder(name), unit=unit, doc=doc, **bounds)
 
 

@@ -34,6 +34,7 @@ _STEEPEST = 30.0
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
+    """Return the declaration of a parameter, with the usual sensor's number as default."""
     return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
@@ -287,4 +288,5 @@ def behind(obstacles: Obstacles, ground: Ground, position_ned: Vec3, partners: P
 
 
 def _tuple(rows: Array) -> tuple[Array, ...]:
+    """Return an array (k, n) as k arrays (n,)."""
     return tuple(rows[i] for i in range(rows.shape[0]))

@@ -31,14 +31,17 @@ MOST_RAYS = 720
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
+    """Return the declaration of a parameter, with the usual scanner's number as default."""
     return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
 def _rays(default: int) -> int:
+    """Return the declaration of the setting that is the number of rays."""
     return setting(default=default, unit="1", doc="rays of a scan", minimum=1, maximum=MOST_RAYS)
 
 
 def _field_of_view(default: float) -> float:
+    """Return the declaration of the setting that is the angle of all rays [rad]."""
     return setting(
         default=default,
         unit="rad",
@@ -49,6 +52,7 @@ def _field_of_view(default: float) -> float:
 
 
 def _sees_vehicles(default: bool) -> bool:
+    """Return the declaration of the setting that lets scans include vehicles."""
     return setting(default=default, doc="scans include other vehicles, as spheres of their radius")
 
 
@@ -193,4 +197,5 @@ def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
 
 
 def _reading(rows: Array) -> ScanReading:
+    """Return the reading from distances (rays, n) [m]."""
     return ScanReading(tuple(rows[i] for i in range(rows.shape[0])))

@@ -109,6 +109,7 @@ class _Balance:
         return now
 
     def _north(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> Floats:
+        """Return the specific force to the north [m/s^2] in a wind from the north; 0 in steady flight."""
         return self._at(airspeed, tilt, thrust)[0]
 
     def _at(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> tuple[Floats, Floats]:

@@ -139,6 +139,7 @@ def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
 
 
 def _whole(node: ast.expr) -> bool:
+    """Return whether a node of an expression is an integer from 0 to 9."""
     return isinstance(node, ast.Constant) and isinstance(node.value, int) and 0 <= node.value <= 9
 
 
@@ -157,6 +158,7 @@ def value_at(law: str, leaves: dict[str, Any]) -> float:
 
 
 def _value(node: ast.expr, leaves: Mapping[str, Array]) -> Any:
+    """Return the value of an expression's node, with ``leaves`` as the values of its names."""
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name):

@@ -32,7 +32,7 @@ class RotorFault:
 
     @staticmethod
     def empty(count: int, rotor: int, noticed_ticks: Any) -> RotorFault:
-        """Return that of a rotor of ``count`` vehicles in which nothing is wrong."""
+        """Return the fault of a rotor of ``count`` vehicles with none of them affected."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
         free = np.full(count, FREE)
         return record_of(RotorFault, never, noticed_ticks, never, nobody, np.ones(count), rotor, speed=free)
@@ -54,7 +54,7 @@ class BatteryFault:
 
     @staticmethod
     def empty(count: int) -> BatteryFault:
-        """Return that of ``count`` vehicles in which nothing is wrong."""
+        """Return the fault of ``count`` batteries with none of them affected."""
         never, full = np.full(count, LAST_TICK, np.int32), np.ones(count)
         return record_of(BatteryFault, never, never, np.zeros(count, bool), full, full)
 
@@ -70,6 +70,7 @@ class BatteryFault:
         return None if voltage is None else jnp.where(self._weak(tick), voltage * self.health, voltage)
 
     def _weak(self, tick: Array) -> Array:
+        """Return for each vehicle (n,) whether its battery is weak at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick) & (self.health < 1.0)
 
 
@@ -85,7 +86,7 @@ class Push:
 
     @staticmethod
     def empty(count: int) -> Push:
-        """Return that of ``count`` vehicles that nothing pushes."""
+        """Return the push of ``count`` vehicles with none of them pushed."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
         return record_of(Push, never, never, nobody, *(Vec3(*np.zeros((3, count))) for _ in range(2)))
 

@@ -76,6 +76,7 @@ class LithiumCells(Battery):
 
 
 def _power(load: Load) -> Array:
+    """Return the electric power [W] of a load; the vehicle must state one."""
     # A scenario with another vehicle is refused.
     assert load.power is not None
     return load.power

@@ -109,6 +109,7 @@ class RecordedPath:
         moves = jnp.where((along >= 0.0) & (along <= 1.0), 1.0, 0.0).astype(s.dtype)
 
         def cubic(values: Array, slopes: Array) -> tuple[Array, Array]:
+            """Return value and slope of the Hermite cubic between two samples."""
             values, slopes = jnp.asarray(values), jnp.asarray(slopes)
             start, way = values[before], values[before + 1] - values[before]
             first, second = slopes[before] * interval, slopes[before + 1] * interval

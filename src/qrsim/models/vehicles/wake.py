@@ -111,9 +111,11 @@ def first_jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Arr
 
 
 def _exhaust(wake: Wake, thrust: Array) -> Array:
+    """Return the speed [m/s] of the air behind the rotor disc for a thrust [N], by momentum theory."""
     return jnp.sqrt(2.0 * jnp.maximum(thrust, 0.0) / (AIR_DENSITY * wake.disc_area))
 
 
 def _profile(middle: Array, width: Array, along: Array, beside_squared: Array) -> Array:
+    """Return the speed in a jet at a squared distance from its axis; 0 upstream."""
     shape = 1.0 + _PROFILE * beside_squared / (width * width)
     return jnp.where(along > 0.0, middle / (shape * shape), 0.0)

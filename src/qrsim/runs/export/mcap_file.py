@@ -157,7 +157,7 @@ def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]
 
 
 def _range_spread(run: Run, sensor: str) -> float:
-    """Return the std of a pseudorange's error [m] by the scenario, shared and own; NaN where it does not say so.
+    """Return the std of a pseudorange's error [m] in the scenario, shared and own; NaN if it has none.
 
     With fleets of different receivers it is the largest.
     """

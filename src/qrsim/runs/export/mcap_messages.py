@@ -105,6 +105,7 @@ def messages_of(run: Run, place: Place, every: int, group: Group) -> Iterator[Me
 
 
 def _put(content: Content, path: tuple[str, ...], value: object) -> None:
+    """Set a value at a path in nested dicts."""
     for word in path[:-1]:
         content = content.setdefault(word, {})
     content[path[-1]] = value

@@ -80,7 +80,7 @@ class Track:
 
     @property
     def title(self) -> str:
-        """Name for people."""
+        """Name in the exported file."""
         return f"{self.vehicle} {self.sensor or 'true'}"
 
 
@@ -97,7 +97,7 @@ class Mark:
 
     @property
     def title(self) -> str:
-        """Name for people."""
+        """Name in the exported file."""
         return self.event.kind if self.event.vehicle is None else f"{self.event.vehicle} {self.event.kind}"
 
 

@@ -67,7 +67,7 @@ class Graph:
 
     @property
     def size(self) -> int:
-        """Numbers per state, D."""
+        """Number of unknowns of a state, D: vehicle, and biases if they are states."""
         return self.base + 2 * self.bias
 
     def cost(self, x: Floats, landmarks: Floats) -> float:

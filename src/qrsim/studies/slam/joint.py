@@ -60,7 +60,7 @@ class JointGraph:
 
     @property
     def size(self) -> int:
-        """Unknowns of a block."""
+        """Number of unknowns of a time's block: the states of all vehicles, and a common bias."""
         return len(self.graphs) * self.graphs[0].size + 2 * (self.common is not None)
 
     def columns(self, vehicle: int) -> npt.NDArray[np.int64]:

@@ -134,7 +134,7 @@ def _triangular(factor: Floats, right: Floats, trans: str) -> Floats:
 
 
 def reduce(normal: Normal, damping: Damping) -> Reduced:
-    """Eliminate the states.
+    """Return the normal equations with all states eliminated: the Schur complement of the landmarks.
 
     Raises:
         LinAlgError: the matrix is not positive definite.

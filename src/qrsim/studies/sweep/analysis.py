@@ -145,6 +145,7 @@ class Boundary:
         return low, high
 
     def _terms(self, values: NumpyArray) -> NumpyArray:
+        """Return the terms of the logistic model at points (k, parameters), scaled as in the fit."""
         return terms((values - self.middle) / self.scale, self.squares)
 
     def crossing(self, number: int) -> tuple[float, float, float] | None:
@@ -188,6 +189,7 @@ class Boundary:
 
 
 def _half(values: NumpyArray, score: NumpyArray) -> float | None:
+    """Return the value where the score first crosses 0, interpolated; None if it does not."""
     crossings = np.flatnonzero(np.diff(np.signbit(score)))
     if not len(crossings):
         return None
@@ -241,6 +243,7 @@ class _Counts:
         self.flown, self.failed = self._count(np.ones(self._seeds if self._seeds > 1 else len(first)))
 
     def _count(self, weights: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
+        """Return episodes and failed episodes at each point, weighted: by seed if there are several."""
         weight = weights[self._seed if self._seeds > 1 else self._point]
         return np.bincount(self._point, weight), np.bincount(self._point, weight * self._failed)
 
@@ -260,6 +263,7 @@ def _fit(
     total = flown.sum()
 
     def loss(coefficients: NumpyArray) -> tuple[float, NumpyArray]:
+        """Return the penalised mean negative log-likelihood of coefficients, and its gradient."""
         score = rows @ coefficients
         unlikely = flown * np.logaddexp(0.0, score) - failed * score
         slope = rows.T @ (flown * _logistic(score) - failed)

@@ -104,6 +104,7 @@ def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> I
 
 
 def _reason(error: Exception) -> str:
+    """Return the first line of an error, or its type if it has no text."""
     return str(error).partition("\n")[0] or type(error).__name__
 
 

@@ -32,6 +32,7 @@ def _name(figure: Figure, results: Results, what: str) -> None:
 
 
 def _metric(results: Results, name: str) -> str:
+    """Return the label of a metric's axis: name and unit."""
     unit = results.unit(name)
     return f"{name} [{unit}]" if unit != "1" else name
 
@@ -62,6 +63,7 @@ def edges(parameter: Parameter) -> NumpyArray:
 
 
 def _name_levels(axis: Any, parameter: Parameter) -> None:
+    """Write the levels of a parameter that is not a number at an axis."""
     if not parameter.numeric:
         texts = [text if len(text) < 24 else f"{text[:21]}..." for text in parameter.levels]
         axis.set_ticks(_places(parameter), texts)

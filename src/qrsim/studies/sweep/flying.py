@@ -15,7 +15,8 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.errors import QrsimError
 from qrsim.studies.sweep.job import Job, goals
 from qrsim.studies.sweep.metrics import METRICS, Metric, of_episodes
-from qrsim.studies.sweep.plan import TRACK, track_ticks
+from qrsim.studies.sweep.plan import TRACK
+from qrsim.world.state import period_ticks
 
 # The engine keeps its programs in one place for a process.
 _ALONE = threading.Lock()
@@ -46,6 +47,7 @@ def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
 
 @lru_cache(maxsize=8)
 def _group(dumped: bytes) -> Any:
+    """Unpickle a group in a worker, with its components from outside; kept for the next batches."""
     from qrsim.errors import UsageError
     from qrsim.scenarios.providing import provide_components
 
@@ -79,7 +81,7 @@ def _function(what: str, source: str, digest: str) -> Any:
 
 
 def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
-    """Return the user's metrics of a job, and what each of its numbers is of an episode."""
+    """Return the user's metrics object of a job, and its ``Metric`` by name."""
     from qrsim.studies.sweep.study import OWN
 
     if job.own_metrics is None:
@@ -114,7 +116,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
             setup, fixed, own = setup_of(worlds, **functions, policy_ticks=job.policy_ticks)
         else:
             setup, fixed, own = _stacked(group, job, functions)
-        every = 0 if job.track is None else track_ticks(job.track, group.time_step)
+        every = 0 if job.track is None else period_ticks(job.track, group.time_step)
         record = _recorder(job.group) if every else None
         engine = Engine(setup, group.world, fixed, own, Schedule(group.ticks, every), record, None, lambda done: None)
         found, recorded = engine.fly(np.arange(len(job.seeds)), job.seeds, np.zeros_like(job.seeds))
@@ -146,6 +148,7 @@ def _recorder(dumped: bytes) -> Any:
     world = _group(dumped).world
 
     def place(state: Any) -> Any:
+        """Return north, east, down [m] and charge of all vehicles."""
         positions = [fleet.vehicle.position_ned for fleet in state.fleets]
         axes = [jnp.concatenate([getattr(position, axis) for position in positions]) for axis in "xyz"]
         return (*axes, charges(world, state))

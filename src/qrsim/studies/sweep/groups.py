@@ -69,6 +69,7 @@ class Group:
 
     @cached_property
     def _leaves(self) -> tuple[list[NumpyArray], PyTreeDef]:
+        """The leaves of the world as arrays, and its structure."""
         leaves, structure = jax.tree.flatten(self.world)
         return [np.asarray(leaf) for leaf in leaves], structure
 
@@ -172,6 +173,7 @@ def _mixed(axes: tuple[Axis, ...]) -> list[Content]:
 
 
 def _alike(group: Group, base: Content, values: Mapping[str, object], precision: str) -> bool:
+    """Return whether a world made from arrays equals, bit by bit, the one built from the scenario."""
     structure, fixed, own, which = group.varied({path: np.array([value], float) for path, value in values.items()})
     shares, owns = iter(fixed), iter(own)
     mine = [next(owns)[0] if varies else next(shares) for varies in which]
@@ -181,6 +183,7 @@ def _alike(group: Group, base: Content, values: Mapping[str, object], precision:
 
 
 def _same_bits(one: object, other: object) -> bool:
+    """Return whether two numbers or arrays have the same bytes."""
     return bool(np.asarray(one).tobytes() == np.asarray(other).tobytes())
 
 
@@ -203,6 +206,7 @@ def _places(
 
 
 def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
+    """Return where in the world the number of an axis is, found by changing it; None if it is nowhere alone."""
     low, high = axis.ends()
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
@@ -215,12 +219,14 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
 
 
 def _in_world(value: Any, step: float, in_degrees: bool) -> Any:
+    """Return the number in the world for a value of a scenario: in radians, in ticks or unchanged."""
     if in_degrees:
         return math.radians(value)
     return round(value / step) if step else value
 
 
 def _middle(axis: Axis) -> object:
+    """Return the value in the middle of an axis."""
     if axis.values is None:
         return float(in_ticks(np.array(0.5 * (axis.low + axis.high)), axis.step))
     return sorted(axis.values)[len(axis.values) // 2]

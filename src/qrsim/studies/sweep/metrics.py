@@ -37,6 +37,8 @@ class Metric:
 
 
 def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
+    """Return a function that reduces a value of each vehicle to one of each episode, without NaN."""
+
     def of(found: Found) -> NumpyArray:
         with warnings.catch_warnings():
             # A vehicle without a value does not count; an episode in which nobody has one has none.
@@ -57,6 +59,8 @@ def _root_mean_square(values: NumpyArray, axis: int) -> NumpyArray:
 
 
 def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
+    """Return a function that counts the vehicles of each episode that stopped by some kinds, or by any."""
+
     def of(found: Found) -> NumpyArray:
         from qrsim.models.scene.area import REASONS
 
@@ -67,17 +71,19 @@ def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
 
 
 def _not_finished(found: Found) -> NumpyArray:
+    """Return the number of vehicles of each episode that have not finished their mission."""
     # NaN for a vehicle without a mission, such as the station of a radio.
     return np.sum(np.asarray(found["finished"]) == 0.0, axis=1).astype(np.float64)
 
 
 def _end_error(found: Found) -> NumpyArray:
+    """Return the root mean square over vehicles of the distance to the goal at the end [m]."""
     offset = np.asarray(found["position_ned"], np.float64) - found["goal_ned"]
     return _root_mean_square(np.sqrt(np.sum(offset * offset, axis=-1)), axis=1)
 
 
 def _of_narrowest(margin: str, part: str) -> Callable[[Found], NumpyArray]:
-    """Return what gives a part of the narrowest margin: its time or leg, or the number of the vehicle."""
+    """Return a function for a part of the narrowest margin: its time or leg, or the number of the vehicle."""
 
     def of(found: Found) -> NumpyArray:
         values = np.asarray(found[f"{margin}_m"], np.float64)
@@ -92,6 +98,7 @@ def _of_narrowest(margin: str, part: str) -> Callable[[Found], NumpyArray]:
 
 
 def _mission(metric: Metric) -> Metric:
+    """Return a metric as one that needs a mission."""
     return replace(metric, mission=True)
 
 

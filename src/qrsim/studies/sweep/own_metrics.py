@@ -24,7 +24,7 @@ EXAMPLE = "numbers = {'speed_max_m_s': {'unit': 'm/s', 'doc': 'largest speed', '
 
 
 def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
-    """Load a user's metrics, and say what each of its numbers is of an episode.
+    """Load a user's metrics object; return it and its ``Metric`` by name.
 
     Args:
         source: FILE.py:NAME, MODULE:NAME, or a registered name of kind ``metric``.
@@ -40,6 +40,7 @@ def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
 
 
 def _metric(source: str, name: str, about: object) -> Metric:
+    """Return a metric of the user's class; raise UsageError for a wrong name, unit, doc or reduction."""
     where = f"own_metrics: {source}: numbers: {name}"
     if name in METRICS or not name.isidentifier():
         raise UsageError(f"{where}: the name is {'a built-in metric' if name in METRICS else 'no name'}; give another")
@@ -58,7 +59,7 @@ def _metric(source: str, name: str, about: object) -> Metric:
 
 
 def _episode(source: str, name: str, reduce: Callable[..., NumpyArray]) -> Callable[[Found], NumpyArray]:
-    """Return what makes a number of each episode (W,) of those of its vehicles (W, n), or of itself."""
+    """Return a function that reduces a number of vehicles (W, n) to episodes (W,), or returns one that is (W,)."""
 
     def of(found: Found) -> NumpyArray:
         if name not in found:
@@ -85,11 +86,11 @@ class BothMetrics:
         self.first, self.second = first, second
 
     def init(self, world: Any, state: Any) -> Any:
-        """Start both."""
+        """Return the initial memories of built-in and user's metrics."""
         return self.first.init(world, state), self.second.init(world, state)
 
     def update(self, memory: Any, world: World, state: Any, tick: Any) -> Any:
-        """Update both."""
+        """Return the memories of built-in and user's metrics after a tick."""
         return self.first.update(memory[0], world, state, tick), self.second.update(memory[1], world, state, tick)
 
     def finish(self, memory: Any, world: World, state: Any) -> dict[str, Any]:

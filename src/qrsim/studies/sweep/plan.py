@@ -17,6 +17,7 @@ from qrsim.studies.sweep.axes import Axis
 from qrsim.studies.sweep.groups import Group
 from qrsim.studies.sweep.sampling import Sample
 from qrsim.studies.sweep.study import BASELINE, Study
+from qrsim.world.state import period_ticks
 
 SEED, POINT, TRACK = "seed", "point", "track"
 # A batch is about a second of work for a core, and a small study has some batches all the same.
@@ -94,7 +95,7 @@ class Plan:
         if every is None:
             return ()
         groups = self.groups.values()
-        records = {group.ticks // track_ticks(every, group.time_step) + 1 for group in groups}
+        records = {group.ticks // period_ticks(every, group.time_step) + 1 for group in groups}
         vehicles = {group.vehicles for group in groups}
         if len(records) > 1 or len(vehicles) > 1:
             raise UsageError("track: all conditions need one duration and the same vehicles")
@@ -185,6 +186,7 @@ class Plan:
                 yield axis, rows[axis.path], len(self.crossed)
 
     def _of(self, axis: Axis, part: slice) -> NumpyArray:
+        """Return the values of a part of an axis; numbers of the choices if it changes the structure."""
         assert axis.values is not None
         if axis.path in self.structural:
             return np.arange(part.start, part.stop)
@@ -209,11 +211,6 @@ class Plan:
             for axis in self.sampled:
                 found[axis.path] = axis.values[point] if axis.values else float(rows[axis.path][0])
         return {axis.path: found[axis.path] for axis in self.axes}
-
-
-def track_ticks(every: float, time_step: float) -> int:
-    """Return the number of ticks from one record of a track to the next, for an interval and a step [s]."""
-    return max(1, round(every / time_step))
 
 
 def choices(axes: tuple[Axis, ...], listed: bool) -> Iterator[tuple[tuple[int, ...], Content]]:

@@ -44,6 +44,7 @@ class _Policy(BaselinePolicy):
     """A baseline that begins anew without being compiled anew."""
 
     def again(self, seed: int) -> None:
+        """Begin an episode with another seed."""
         self.seed, self._memory = seed, None
         self._baseline = baseline(self.play, seed)
 
@@ -60,7 +61,7 @@ class _Point:
         self.policy = _Policy(self.play)
 
     def episode(self, seed: int) -> dict[str, NumpyArray]:
-        """Fly an episode."""
+        """Fly an episode of the baseline; return its metrics, each (1, ...), with the goals."""
         simulation, world = self.simulation, self.world
         simulation.reset(seed=seed)
         self.policy.again(seed)

@@ -134,6 +134,7 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, obje
     """Return the values of an axis that are not allowed, and why; of a range its ends."""
 
     def wrong(value: object) -> str:
+        """Return the problems of a value with all other conditions; "" if it works with one."""
         found = ""
         for other in others:
             found = "; ".join(faults(content, {**other, axis.path: value}))
@@ -173,10 +174,12 @@ def _by_halving(ordered: Sequence[object], wrong: Callable[[object], str]) -> di
 
 
 def _key(value: object) -> str | int | float:
+    """Return a value as the key of a dict, its text if it cannot be one."""
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
 def _described(axis: Axis, bad: Mapping[object, str]) -> list[str]:
+    """Return a line for each bad value of an axis, the first few of them."""
     total = len(axis.values or ())
     lines = [f"{value!r}: {text}" for value, text in list(bad.items())[:MOST_LISTED]]
     if len(bad) > MOST_LISTED:
@@ -211,6 +214,7 @@ def _is_structural(study: Study, axis: Axis, axes: Sequence[Axis]) -> bool:
 
 
 def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...]) -> dict[tuple[int, ...], Group]:
+    """Return a group for each structural choice, by its numbers; raise ScenarioError for choices that fail."""
     listed = study.spec.sampling is not None and study.spec.sampling.type == "list"
     wrong: list[str] = []
     groups = {}
@@ -230,6 +234,7 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
 
 
 def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]) -> Group:
+    """Return the group of a structural choice: the world, and where the varied numbers are in it."""
     if study.spec.policy != BASELINE:
         return make_group(study.content, chosen, numbers, study.spec.precision)
     # Flown one by one from its scenario.
@@ -243,6 +248,7 @@ def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]
 
 
 def _point(values: Mapping[str, object]) -> str:
+    """Return the values of a point as text."""
     return ", ".join(f"{path} = {value!r}" for path, value in values.items())
 
 

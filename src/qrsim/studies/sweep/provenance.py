@@ -31,6 +31,7 @@ def _source() -> str:
     total = hashlib.sha256()
 
     def add(folder: Traversable, path: str) -> None:
+        """Add the sources of a folder to the digest."""
         for item in sorted(folder.iterdir(), key=lambda item: item.name):
             inner = f"{path}/{item.name}"
             other = inner in WITHOUT or (path == "/apps" and item.name != "sweep")

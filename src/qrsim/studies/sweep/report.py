@@ -53,7 +53,7 @@ class Report:
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Analyse a store.
+    """Return the analysis of a store: responses, boundary, sensitivity and worst episodes.
 
     Args:
         path: of the store.
@@ -95,6 +95,7 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
 
 
 def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | None:
+    """Return the two parameters of the map: the named ones, or two with several levels; None without."""
     for name in names:
         if name not in results.parameters:
             raise UsageError(f"--map {name}: no parameter is called so{did_you_mean(name, results.parameters)}")
@@ -191,11 +192,13 @@ def to_json(report: Report, folder: Path) -> Content:
 
 
 def _response_json(item: analysis.Response) -> Content:
+    """Return the mean and interval of a metric at each level of a parameter, as a dict for JSON."""
     numbers = {name: _plain(getattr(item, name)) for name in ("mean", "low", "high")}
     return {"levels": item.parameter.levels.tolist(), **numbers}
 
 
 def _boundary_json(found: analysis.Boundary) -> Content:
+    """Return a fitted boundary of failure as a dict for JSON."""
     crossings = {p.name: found.crossing(i) for i, p in enumerate(found.parameters)}
     return {
         "terms": "squares" if found.squares else "linear",
@@ -208,6 +211,7 @@ def _boundary_json(found: analysis.Boundary) -> Content:
 
 
 def _sensitivity_json(found: analysis.Sensitivity) -> Content:
+    """Return the Sobol indices of each parameter, with their half intervals, as a dict for JSON."""
     columns = (found.first, found.first_half, found.total, found.total_half)
     names = ("first", "first_half", "total", "total_half")
     return {
@@ -217,6 +221,7 @@ def _sensitivity_json(found: analysis.Sensitivity) -> Content:
 
 
 def _worst_json(report: Report, episode: int, folder: Path) -> Content:
+    """Return seed, values, metrics and the command that repeats an episode, as a dict for JSON."""
     results = report.results
     return {
         "seed": int(results.seeds[episode]),
@@ -228,6 +233,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> Content:
 
 
 def _plain(values: object) -> list[float | None]:
+    """Return numbers as a list for JSON, None for those that are not finite."""
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
@@ -258,7 +264,7 @@ def print_report(report: Report, folder: Path) -> None:
 
 
 def _ranked_by(report: Report) -> str:
-    """Return by what the worst episodes are the worst."""
+    """Return the metrics that rank the worst episodes, in words."""
     parts = []
     for metric, low_is_bad in report.ranking.items():
         unit = report.results.unit(metric)
@@ -269,11 +275,13 @@ def _ranked_by(report: Report) -> str:
 
 
 def _named(results: Results, episode: int) -> Content:
+    """Return the values of an episode by the names that the study gives them."""
     values = results.values_at(episode)
     return {results.spec.vary[path].name or path: value for path, value in values.items()}
 
 
 def _value(value: object) -> str:
+    """Return a value as text of at most 30 characters."""
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 30 else f"{text[:27]}..."
 
@@ -289,6 +297,7 @@ def _print_response(item: analysis.Response, what: str) -> None:
 
 
 def _print_boundary(found: analysis.Boundary | str) -> None:
+    """Print where half of the episodes fail for each parameter, or why there is no boundary."""
     if isinstance(found, str):
         print(f"  none: {found}")
         return
@@ -302,6 +311,7 @@ def _print_boundary(found: analysis.Boundary | str) -> None:
 
 
 def _print_sensitivity(found: analysis.Sensitivity | str) -> None:
+    """Print the first and total Sobol index of each parameter, or why there are none."""
     if isinstance(found, str):
         print(f"  none: {found}")
         return

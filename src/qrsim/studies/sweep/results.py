@@ -54,7 +54,7 @@ class Parameter:
         return np.log(values) if self.log else values
 
     def uneven(self, values: NumpyArray) -> NumpyArray:
-        """Invert ``even``."""
+        """Return values from their even scale: the exponential for a logarithmic parameter."""
         return np.exp(values) if self.log else values
 
     @property
@@ -193,6 +193,7 @@ class Results:
         return {name: self._parameter(name) for name in names}
 
     def _parameter(self, name: str) -> Parameter:
+        """Return a parameter of the store: its levels, and which of them each point has."""
         coordinate = self.dataset[name]
         unit = str(coordinate.attrs.get("units", ""))
         numeric = coordinate.dtype.kind in "fiu"

@@ -49,6 +49,7 @@ class Sample:
 
     @cached_property
     def _hypercube(self) -> NumpyArray:
+        """The base points (k, dimensions) of a Latin hypercube, in [0, 1)."""
         from scipy.stats import qmc
 
         found: NumpyArray = qmc.LatinHypercube(self.dimensions, rng=np.random.default_rng(self.spec.seed)).random(
@@ -57,6 +58,7 @@ class Sample:
         return found
 
     def _sequence(self, dimensions: int, start: int, stop: int) -> NumpyArray:
+        """Return points (stop - start, dimensions) of a scrambled Sobol sequence, in [0, 1)."""
         from scipy.stats import qmc
 
         engine = qmc.Sobol(dimensions, rng=np.random.default_rng(self.spec.seed))

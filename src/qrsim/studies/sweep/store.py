@@ -67,6 +67,7 @@ class Store:
         self._open.close()
 
     def _lock(self) -> None:
+        """Lock the store for this process; raise RunError if another one writes to it."""
         try:
             import fcntl
         except ImportError:  # no such locks on this system
@@ -96,6 +97,7 @@ class Store:
             group.attrs.update(about)
 
     def _write_frame(self, path: Path) -> None:
+        """Create the store: an empty array for each metric, and the coordinates."""
         plan = self.plan
         group = zarr.create_group(path, zarr_format=3, attributes=_attributes(plan))
         coordinates = [axis.name for axis in plan.sampled]
@@ -120,6 +122,7 @@ class Store:
             self._write_points(group)
 
     def _write_track(self, group: Any) -> None:
+        """Create the array of recorded tracks."""
         plan = self.plan
         group.create_array(
             TRACK,
@@ -132,6 +135,7 @@ class Store:
         )
 
     def _write_points(self, group: Any) -> None:
+        """Create the coordinates of sampled points and write their values."""
         plan = self.plan
         count = plan.shape[len(plan.crossed)]
         _coordinate(group, POINT, POINT, np.arange(count), {"long_name": "number of the point"})
@@ -157,6 +161,7 @@ class Store:
                 arrays[path][start:stop] = values
 
     def _array(self, group: Any, name: str, dtype: str, fill: object, attributes: Mapping[str, object]) -> None:
+        """Create an empty array over all episodes, in chunks of a batch."""
         group.create_array(
             name,
             shape=self.plan.shape,
@@ -210,6 +215,7 @@ class Store:
 
 
 def _metrics(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the stored metrics, the one of failure included."""
     spec = plan.study.spec
     return tuple(dict.fromkeys([*spec.metrics, spec.failure.metric]))
 
@@ -219,10 +225,12 @@ def _without(about: Mapping[str, object], name: str) -> Content:
 
 
 def _about(axis: Axis) -> Content:
+    """Return the attributes of an axis in the store."""
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
 def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: Content) -> None:
+    """Write a coordinate; texts as strings."""
     if values.dtype == object:
         array = group.create_array(
             name, shape=values.shape, dtype=str, dimension_names=(dimension,), attributes=attributes
@@ -288,6 +296,7 @@ def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
 
 
 def _short(value: object) -> str:
+    """Return a value as JSON, shortened to 60 characters."""
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -51,6 +51,7 @@ class SamplingSpec(Part):
 
     @model_validator(mode="after")
     def _points(self) -> SamplingSpec:
+        """Refuse numbers of points that the type of sampling cannot have."""
         if (self.type == "list") == (self.points is not None):
             raise ValueError("points: missing" if self.points is None else "a list has as many points as values")
         if self.paired and self.type == "list":
@@ -69,6 +70,7 @@ class FailureSpec(Part):
 
     @model_validator(mode="after")
     def _one_limit(self) -> FailureSpec:
+        """Refuse a failure that is neither above nor below a limit, or both."""
         if (self.above is None) == (self.below is None):
             raise ValueError("give either above or below")
         return self
@@ -111,6 +113,7 @@ class StudySpec(Part):
 
     @model_validator(mode="after")
     def _together(self) -> StudySpec:
+        """Refuse metrics, policies, tracks and samplings that do not go together."""
         for name in [*self.metrics, self.failure.metric]:
             # Which names a user's own metrics have is known when their file is read.
             if name not in METRICS and not self.own_metrics:
@@ -167,7 +170,7 @@ class Study:
     own_metrics: dict[str, Metric] = field(default_factory=dict)
 
     def metric(self, name: str) -> Metric:
-        """Return what is known of a metric of the study."""
+        """Return a metric of the study by name: the user's, else the built-in one."""
         return self.own_metrics[name] if name in self.own_metrics else METRICS[name]
 
     @property
@@ -251,6 +254,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
 
 
 def _as_mapping(overrides: Iterable[str]) -> Content:
+    """Return overrides PATH=VALUE as a mapping."""
     pairs = (override.partition("=") for override in overrides)
     return {path.strip(): parse_yaml(text, f"--set {path}") for path, _, text in pairs}
 
@@ -308,7 +312,7 @@ def _thinned(values: list[object], most: int) -> list[Any]:
 
 
 def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
-    """Load the user's metrics of a study, and see that it names what there is."""
+    """Load the user's metrics of a study; raise UsageError for metrics that do not exist."""
     _, own = own_metrics(source)
     for name in [*spec.metrics, spec.failure.metric]:
         if name not in METRICS and name not in own:
@@ -329,6 +333,7 @@ def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
 
 
 def _from_anywhere(name: str, folder: Path) -> str:
+    """Return FILE.py:FUNCTION with an absolute path, relative to ``folder``; other names unchanged."""
     place, _, function = name.rpartition(":")
     if place.endswith(".py"):
         return f"{(folder / os.path.expanduser(place)).absolute()}:{function}"

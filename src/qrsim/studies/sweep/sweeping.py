@@ -37,6 +37,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
     finished = as_completed(loop=client.loop)
 
     def hand_out() -> None:
+        """Submit batches until each worker thread has some in reserve."""
         while len(waiting) < AHEAD * max(1, _threads(client)):
             index = next(missing, None)
             if index is None:
@@ -59,6 +60,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
 
 
 def _threads(client: Any) -> int:
+    """Return the number of threads of all workers now."""
     return sum(client.nthreads().values()) if client.status == "running" else 0
 
 
@@ -105,12 +107,14 @@ def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:
 
 
 def _checked(found: dict[str, Any] | str, batch: Batch, store: Store) -> dict[str, Any]:
+    """Return the results of a batch; raise RunError if the worker returned words instead."""
     if isinstance(found, str):
         raise RunError(f"batch {batch.index + 1}: {found}; {_kept(store)}")
     return found
 
 
 def _kept(store: Store) -> str:
+    """Return the words that say how many batches are kept."""
     return f"the {int(store.done.sum())} batches written before are kept, and the same command goes on from there"
 
 

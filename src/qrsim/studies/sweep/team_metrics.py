@@ -50,14 +50,14 @@ class TeamErrors:
     }
 
     def init(self, world: object, state: State) -> TeamMemory:
-        """Start with nothing."""
+        """Return empty sums."""
         place = state.fleets[0].vehicle.position_ned
         zero = jnp.zeros_like(place.x)
         nowhere = jnp.full((*zero.shape, STEPS), jnp.nan, zero.dtype)
         return TeamMemory(jnp.zeros(zero.shape, jnp.int32), zero, zero, place.x, place.y, nowhere)
 
     def update(self, memory: TeamMemory, world: World, state: State, tick: Array) -> TeamMemory:
-        """Add a tick."""
+        """Return the sums with the errors of a tick added."""
         fleet, start = state.fleets[0], (memory.start_north, memory.start_east)
         flying, counts = fleet.violation.code == 0, tick >= round(SETTLED_S / world.time_step)
         near = _neighbours(*start) & flying[:, None] & flying[None]
@@ -93,6 +93,7 @@ class TeamErrors:
 
 
 def _differences(values: Array) -> Array:
+    """Return the difference (n, n) of each pair: value of the second index minus that of the first."""
     return values[None] - values[:, None]
 
 

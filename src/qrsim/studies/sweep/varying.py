@@ -24,7 +24,7 @@ class Condition(str):
     settings: dict[str, object]
 
     def __new__(cls, name: str, settings: dict[str, object]) -> Condition:
-        """Return the name, which knows what it sets."""
+        """Return the name of a condition as a string with its settings."""
         made = super().__new__(cls, name)
         made.settings = settings
         return made
@@ -64,6 +64,7 @@ class VarySpec(Part):
 
     @model_validator(mode="after")
     def _one_way(self) -> VarySpec:
+        """Refuse values given in several ways, or bounds and scale that do not go together."""
         ends = self.low is not None or self.high is not None or self.count is not None
         if (self.values is not None) + (self.conditions is not None) + ends != 1:
             raise ValueError("give either values, or conditions, or low and high")

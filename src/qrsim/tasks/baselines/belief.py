@@ -133,7 +133,7 @@ class Belief:
         return np.where(self.possible[region], self.prior + self.evidence[region], LEAST)
 
     def forget(self, point: NumpyArray, distance: float) -> None:
-        """Expect nobody near a point any more."""
+        """Set the evidence for a person near a point to the lowest."""
         self.evidence[self.cells(point - distance, point + distance)] = LEAST
 
     def best(self, point: NumpyArray, distance: float) -> tuple[NumpyArray, float]:

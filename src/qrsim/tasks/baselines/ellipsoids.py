@@ -100,7 +100,7 @@ class Ellipsoids:
         return np.asarray(gaussian[:, :3] + np.stack([north, east, offset[:, 2]], axis=1))
 
     def _told(self, locations: NumpyArray, count: int) -> tuple[float, NumpyArray, NumpyArray]:
-        """Return how badly so many ellipsoids fit the locations, their Gaussians (K, 7), and the errors of these."""
+        """Return the misfit of ``count`` ellipsoids to locations, their Gaussians (K, 7) and the errors of those."""
         middle = np.broadcast_to(0.5 * (self._low + self._high), (count, NUMBERS)).copy()
         doubt = np.broadcast_to(0.5 * (self._high - self._low), (count, NUMBERS)).copy()
         if len(locations) < count:

@@ -155,7 +155,7 @@ class Particles:
         )
 
     def _begun(self, count: int) -> Guess:
-        """Return particles with sources upwind of locations, in winds along which locations are in line."""
+        """Return ``count`` initial particles: sources upwind of measured locations, and winds that pass several."""
         plume, random = self.plume, self._random
         shape = count, plume.most
         guess = Guess(

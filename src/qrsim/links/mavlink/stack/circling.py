@@ -107,7 +107,7 @@ class Orbit:
         self._begun, self._now = False, 0.0
 
     def fly(self, craft: Craft) -> Order:
-        """Return the order."""
+        """Return the order that flies to the circle and then around it."""
         here, centre, radius = craft.seen.position_ned, self.centre, abs(self.radius)
         north, east = here[0] - centre[0], here[1] - centre[1]
         away = math.hypot(north, east)

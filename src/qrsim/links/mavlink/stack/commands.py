@@ -40,10 +40,12 @@ def obey(stack: Flight, command: Command) -> Result:
 
 
 def _number(value: float, otherwise: float = 0.0) -> float:
+    """Return a parameter of a command, or ``otherwise`` if it is unset (NaN)."""
     return otherwise if math.isnan(value) else value
 
 
 def _arm(stack: Flight, command: Command) -> Result:
+    """Arm or disarm; in flight only with force."""
     force = command.params[1] == FORCE
     # Unset is neither, and must not stop motors.
     if math.isnan(command.params[0]):
@@ -61,6 +63,7 @@ def _arm(stack: Flight, command: Command) -> Result:
 
 
 def _take_off(stack: Flight, command: Command) -> Result:
+    """Start a take-off to the altitude of the command, or MIS_TAKEOFF_ALT above home, as the flavour does."""
     craft = stack.craft
     if not craft.seen.valid or craft.home is None:
         craft.say(Severity.CRITICAL, "Takeoff rejected: no position")
@@ -109,6 +112,7 @@ def _return(stack: Flight, command: Command) -> Result:
 
 
 def _start_mission(stack: Flight, command: Command) -> Result:
+    """Fly the mission, from an item if one is given; PX4 also arms."""
     first = _number(command.params[0], -1.0)
     if stack.plan.items and not -1.0 <= first < len(stack.plan.items):
         return Result.DENIED
@@ -122,6 +126,7 @@ def _start_mission(stack: Flight, command: Command) -> Result:
 
 
 def _set_mode(stack: Flight, command: Command) -> Result:
+    """Switch to the mode of DO_SET_MODE, in numbers of the flavour."""
     base, main, sub = (_number(value) for value in command.params[:3])
     if not int(base) & 1:
         return Result.UNSUPPORTED
@@ -131,11 +136,13 @@ def _set_mode(stack: Flight, command: Command) -> Result:
 
 
 def _set_standard_mode(stack: Flight, command: Command) -> Result:
+    """Switch to one of MAVLink's standard modes."""
     mode = stack.flavour.standard_mode(int(_number(command.params[0], -1.0)))
     return Result.FAILED if mode is None else stack.request(mode)
 
 
 def _reposition(stack: Flight, command: Command) -> Result:
+    """Fly to the place of the command, within the fence, in HOLD or by changing to it."""
     craft, params = stack.craft, command.params
     if command.frame not in GLOBAL or not craft.seen.valid or craft.home is None:
         return Result.DENIED
@@ -222,11 +229,13 @@ def place_in(stack: Flight, command: Command) -> Triple | None:
 
 
 def _speed(stack: Flight, command: Command) -> Result:
+    """Change the speed of horizontal flight, climb or descent."""
     taken = change_speed(stack.craft, _number(command.params[0]), _number(command.params[1], -1.0))
     return Result.ACCEPTED if taken else Result.DENIED
 
 
 def _heading(stack: Flight, command: Command) -> Result:
+    """Turn to a heading [deg], absolute or relative."""
     angle, _, direction, relative = command.params[:4]
     if math.isnan(angle):
         return Result.DENIED
@@ -235,6 +244,7 @@ def _heading(stack: Flight, command: Command) -> Result:
 
 
 def _set_home(stack: Flight, command: Command) -> Result:
+    """Move home to the vehicle or to a place."""
     craft = stack.craft
     if _number(command.params[0]) >= 0.5:
         return Result.ACCEPTED if craft.home_here() else Result.DENIED
@@ -258,6 +268,7 @@ def _set_current(stack: Flight, command: Command) -> Result:
 
 
 def _reboot(stack: Flight, command: Command) -> Result:
+    """Restart the vehicle at its start; not while it is armed."""
     if stack.armed:
         return Result.DENIED
     if _number(command.params[0]) not in (1.0, 3.0):
@@ -293,12 +304,14 @@ def _whole(value: float) -> int:
 
 
 def _terminate(stack: Flight, command: Command) -> Result:
+    """Terminate the flight: stop the motors."""
     if _number(command.params[0]) >= 0.5:
         stack.terminate()
     return Result.ACCEPTED
 
 
 def _tell_home(stack: Flight, command: Command) -> Result:
+    """Send the home position."""
     if stack.craft.home is None:
         return Result.TEMPORARILY_REJECTED
     stack.craft.tell("home")

@@ -366,7 +366,7 @@ class Stack(Protocol):
         """Return what FENCE_STATUS says."""
 
     def texts(self) -> list[Text]:
-        """Return what there is to say since the last call."""
+        """Return the texts for clients since the last call."""
 
     def events(self) -> list[Event]:
-        """Return what has changed since the last call."""
+        """Return the events since the last call."""

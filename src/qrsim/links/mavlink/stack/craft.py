@@ -82,30 +82,30 @@ class Craft:
     # ---- what it says ----
 
     def say(self, severity: Severity, text: str) -> None:
-        """Say something to all who listen."""
+        """Queue a text for all clients."""
         # A text that nobody fetches is dropped, the oldest first.
         del self._texts[:-63]
         self._texts.append(Text(severity, text))
 
     def tell(self, kind: str, number: int = 0) -> None:
-        """Note that something changed."""
+        """Queue an event for clients, such as a change of mode."""
         del self._events[:-255]
         self._events.append(Event(kind, number))  # type: ignore[arg-type]
 
     def texts(self) -> list[Text]:
-        """Return what there is to say, and forget it."""
+        """Return the queued texts and empty the queue."""
         said, self._texts = self._texts, []
         return said
 
     def events(self) -> list[Event]:
-        """Return what has changed, and forget it."""
+        """Return the queued events and empty the queue."""
         told, self._events = self._events, []
         return told
 
     # ---- where it is ----
 
     def look(self, seen: Seen) -> None:
-        """Take what it sees at a tick; of what it does not know it keeps what it knew last."""
+        """Take the state at a tick; an invalid estimate is replaced by the last valid one."""
         if seen.valid:
             self._known = (seen.position_ned, seen.velocity_ned, seen.attitude, seen.altitude)
             self._estimates += 1

@@ -65,7 +65,7 @@ class Failsafes:
             craft.say(Severity.INFO, "Link to the ground regained")
 
     def armed(self) -> None:
-        """Begin a flight."""
+        """Forget battery level and breach at the begin of a flight."""
         self._battery, self.breached, self._fence_due = 0, False, 0.0
 
     def fence(self) -> FenceStatus:
@@ -73,7 +73,7 @@ class Failsafes:
         return FenceStatus(self.breached, self._breaches, self._breach, self._breached_at)
 
     def look(self, craft: Craft, mode: Mode, offboard: Offboard, factor: float) -> int:
-        """Return what an armed vehicle is to do now that it did not have to do before; NOTHING mostly."""
+        """Return the action of a failsafe that begins now, for an armed vehicle; NOTHING if none does."""
         values = craft.parameters.values
         stretch = max(1.0, factor)
         asked = self._look_at_battery(craft)
@@ -102,6 +102,7 @@ class Failsafes:
         return int(link_action(True, int(craft.parameters.values["NAV_RCL_ACT"]))) or HOLD
 
     def _look_at_battery(self, craft: Craft) -> int:
+        """Return the action for a battery level that was just reached, and tell the client."""
         charge, values = craft.seen.charge, craft.parameters.values
         if not charge <= values["BAT_LOW_THR"]:
             return NOTHING
@@ -116,6 +117,7 @@ class Failsafes:
         return asked
 
     def _look_at_fence(self, craft: Craft) -> int:
+        """Return the action for a breach of the fence that has just begun, and tell the client."""
         seen, values = craft.seen, craft.parameters.values
         action = int(values["GF_ACTION"])
         breach, why = beyond(craft) if seen.valid else (Breach.NONE, "")
@@ -134,7 +136,7 @@ class Failsafes:
 
 
 def _leaves(craft: Craft) -> Breach:
-    """Return by what a vehicle will leave its area before it comes to rest; not even for a moment must it."""
+    """Return the limit of its area that a vehicle would cross before it could stop."""
     (north, east, down), (vn, ve, vd) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
     if abs(vd) > 0.5:
@@ -150,7 +152,7 @@ def _leaves(craft: Craft) -> Breach:
 
 
 def beyond(craft: Craft) -> tuple[Breach, str]:
-    """Return what of the fence a vehicle is beyond, and in words; NONE and "" where it is inside."""
+    """Return the breach of the fence, or of the area ahead, and words for it; NONE and "" inside."""
     here, values = craft.seen.position_ned, craft.parameters.values
     if not craft.fence.inside(*here):
         return Breach.BOUNDARY, "outside the area"

@@ -100,6 +100,7 @@ def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
     items: list[Item] = []
 
     def add(command: int, first: float, place: Point) -> None:
+        """Append an item of the fence at a place (north, east) [m]."""
         latitude, longitude, _ = geodesy.to_geodetic((*place, 0.0))
         params = (first, 0.0, 0.0, 0.0)
         items.append(Item(len(items), 5, command, params, round(latitude * 1e7), round(longitude * 1e7)))
@@ -114,7 +115,7 @@ def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
 
 
 def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
-    """Return how many corners a polygon has that begins at an item, and what is wrong with them."""
+    """Return the number of corners of a polygon that begins at an item, the result, and the item at fault."""
     begin = items[first]
     count = begin.params[0]
     if not (math.isfinite(count) and count == int(count) and 3 <= count <= MOST_ITEMS):
@@ -158,5 +159,6 @@ def bad_place(item: Item) -> PlanResult | None:
 
 
 def _point(item: Item, geodesy: Geodesy) -> Point:
+    """Return (north, east) [m] of a fence item in latitude and longitude."""
     north, east, _ = geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, geodesy.height)
     return north, east

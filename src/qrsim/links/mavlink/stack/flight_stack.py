@@ -111,6 +111,7 @@ class FlightStack(Flight):
         return self.craft.thrust_of(throttle)
 
     def _refuse(self, what: str, why: str) -> None:
+        """Warn the client that something is denied, and why."""
         self.craft.say(Severity.WARNING, f"{what} denied: {why}")
 
     def go_to(self, item: Item) -> bool:
@@ -218,9 +219,9 @@ class FlightStack(Flight):
         return self.failsafes.fence()
 
     def texts(self) -> list[Text]:
-        """Return what there is to say since the last call."""
+        """Return the texts for clients since the last call."""
         return self.craft.texts()
 
     def events(self) -> list[Event]:
-        """Return what has changed since the last call."""
+        """Return the events since the last call."""
         return self.craft.events()

@@ -35,7 +35,7 @@ class Follow:
         self._velocity, self._heard = target.velocity, craft.seen.time
 
     def begin(self, craft: Craft) -> None:
-        """Begin to follow."""
+        """Begin to follow: brake to a stop until a target comes."""
         craft.begin_path()
         self._angle = None
         self._goal = craft.path.stop(craft.parameters["MPC_ACC_HOR"])

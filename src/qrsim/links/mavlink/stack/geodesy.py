@@ -68,6 +68,7 @@ class Geodesy:
 
 
 def _ecef(latitude: float, longitude: float, height: float) -> Triple:
+    """Return the Earth-centred position [m] of a latitude and longitude [rad] and a height over WGS-84 [m]."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     normal = RADIUS / math.sqrt(1.0 - ECCENTRICITY2 * sine * sine)
     flat = (normal + height) * cosine

@@ -16,6 +16,7 @@ class GroundOffboard(Offboard):
     def _take_motion(
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
+        """Take a set-point without its vertical axis; return why not, "" if it is taken."""
         # On the ground no height is needed.
         place, speeds = (position[0], position[1], 0.0), (velocity[0], velocity[1], 0.0)
         whole = any(all(map(math.isfinite, part)) for part in (place, speeds))
@@ -26,6 +27,7 @@ class GroundOffboard(Offboard):
         return super()._take_motion(target, place, speeds, acceleration)
 
     def _take_attitude(self, target: object, craft: Craft) -> str:
+        """Refuse a set-point of attitude; return why."""
         return "a rover has no attitude to fly"
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:

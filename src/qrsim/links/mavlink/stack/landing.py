@@ -51,7 +51,7 @@ class Descent:
         self._slow_since: float | None = None
 
     def begin(self) -> None:
-        """Begin again."""
+        """Forget the last descent."""
         self.touchdown.clear()
         self._slow_since = None
 

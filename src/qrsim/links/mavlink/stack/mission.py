@@ -134,7 +134,7 @@ class Mission:
         self._go_to(seq)
 
     def _go_to(self, seq: int) -> None:
-        """Fly an item next."""
+        """Make an item the current one and forget how the last one was flown."""
         self.current = seq
         self._heading = None
         self._forget()
@@ -251,6 +251,7 @@ class Mission:
         return math.radians(item.params[3]) if asks else math.nan
 
     def _stay(self, craft: Craft) -> Order | None:
+        """Return the order to hold the place, or to keep the motors off on the ground."""
         if not craft.flies and craft.seen.on_ground:
             return craft.idle()
         if self._goal is None:
@@ -280,6 +281,7 @@ class Mission:
         return risen, order
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Return whether the item is done, and the order that flies to it and holds there."""
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
@@ -332,6 +334,7 @@ class Mission:
 
     @staticmethod
     def _hold(item: Item) -> float:
+        """Return the time [s] to hold at an item: infinite for LOITER_UNLIM, 0 for items without a hold."""
         if item.command == known.LOITER_FOREVER:
             return math.inf
         timed = item.command in known.WAYPOINTS or item.command == known.LOITER_TIME

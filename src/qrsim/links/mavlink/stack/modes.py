@@ -52,6 +52,7 @@ _ADVANCED = frozenset((Mode.STABILIZED, Mode.OFFBOARD, Mode.FOLLOW, Mode.ORBIT))
 
 
 def _px4(main: int, sub: int = 0) -> int:
+    """Return PX4's number of a mode, custom_mode of the heartbeat."""
     return (main << 16) | (sub << 24)
 
 

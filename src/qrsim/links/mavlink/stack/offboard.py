@@ -76,6 +76,7 @@ class Offboard:
         return False
 
     def _take_local(self, target: LocalTarget, craft: Craft) -> str:
+        """Take a set-point in a local frame; return why not, "" if it is taken."""
         frame = target.frame
         if frame not in (LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD):
             return f"frame {frame} is not supported"
@@ -88,6 +89,7 @@ class Offboard:
         return self._take_motion(target, position, velocity, acceleration)
 
     def _take_global(self, target: GlobalTarget, craft: Craft) -> str:
+        """Take a set-point in latitude and longitude; return why not, "" if it is taken."""
         if target.frame not in GLOBAL:
             return f"frame {target.frame} is not supported"
         ignored, velocity, acceleration = _unmasked(target)
@@ -106,6 +108,7 @@ class Offboard:
     def _take_motion(
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
+        """Take position, velocity, acceleration in NED, NaN where unset; return why not, "" if taken."""
         numbers = (*position, *velocity, *acceleration)
         yaw = NAN if target.mask & NO_YAW else target.yaw
         rate = NAN if target.mask & NO_YAW_RATE else target.yaw_rate
@@ -124,6 +127,7 @@ class Offboard:
         return ""
 
     def _take_attitude(self, target: AttitudeTarget, craft: Craft) -> str:
+        """Take a set-point of attitude or rates, and thrust; return why not, "" if it is taken."""
         if target.mask & NO_THRUST or not 0.0 <= target.thrust <= 1.0:
             return f"thrust {target.thrust:g}, 0 to 1 needed" if not target.mask & NO_THRUST else "no thrust"
         tilt, yaw = None, NAN
@@ -154,6 +158,7 @@ class Offboard:
 
     @property
     def _is_place(self) -> bool:
+        """True if the set-point is a position without a velocity."""
         return (
             self._kind == "motion" and all(map(math.isfinite, self._position)) and all(map(math.isnan, self._velocity))
         )
@@ -201,6 +206,7 @@ class Offboard:
         return self._motion(craft, dt), False
 
     def _sinks(self) -> float:
+        """Return the speed of descent [m/s] near the ground: the one asked for, or 0.5."""
         return self._velocity[2] if self._velocity[2] > 0.0 else 0.5
 
     def _rises(self, craft: Craft) -> bool:
@@ -216,6 +222,7 @@ class Offboard:
         return self._acceleration[2] < (0.5 if craft.flies else -0.5)
 
     def _motion(self, craft: Craft, dt: float) -> Order:
+        """Return the order for a set-point of position, velocity or acceleration."""
         position, velocity, acceleration = self._position, self._velocity, self._acceleration
         values, facts, seen = craft.parameters.values, craft.facts, craft.seen
         level = min(values["MPC_XY_VEL_MAX"], facts.speed_limit)
@@ -252,6 +259,7 @@ class Offboard:
         self.heard = None
 
     def _fly_attitude(self, craft: Craft, dt: float) -> tuple[Order | None, bool]:
+        """Return the order for a set-point of attitude, and whether it has landed."""
         roll, pitch = self._lean(craft, dt)
         if not self.climbs:
             landed = craft.seen.on_ground and self._thrust < 0.1
@@ -302,6 +310,7 @@ def _turned(vector: Triple, yaw: float) -> Triple:
 
 
 def _limited(velocity: Triple, level: float, up: float, down: float) -> Triple:
+    """Return a velocity in NED [m/s] within a horizontal speed, a climb and a descent."""
     size = math.hypot(velocity[0], velocity[1])
     ratio = min(1.0, level / size) if size > 0.0 else 1.0
     return velocity[0] * ratio, velocity[1] * ratio, min(max(velocity[2], -up), down)

@@ -45,10 +45,12 @@ class Outcome(Enum):
 
 
 def _real(name: str, default: float, low: float, high: float, unit: str, doc: str) -> Parameter:
+    """Return the entry of a parameter of type float."""
     return Parameter(name, REAL32, default, low, high, unit, doc)
 
 
 def _int(name: str, default: int, low: int, high: int, doc: str) -> Parameter:
+    """Return the entry of a parameter of type integer."""
     return Parameter(name, INT32, default, low, high, "", doc)
 
 
@@ -158,7 +160,7 @@ class Parameters:
         return self._index[name]
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return what is known of a parameter, None where there is none of that name."""
+        """Return the entry of a parameter by name, None if there is none."""
         return self._table.get(name)
 
     def set(self, name: str, value: float, type: int | None = None) -> Outcome:
@@ -186,5 +188,6 @@ class Parameters:
 
 
 def _within(known: Parameter, value: float) -> float:
+    """Return the value nearest to ``value`` that a parameter may have."""
     clamped = min(max(value, known.low), known.high)
     return float(round(clamped)) if known.type == INT32 else clamped

@@ -57,6 +57,7 @@ def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]
 
 
 def _bad_place(item: Item) -> PlanResult | None:
+    """Return why the frame or place of a mission item is refused; None if it is not."""
     if item.frame not in GLOBAL and not (item.command == SET_HOME and item.frame == MISSION_FRAME):
         return PlanResult.UNSUPPORTED_FRAME
     if has_place(item):
@@ -69,6 +70,7 @@ def _bad_place(item: Item) -> PlanResult | None:
 
 
 def _bad_numbers(item: Item, total: int) -> PlanResult | None:
+    """Return which parameter of a mission item is refused; None if none is."""
     first, second, third, _ = item.params
     if any(math.isinf(number) for number in item.params):
         return (
@@ -93,7 +95,7 @@ def _bad_numbers(item: Item, total: int) -> PlanResult | None:
 
 
 def has_place(item: Item) -> bool:
-    """Return whether an item says a latitude and longitude; (0, 0) does not, nor do numbers that are not set."""
+    """Return whether an item has a latitude and longitude; (0, 0) and unset numbers do not count."""
     unset = (UNSET_INT, -UNSET_INT - 1)
     return item.x not in unset and item.y not in unset and not (item.x == 0 and item.y == 0)
 

@@ -33,6 +33,7 @@ class Drive(Mission):
         return super().accept(items, craft)
 
     def _stay(self, craft: Craft) -> Order | None:
+        """Return no order: a rover stops by itself where its path ends."""
         return None
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
@@ -86,6 +87,7 @@ class RoverStack(FlightStack):
         return self._stand()
 
     def _stand(self) -> Order | None:
+        """Return the order to stop, once; None after that."""
         if self._stands:
             return None
         self._stands = True
@@ -134,7 +136,7 @@ class RoverStack(FlightStack):
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; what ends a flight on the ground has a rover stand."""
+        """Change the mode; for modes that a rover lacks it holds."""
         if mode in self.flavour.modes:
             super().switch(mode, goal)
         else:

@@ -19,6 +19,7 @@ def stack_of(flavour: FlavourName = "px4", local_origin: LocalOrigin = "start") 
     """Return what makes the stack of a vehicle, by its type."""
 
     def make(facts: Facts, site: Site) -> Stack:
+        """Make the stack of a vehicle of its type."""
         own = replace(facts, local_origin=local_origin)
         return _KINDS.get(facts.mav_type, FlightStack)(own, site, flavour=flavour)
 

@@ -84,6 +84,7 @@ class Sticks:
         craft.turn_to(yaw + min(max(ahead, -TURNS_AHEAD), TURNS_AHEAD) if rate else craft.yaw)
 
     def _speeds(self, craft: Craft) -> Triple:
+        """Return the largest speeds by stick [m/s]: horizontal, up, down."""
         values, facts = craft.parameters.values, craft.facts
         return (
             min(values["MPC_VEL_MANUAL"], facts.speed_limit),
@@ -137,5 +138,6 @@ def _shaped(value: float) -> float:
 
 
 def _in_circle(right: float, forward: float) -> tuple[float, float]:
+    """Return the positions of a stick, shortened to the unit circle."""
     size = math.hypot(right, forward)
     return (right / size, forward / size) if size > 1.0 else (right, forward)

@@ -34,6 +34,7 @@ class Tour(Mission):
         self.end: Triple | None = None
 
     def _forget(self) -> None:
+        """Forget how the last item was flown."""
         super()._forget()
         self._begin: Triple = (0.0, 0.0, 0.0)
         self._centre: Triple | None = None
@@ -68,11 +69,13 @@ class Tour(Mission):
     # ---- flight ----
 
     def _stay(self, craft: Craft) -> Order | None:
+        """Return the order to circle at the usual radius."""
         if self._goal is None:
             self._goal = self._from or orbits.fitted(craft, craft.seen.position_ned, orbits.usual_radius(craft))
         return orbits.circle(craft, self._goal, orbits.usual_radius(craft))
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Return whether an item is done, and the order that flies it: past a place or around it."""
         if self._goal is None:
             self._begin = self._from or craft.seen.position_ned
             self._goal = self.end = plan.place_of(item, craft, self._begin)

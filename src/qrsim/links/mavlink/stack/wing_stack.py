@@ -63,6 +63,7 @@ class WingStack(FlightStack):
         return self._fly()[0] if seen.valid else None
 
     def _end(self, why: str) -> None:
+        """End the run after a crash or a touch-down: disarm and tell the client why."""
         craft = self.craft
         if craft.landed is Landed.ON_GROUND:
             return
@@ -102,6 +103,7 @@ class WingStack(FlightStack):
             self._goal = (goal[0], goal[1], max(self._return_z(), craft.facts.z_min + orbits.BELOW))
 
     def _return_z(self) -> float:
+        """Return z of the return to home [m], down."""
         return self.craft.home_z - self.parameters["RTL_RETURN_ALT"]
 
     def _home_below(self) -> None:
@@ -140,7 +142,7 @@ class WingStack(FlightStack):
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; what would land a vehicle has a wing return, which it does for ever."""
+        """Change the mode; LAND becomes a return without end, and modes that a wing lacks become HOLD."""
         if mode is Mode.LAND:
             mode = Mode.RTL
         if mode not in self.flavour.modes:
@@ -149,7 +151,7 @@ class WingStack(FlightStack):
         super().switch(mode, self._way_home() if mode is Mode.RTL else goal)
 
     def _way_home(self) -> Triple | None:
-        """Return round what to circle: home or the nearest rally point, not lower than it is."""
+        """Return the centre of the circle of a return: home or the nearest rally point, not below the vehicle."""
         craft = self.craft
         here = craft.seen.position_ned
         places = [craft.home.position_ned] if craft.home else [here]

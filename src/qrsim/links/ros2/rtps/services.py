@@ -269,6 +269,7 @@ class Services:
         return next((place for place in places if place[0].rpartition(".")[0] in nets), places[0])
 
     def _forget(self, prefix: bytes) -> None:
+        """Forget a participant and its clients; it is identified by the prefix of its GUIDs."""
         self._peers.pop(prefix, None)
         self._received = {key: value for key, value in self._received.items() if key[0] != prefix}
         self._clients = {guid: service for guid, service in self._clients.items() if guid[:12] != prefix}
@@ -313,6 +314,7 @@ class Services:
         service.waiting.append((Request(answer, b""), payload))
 
     def _take_heartbeat(self, message: w.Submessage) -> None:
+        """Answer a writer's HEARTBEAT with the numbers that are missing here."""
         reader, writer = message.body[:4], message.body[4:8]
         is_builtin = writer in (_PUBLICATIONS[0], _SUBSCRIPTIONS[0])
         if is_builtin:
@@ -326,6 +328,7 @@ class Services:
         self._sockets.send(w.packet(self._prefix, answer, to=message.prefix), place)
 
     def _take_acknack(self, message: w.Submessage) -> None:
+        """Send a reader again what it lacks, and forget what it has."""
         reader, writer = message.body[:4], message.body[4:8]
         base, missing = w.numbers_at(message, 8)
         peer = self._peers[message.prefix]

@@ -131,6 +131,7 @@ def _time(file: str, date: int, clock: int) -> float:
 
 
 def _optional(eccodes: Any, handle: Any, name: str, default: int) -> int:
+    """Return an integer of a GRIB message, or a default where it has none."""
     try:
         return int(eccodes.codes_get(handle, name, int))
     except eccodes.CodesInternalError:

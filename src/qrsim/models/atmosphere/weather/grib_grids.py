@@ -67,6 +67,7 @@ def place_in(get: Get, file: str, request: Request) -> Place:
 
 
 def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
+    """Return the grid points around a place on a latitude-longitude grid, and 0 as turn of its axes."""
     first, last = (
         (float(get(f"latitudeOf{end}GridPointInDegrees")), float(get(f"longitudeOf{end}GridPointInDegrees")))
         for end in ("First", "Last")

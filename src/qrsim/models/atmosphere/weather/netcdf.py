@@ -88,6 +88,7 @@ def netcdf_values(file: str, path: str, request: Request) -> Values:
 
 
 def _values(file: str, content: Any, request: Request) -> Values:
+    """Return the values at a place from an opened file; raise UsageError for missing coordinates."""
     names = {axis: next((name for name in known if name in content.variables), None) for axis, known in AXES.items()}
     for axis in ("time", "latitude", "longitude"):
         if names[axis] is None:
@@ -149,6 +150,7 @@ def _attribute(variable: Any, name: str) -> str:
 
 
 def _numbers(file: str, content: Any, name: str | None) -> Floats:
+    """Return a coordinate (k,) as float64; raise UsageError if it is not a row of finite numbers."""
     values = np.ma.filled(np.ma.asarray(content.variables[name][...], np.float64), np.nan)
     if values.ndim > 1 or not np.isfinite(values).all():
         raise UsageError(f"{file}: '{name}' is no row of finite numbers")

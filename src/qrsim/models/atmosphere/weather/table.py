@@ -79,6 +79,7 @@ def _names(opened: CsvFile) -> list[str]:
 
 
 def _level(opened: CsvFile, height: float, row: dict[str, str], name: str) -> Level:
+    """Return the wind at a height [m] from a row of the table; raise UsageError for impossible numbers."""
     speed = opened.number(name, row[name]) * SPEEDS[name]
     direction = opened.number("direction", row["direction"])
     if not 0.0 <= direction <= 360.0:

@@ -170,5 +170,6 @@ def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: f
 
 
 def _cell(values: Floats, place: float) -> tuple[int, float]:
+    """Return the number of the cell that a place is in, and how far through it, 0 to 1."""
     number = int(np.clip(np.searchsorted(values, place, side="right") - 1, 0, len(values) - 2))
     return number, float(np.clip((place - values[number]) / (values[number + 1] - values[number]), 0.0, 1.0))

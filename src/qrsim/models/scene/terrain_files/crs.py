@@ -51,6 +51,7 @@ def from_wkt(file: str, wkt: str, gdal: Gdal, site: tuple[float, float], *, esri
 
 
 def _checked(file: str, found: dict[str, object]) -> Crs:
+    """Return a reference system that GDAL has described; raise UsageError for unusable kinds."""
     if found["kind"] not in ("geographic", "projected"):
         raise UsageError(
             f"{file}: its coordinate reference system '{found['name']}' is {found['kind'] or 'of no known kind'}; "

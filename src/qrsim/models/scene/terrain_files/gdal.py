@@ -96,6 +96,7 @@ class Gdal:
         return found[0], found[1]
 
     def _ask(self, file: str, request: dict[str, Any], payload: bytes = b"") -> tuple[dict[str, Any], bytes]:
+        """Send a request to GDAL's process and return its answer and data; raise UsageError for failures."""
         process = self._running(file)
         text = json.dumps(request).encode()
         alarm = threading.Timer(LONGEST_S, process.kill)
@@ -121,6 +122,7 @@ class Gdal:
         return answer, data
 
     def _running(self, file: str) -> subprocess.Popen[bytes]:
+        """Return GDAL's process, started at first use."""
         if self._process is None:
             require("terrain", f"reading {file}", "rasterio")
             self._process = subprocess.Popen(
@@ -134,6 +136,7 @@ class Gdal:
         return self._process
 
     def _end(self) -> None:
+        """Kill the process."""
         process, self._process = self._process, None
         if process is not None:
             process.kill()

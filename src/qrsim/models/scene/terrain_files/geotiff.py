@@ -89,6 +89,7 @@ def open_geotiff(
 
 
 def _system(file: str, wkt: str | None, gdal: Gdal, site: tuple[float, float], given: Crs | None) -> Crs:
+    """Return the reference system of a file, or the given one if the file has none."""
     if not wkt:
         if given is None:
             raise UsageError(f"{file}: has no coordinate reference system; give crs: EPSG:n")

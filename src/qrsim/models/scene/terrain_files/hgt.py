@@ -38,6 +38,7 @@ class Hgt:
         return self._all().coarse(rows, columns)
 
     def _all(self) -> ArrayRaster:
+        """Return all heights of the file, NaN where they are missing."""
         raw = np.fromfile(check_file(self.file), ">i2")
         if raw.size != self.grid.rows * self.grid.columns:
             raise UsageError(f"{self.file}: its size has changed while it was read")

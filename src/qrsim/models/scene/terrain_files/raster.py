@@ -85,7 +85,7 @@ class Raster(Protocol):
 
     @property
     def file(self) -> str:
-        """Name, for messages."""
+        """Name of the file, for messages."""
         ...
 
     @property
@@ -113,7 +113,7 @@ class Raster(Protocol):
 
 
 def grid_of(file: str, shape: tuple[int, int], transform: list[float], crs: Crs) -> Grid:
-    """Return a grid after checks.
+    """Return the grid of a file from its shape and geotransform; raise UsageError if they are not valid.
 
     Raises:
         UsageError: too few cells, or a transform that has no inverse.

@@ -197,6 +197,7 @@ def survey(wanted: Wanted, site: Site, box: Bounds | None, gdal: Gdal) -> Survey
 
 
 def _notes(rasters: list[Raster]) -> list[str]:
+    """Return the notes of the first file and of inexact reference systems."""
     notes = [f"{raster.file}: {raster.note}" for raster in rasters[:1] if raster.note]
     crs = rasters[0].grid.crs
     if crs.accuracy is None or crs.accuracy > 1.0:

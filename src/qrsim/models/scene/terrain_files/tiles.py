@@ -51,6 +51,7 @@ def sources_of(files: Files) -> tuple[Source, ...]:
 
 
 def _names(files: Files) -> tuple[str, ...]:
+    """Return the files of a terrain: those given, or those in a folder."""
     if not isinstance(files, str):
         return files
     folder = Path(os.path.expanduser(files))
@@ -163,6 +164,7 @@ class Mosaic:
     def _parts(
         self, rows: range, columns: range, whole: bool
     ) -> Iterator[tuple[tuple[slice, slice], tuple[range, range], Raster]]:
+        """Yield for each tile in a window where its part goes, where it comes from, and the tile."""
         for tile in self.tiles:
             part = tile.within(rows, columns, whole)
             if part is not None:

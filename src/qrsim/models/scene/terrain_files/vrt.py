@@ -70,6 +70,7 @@ def read_vrt(file: str) -> tuple[Source, ...]:
 
 
 def _root(file: str, data: bytes) -> Element:
+    """Return the root element of a VRT file; raise UsageError for other XML."""
     parser = ElementTree.XMLParser(target=_Builder())
     try:
         parser.feed(data)
@@ -84,6 +85,7 @@ def _root(file: str, data: bytes) -> Element:
 
 
 def _band(file: str, root: Element) -> Element:
+    """Return the only band of a VRT file; raise UsageError for several, or for kinds that compute."""
     if root.get("subClass"):
         raise UsageError(f"{file}: is a {shortened(str(root.get('subClass')), 40)}; expected what gdalbuildvrt writes")
     bands = root.findall("VRTRasterBand")
@@ -95,6 +97,7 @@ def _band(file: str, root: Element) -> Element:
 
 
 def _source(file: str, number: int, element: Element, own: float | None) -> Source:
+    """Return a source of a VRT file: file, rectangle and missing height; refuse one that changes heights."""
     name = element.find("SourceFilename")
     text = "" if name is None else (name.text or "").strip()
     if not text:
@@ -121,6 +124,7 @@ def _source(file: str, number: int, element: Element, own: float | None) -> Sour
 
 
 def _is(text: str, number: float) -> bool:
+    """Return whether a text is a number equal to ``number``."""
     try:
         return float(text) == number
     except ValueError:
@@ -128,6 +132,7 @@ def _is(text: str, number: float) -> bool:
 
 
 def _number(file: str, text: str | None) -> float | None:
+    """Return the missing height that a text names; None for none and for NaN."""
     if text is None:
         return None
     try:

@@ -17,6 +17,7 @@ from qrsim.models.atmosphere.standard import SiteAir
 
 
 def _coefficient(default: float, doc: str) -> Array:
+    """Return the declaration of an aerodynamic coefficient."""
     return parameter(default=default, unit="1", doc=doc)
 
 

@@ -61,6 +61,7 @@ def substep(
     like = motion.displacement.x.dtype
 
     def turn(i: Array, carried: tuple[Motion, Motion, Vec3]) -> tuple[Motion, Motion, Vec3]:
+        """Advance by one of the four stages of the Runge-Kutta rule."""
         here, total, force = carried
         slope, specific = slope_of(model, here, surfaces, throttle, air_ned, air_rates)
         edge = (i == 0) | (i == 3)

@@ -67,6 +67,7 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
     most = jnp.where(jnp.asarray(model.surface_rate_max) > 0.0, model.surface_rate_max * dt, 10.0)
 
     def followed(now: Array, goal: Array) -> Array:
+        """Return a surface [rad] that moves towards its goal with lag and limited rate."""
         # Without a lag the goal itself is returned, so that it is exact.
         way = jnp.where(share < 1.0, share * (goal - now), goal - now)
         there = (share >= 1.0) & (jnp.abs(way) <= most)
@@ -80,4 +81,5 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
 
 
 def _within(value: Array, limit: Array | float) -> Array:
+    """Clip values to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)

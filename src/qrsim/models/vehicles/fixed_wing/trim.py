@@ -122,6 +122,7 @@ def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
 
 @jax.jit
 def _balance(model: Aeroplane, y: Array, flight: Array) -> tuple[Array, Array]:
+    """Return what is missing to steady flight at y, and its derivatives by y."""
     return _missing(y, model, flight), jax.jacfwd(_missing)(y, model, flight)
 
 
@@ -136,6 +137,7 @@ def modes(model: Aeroplane, at: Trim) -> Floats:
         motion, surfaces = _steady(y, at.airspeed, 0.0)
 
         def slope(x: Array) -> Array:
+            """Return the derivatives of roll, pitch, velocity and rates at a state x (8,)."""
             moved = Motion(_still(), Quaternion.of(Euler(x[0], x[1], jnp.zeros(()))), Vec3(*x[2:5]), Vec3(*x[5:8]))
             found, _ = slope_of(model, moved, surfaces, y[6], _still(), _still())
             p, q, r = x[5:8]
@@ -164,6 +166,7 @@ def stall_speed(model: Aeroplane) -> float:
 
 
 def _still() -> Vec3:
+    """Return a zero vector."""
     zero = jnp.zeros(())
     return Vec3(zero, zero, zero)
 

@@ -121,6 +121,7 @@ class FixedWing(Aeroplane, Vehicle):
         zero = jnp.zeros_like(state.airspeed)
 
         def advance(_: Array, carried: Any) -> Any:
+            """Advance by a substep: stabiliser, surfaces, motion, and the mean specific force."""
             motion, surfaces, memory, force = carried
             through = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
             memory, wanted = wanted_surfaces(
@@ -174,6 +175,7 @@ class FixedWing(Aeroplane, Vehicle):
 
 
 def _motion_of(state: FixedWingState) -> Motion:
+    """Return the motion of a state, with its origin at the vehicle."""
     zero = jnp.zeros_like(state.airspeed)
     return Motion(Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body)
 

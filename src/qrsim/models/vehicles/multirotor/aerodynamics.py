@@ -115,4 +115,5 @@ def _vec(parts: Sequence[Number], like: Array) -> Vec3:
 
 
 def _times(factor: Array, part: Number) -> Number:
+    """Return a product; 0 for a number known while compiling, which is then zero."""
     return 0.0 if isinstance(part, float) else factor * part

@@ -124,6 +124,7 @@ def _friction(
     per_way = 1.0 / jnp.maximum(contact.bristle, speed * quickest)
 
     def slope(bent: Array, velocity: Array) -> Array:
+        """Return the slope of a bristle's deflection: it sticks, or straightens without load."""
         stuck = (velocity - speed * bent) * per_way
         return jnp.where(bears, stuck, -bent / STRAIGHTENING_S)
 

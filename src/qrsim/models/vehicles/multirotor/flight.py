@@ -82,6 +82,7 @@ def fly(
         return found
 
     def by_the_ground() -> object:
+        """Return the flight with contact of feet and other points."""
         motion, after, found = advance(start)
         touched = touch(
             model.contact,
@@ -99,6 +100,7 @@ def fly(
         return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
 
     def far_above() -> object:
+        """Return the flight without contact, where the ground is out of reach."""
         motion, after, found = advance(replace(start, brush=()))
         straight = jax.tree.map(jnp.zeros_like, start.brush)
         return replace(motion, brush=straight), after, found, jnp.zeros_like(near)
@@ -167,7 +169,7 @@ def surroundings(
 def stabilised(
     model: Airframe, state: MultirotorState, command: object, dt: float, count: int, around: Around | None
 ) -> tuple[Array | None, Loops, Motors]:
-    """Return the heading that is held after a step, None for that of the vehicle, and what tells the motors.
+    """Return the held heading after a step, or None, the state of the loops, and the function for motor speeds.
 
     Args:
         model, state, command, around: as of ``Vehicle.step``.
@@ -189,6 +191,7 @@ def stabilised(
     stuck = {} if around is None else dict(around.stuck_rotors)
 
     def told(speeds: Sequence[Array]) -> tuple[Array, ...]:
+        """Return speeds [rad/s] as the motors reach them: limited, weakened, or stuck by faults."""
         if stuck:
             held = [(speed, stuck.get(number)) for number, speed in enumerate(speeds)]
             speeds = [
@@ -212,6 +215,7 @@ def stabilised(
     runs = command.throttle > 0.0
 
     def speeds_for(motion: Motion, wanted: Vec3, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
+        """Return the commanded rotor speeds for wanted rates, and the loops after it."""
         thrusts, integral = rotor_thrusts(
             model.stabiliser, model.inertia, mixer, motion.rates, wanted, loops.integral, thrust, dt / count
         )
@@ -235,6 +239,7 @@ def stabilised(
     tilt = Quaternion.of_tilt(command.roll, command.pitch)
 
     def motors(motion: Motion, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
+        """Return the commanded rotor speeds for an attitude, and the loops after it."""
         turned = replace(
             loops,
             cosine=loops.cosine * turn_cosine - loops.sine * turn_sine,

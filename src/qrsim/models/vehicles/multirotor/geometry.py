@@ -91,6 +91,11 @@ def reach(points: Sequence[Triple]) -> float:
     return max(math.hypot(*point) for point in points)
 
 
+def square_feet(side: float, down: float) -> tuple[Triple, ...]:
+    """Return four contact points at the corners of a square, in body axes [m]: (+/-side, +/-side, down)."""
+    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
+
+
 def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number, Number]:
     """Return collective thrust [N] and torque about the body axes [N m] for each newton of a rotor's thrust."""
     (x, y, z), (a, b, c) = rotor.position, rotor.axis
@@ -157,6 +162,7 @@ def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[in
 
 
 def _sum(terms: Iterable[Number]) -> Number:
+    """Return the sum of terms without those that are known to be 0 while compiling."""
     total: Number = 0.0
     for term in terms:
         if not (isinstance(term, float) and term == 0.0):
@@ -179,8 +185,10 @@ def _inverse(matrix: list[list[Number]]) -> list[list[Number]]:
 
 
 def _times(a: Number, b: Number) -> Number:
+    """Return a product, and the number 0 where a factor is known to be 0 while compiling."""
     return 0.0 if any(isinstance(each, float) and each == 0.0 for each in (a, b)) else a * b
 
 
 def _minus(a: Number, b: Number) -> Number:
+    """Return a difference without a term that is known to be 0 while compiling."""
     return a if isinstance(b, float) and b == 0.0 else -b if isinstance(a, float) and a == 0.0 else a - b

@@ -111,8 +111,10 @@ def _sum(*terms: tuple[Number, Array]) -> Array:
 
 
 def _least(values: Sequence[Array]) -> Array:
+    """Return the smallest of several arrays, element by element."""
     return reduce(jnp.minimum, values)
 
 
 def _largest(values: Sequence[Array]) -> Array:
+    """Return the largest of several arrays, element by element."""
     return reduce(jnp.maximum, values)

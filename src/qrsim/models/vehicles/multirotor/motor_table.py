@@ -93,6 +93,7 @@ class MotorTable:
         return MotorTable(**found)._checked()
 
     def _checked(self) -> MotorTable:
+        """Return the table; raise UsageError for columns that are short, unequal or do not rise."""
         rows = {name: len(column) for name, column in vars(self).items()}
         if len(set(rows.values())) > 1:
             raise UsageError(f"columns of different lengths: {', '.join(f'{name} {n}' for name, n in rows.items())}")
@@ -217,6 +218,7 @@ def _name_of(column: str) -> str:
 
 
 def _numbers(name: str, values: object) -> Floats:
+    """Return a list of numbers as an array; raise UsageError, which names the list, for others."""
     if not isinstance(values, Sequence) or isinstance(values, str):
         raise UsageError(f"{name}: expected a list of numbers, found {values!r:.80}")
     for row, value in enumerate(values, start=1):

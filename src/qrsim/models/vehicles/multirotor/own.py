@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean, warn_user
-from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.geometry import Rotor, ring, square_feet
 from qrsim.models.vehicles.multirotor.motor_table import MOST_EFFICIENT, MotorTable
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
@@ -185,7 +185,7 @@ def own_parameters(
         "throttle_curve": _curve(hover_throttle, thrust_to_weight) if curve is None else curve,
         "stabiliser": Stabiliser(**gains),
         "rotors": rotors_of(geometry or USUAL[rotors], arm),
-        "feet": _feet(0.5 * arm, 0.3 * arm + 0.02),
+        "feet": square_feet(0.5 * arm, 0.3 * arm + 0.02),
         "top": (0.0, 0.0, -0.3 * arm - (0.2 * arm if kind.coaxial else 0.0)),
     }
 
@@ -286,6 +286,7 @@ def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
 
 
 def _check_thrust(declared: float, found: float) -> None:
+    """Raise UsageError if the declared thrust-to-weight ratio differs from the one found."""
     # Numbers are given to two digits.
     if abs(found - declared) > 0.02 * declared:
         raise UsageError(
@@ -295,6 +296,7 @@ def _check_thrust(declared: float, found: float) -> None:
 
 
 def _check(given: dict[str, float]) -> None:
+    """Raise UsageError for a number that is out of its range."""
     for name, value in given.items():
         unit, low, high = RANGES[name]
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
@@ -303,12 +305,14 @@ def _check(given: dict[str, float]) -> None:
 
 
 def _arrangement(name: object) -> Geometry:
+    """Return the arrangement of rotors with a name; raise UsageError for other names."""
     if not isinstance(name, str) or name not in GEOMETRIES:
         raise UsageError(f"geometry: no arrangement is called '{name}'{did_you_mean(str(name), GEOMETRIES)}")
     return GEOMETRIES[name]
 
 
 def _geometry(rotors: int, geometry: str | None) -> Geometry:
+    """Return the arrangement for a number of rotors: the named one, or the usual one."""
     if isinstance(rotors, bool) or not isinstance(rotors, int) or rotors < 3:
         raise UsageError(f"rotors: {rotors!r}; a multirotor needs 4, 6 or 8, or a geometry")
     if geometry is None:
@@ -322,6 +326,7 @@ def _geometry(rotors: int, geometry: str | None) -> Geometry:
 
 
 def _radius(arm: float, arms: int) -> float:
+    """Return the usual rotor radius [m] for arms of a length [m]."""
     spacing = 2.0 * arm * math.sin(math.pi / arms)
     return min(OF_SPACING * spacing, OF_ARM * arm)
 
@@ -339,13 +344,10 @@ def _curve(hover: float, ratio: float) -> float:
 
 
 def _check_bandwidth(attitude: float, spin_up: float) -> None:
+    """Raise UsageError if the attitude loop [rad/s] is too fast for the rotors' time constant [s]."""
     fastest = RATE_TIMES_SPIN_UP / (RATE_OVER_ATTITUDE * spin_up)
     if attitude > 1.02 * fastest:
         raise UsageError(
             f"attitude_bandwidth: {attitude:g} rad/s; rotors of a time constant of {spin_up:.3g} s allow {fastest:.3g} "
             "rad/s at most; give spin_up if yours are faster"
         )
-
-
-def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
-    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))

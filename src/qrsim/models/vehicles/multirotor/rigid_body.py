@@ -114,6 +114,7 @@ def substep(
     first = motion
 
     def turn(i: Array, carried: tuple[Motion, Motion, Outcome]) -> tuple[Motion, Motion, Outcome]:
+        """Advance by one of the four stages of the Runge-Kutta rule."""
         here, total, outcome = carried
         slope, specific, touched = slope_of(model, here, targets, around)
         edge = (i == 0) | (i == 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.geometry import Rotor, ring, square_feet
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
@@ -38,7 +38,7 @@ def hummingbird() -> Multirotor:
         nominal_voltage=11.1,
         top=(0.0, 0.0, -0.06),
         rotors=(Rotor((c, c, 0.0), -1), Rotor((-c, c, 0.0), 1), Rotor((-c, -c, 0.0), -1), Rotor((c, -c, 0.0), 1)),
-        feet=_feet(0.7 * c, 0.12),
+        feet=square_feet(0.7 * c, 0.12),
     )
 
 
@@ -68,7 +68,7 @@ def hexa4() -> Multirotor:
         nominal_voltage=22.2,
         top=(0.0, 0.0, -0.15),
         rotors=ring(6, 0.35, math.pi / 6.0),
-        feet=_feet(0.2, 0.25),
+        feet=square_feet(0.2, 0.25),
     )
 
 
@@ -95,7 +95,7 @@ def pelican() -> Multirotor:
         nominal_voltage=11.1,
         top=(0.0, 0.0, -0.12),
         rotors=ring(4, 0.21, 0.0, direction=1, down=-0.05),
-        feet=_feet(0.1, 0.12),
+        feet=square_feet(0.1, 0.12),
     )
 
 
@@ -127,7 +127,7 @@ def crazyflie() -> Multirotor:
         avionics_power=0.5,
         top=(0.0, 0.0, -0.02),
         rotors=(Rotor((c, c, 0.0), -1), Rotor((-c, c, 0.0), 1), Rotor((-c, -c, 0.0), -1), Rotor((c, -c, 0.0), 1)),
-        feet=_feet(0.7 * c, 0.015),
+        feet=square_feet(0.7 * c, 0.015),
         # Its rotors are slow: at 8 rad/s it overshoots.
         stabiliser=_stabiliser(attitude_gain=6.0, rate_gain=18.0),
     )
@@ -136,16 +136,11 @@ def crazyflie() -> Multirotor:
 SETS = {"x500": x500, "hummingbird": hummingbird, "pelican": pelican, "crazyflie": crazyflie, "hexa4": hexa4}
 
 
-def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
-    """Return four feet at the corners of a square [m]."""
-    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
-
-
 def _multirotor(**values: Any) -> Multirotor:
     """Return a vehicle with plain numbers; building a world turns them into arrays."""
     return Multirotor(**values)
 
 
 def _stabiliser(**gains: Any) -> Stabiliser:
-    """Return loops of numbers."""
+    """Return a stabiliser with these gains."""
     return Stabiliser(**gains)

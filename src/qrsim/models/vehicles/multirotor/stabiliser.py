@@ -111,7 +111,7 @@ def rotor_thrusts(
     after = [
         _integrated(now, wrong, lack, slack * jnp.abs(asked), dt * gain, limit)
         for now, wrong, lack, asked, gain, limit in zip(
-            _parts(integral), _parts(error), _parts(missing), _parts(torque), grow, limits, strict=True
+            integral.axes, error.axes, missing.axes, torque.axes, grow, limits, strict=True
         )
     ]
     return thrusts, Vec3(*after)
@@ -126,7 +126,3 @@ def _integrated(now: Array, error: Array, missing: Array, slack: Array, gain: Ar
 def _by_axes(inertia: Vec3, vector: Vec3) -> Vec3:
     """Return the product of two vectors, axis by axis."""
     return Vec3(inertia.x * vector.x, inertia.y * vector.y, inertia.z * vector.z)
-
-
-def _parts(vector: Vec3) -> tuple[Array, Array, Array]:
-    return vector.x, vector.y, vector.z

@@ -220,7 +220,7 @@ class Multirotor(Airframe, Vehicle):
         return leaning(self, tilt)
 
     def outline(self) -> Outline:
-        """Return its rotors."""
+        """Return positions and radius of the rotors, for pictures."""
         radius = float(np.ravel(np.asarray(self.rotor_radius))[0])
         return Outline(tuple(rotor.position for rotor in self.rotors), radius)
 

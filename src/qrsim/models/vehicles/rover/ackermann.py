@@ -200,5 +200,6 @@ class Rover(Vehicle):
 
 
 def _motion_of(state: RoverState) -> _Motion:
+    """Return the motion of a state, with its origin at the vehicle."""
     zero = jnp.zeros_like(state.speed)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.speed, state.slip_speed, state.yaw_rate, state.steering)

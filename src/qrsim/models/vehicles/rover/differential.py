@@ -151,6 +151,7 @@ class DifferentialRover(Vehicle):
         hardest = jnp.minimum(self.acceleration_max, self.friction * self.gravity)
 
         def spun(wanted: Array, wheel: Array) -> Array:
+            """Return the acceleration [m/s^2] of a wheel towards a wanted speed [m/s]."""
             fast = jnp.clip(wanted, -self.speed_max, self.speed_max)
             return jnp.clip((fast - wheel) / self.speed_lag, -hardest, hardest)
 
@@ -162,5 +163,6 @@ class DifferentialRover(Vehicle):
 
 
 def _motion_of(state: DifferentialRoverState) -> _Motion:
+    """Return the motion of a state, with its origin at the vehicle."""
     zero = jnp.zeros_like(state.left)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.left, state.right)
