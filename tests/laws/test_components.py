@@ -69,11 +69,11 @@ def option_cases(
     for group, name in COMPONENTS:
         for settings in options(group, name):
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            long = options_are_long and (bool(settings) or group in dear)
+            not_first = name not in list(GROUPS[group])[::4]
+            long = options_are_long and (bool(settings) or group in dear or (bool(dear) and not_first))
             marks = (pytest.mark.long,) if long else ()
             # All programs take minutes to compile: of each group, one component in four is compiled before the night.
-            not_first = one_in_four and name not in list(GROUPS[group])[::4]
-            if not_first or (settings and (group, name) in options_nightly):
+            if (one_in_four and not_first) or (settings and (group, name) in options_nightly):
                 marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
@@ -88,7 +88,8 @@ UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow
 UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle", "velocity"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
-# Tracing a slope takes ten times as long as tracing the values, and a batch three times.
+# Tracing a slope takes ten times as long as tracing the values, and a batch three times: the short tier traces one
+# component in four of each group.
 by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR, ONE_FORM))
 by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
 every_program = pytest.mark.parametrize(
@@ -211,9 +212,13 @@ def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: d
 
 # A placement is of a fleet as a whole.
 OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.") and case[0] != "PLACEMENTS"]
+IN_LISTS = [
+    pytest.param(*case, id="-".join(case), marks=() if case in OF_A_FLEET[::4] else pytest.mark.long)
+    for case in OF_A_FLEET
+]
 
 
-@pytest.mark.parametrize(("group", "name"), [pytest.param(*case, id="-".join(case)) for case in OF_A_FLEET])
+@pytest.mark.parametrize(("group", "name"), IN_LISTS)
 def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> None:
     """With a list in place of each number, every vehicle is as in a fleet where all have its numbers."""
     component, given, keys = example(group, name), inputs(0), stream_keys(0)
