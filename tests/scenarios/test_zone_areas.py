@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from typing import Any
 
 import pytest
@@ -133,6 +134,10 @@ def test_kml_and_geojson_with_a_hole(tmp_path: Any) -> None:
     assert (zone.name, len(zone.rings[0]), len(zone.rings[1])) == ("Field", 4, 3)
     by_hand = {"polygon_geodetic": CORNERS, "holes_geodetic": [INNER], "name": "Field"}
     assert load({"stay_in": [by_hand]}).spec.world.area == found[0]
+    archive = tmp_path / "field.kmz"
+    with zipfile.ZipFile(archive, "w") as packed:
+        packed.write(kml, "doc.kml")
+    assert load({"stay_in": [{"file": str(archive)}]}).spec.world.area == found[0]
     misspelt = {"stay_in": [{"file": str(kml), "name": "Feild"}]}
     assert "no polygon is called 'Feild'; did you mean 'Field'" in fault(misspelt)
     assert "allowed: files that end in .plan, .kml" in fault({"stay_in": [{"file": "field.shp"}]})
@@ -142,11 +147,22 @@ def test_kml_and_geojson_with_a_hole(tmp_path: Any) -> None:
     ("text", "message"),
     [
         ("{", "is not JSON"),
-        ('{"type": "Point", "coordinates": [0, 0]}', "has no Polygon and no MultiPolygon"),
-        ('{"type": "Polygon", "coordinates": [[["a", 1]]]}', "corner 0: expected [longitude, latitude]"),
-        ('{"type": "Polygon", "coordinates": [[[51.7, 151.2], [1, 2], [3, 4]]]}', "longitude comes first"),
-        ('{"type": "Polygon", "coordinates": [[[0.1, 51.7], [0.1, 51.7]]]}', "has a ring of 1 corners"),
-        ('{"type": "Polygon", "coordinates": 3}', "expected coordinates, a list of rings"),
+        ('{"type": "Point", "coordinates": [0, 0]}', "zones.geojson: has no Polygon and no MultiPolygon"),
+        (
+            '{"type": "Polygon", "coordinates": [[["a", 1]]]}',
+            "feature 0, corner 0: ['a', 1]; expected [longitude, latitude]",
+        ),
+        (
+            '{"type": "Polygon", "coordinates": [[[51.7, 151.2], [1, 2], [3, 4]]]}',
+            "latitude 151.2; allowed: -90 to 90 deg; is it",
+        ),
+        (
+            '{"type": "Polygon", "coordinates": [[[0.1, 51.7], [0.1, 51.7]]]}',
+            "feature 0: has 1 corner; a polygon needs at least 3",
+        ),
+        ('{"type": "Polygon", "coordinates": []}', "feature 0: expected a list of rings, found none"),
+        ('{"type": "Polygone", "coordinates": []}', "its type is 'Polygone'; expected GeoJSON with a Polygon; did you"),
+        ('{"type": "Polygon", "coordinates": 3}', "feature 0: expected a list, found 3"),
     ],
 )
 def test_bad_geojson(tmp_path: Any, text: str, message: str) -> None:
