@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import zipfile
 import math
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
