@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter
 
 from qrsim.errors import ScenarioError, UsageError, warn_user
-from qrsim.models.site import Site
 from qrsim.scenarios.area_schema import MOST_CORNERS, polygon_model
 from qrsim.scenarios.fence_file import fence_corners
 from qrsim.scenarios.ground import stands
@@ -23,6 +22,7 @@ from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
 from qrsim.scenarios.plan_site import (
     ellipsoidal_height,
     far_from_home,
+    geoid_of_site,
     height_of_home,
     home_of,
     in_feet,
@@ -51,7 +51,7 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
         messages, and the plans of its vehicles.
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
-    site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None
+    site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None or scenario.site.geoid
     if not has_places(scenario.world.area) and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
         return scenario, [], {}, []
     places = _Places(scenario)
@@ -99,7 +99,7 @@ class _Places:
         level = height_of_home(scenario)
         site = scenario.site if level is None else scenario.site.model_copy(update={"height_amsl": level})
         self.place = self._place(site)
-        self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
+        self.site = self.place.at()
         self.site_amsl = None if self.problems else amsl_of(scenario.site, self.place)
         self.ground: PlanGround
         self.written: dict[str, str] = {}
@@ -132,7 +132,11 @@ class _Places:
         return self._with_height(site, "site.height_amsl")
 
     def _with_height(self, site: SiteSpec, path: str) -> SiteSpec:
-        """Return a site with its height above the ellipsoid, where it has one above mean sea level."""
+        """Return a site with its geoid in numbers, and its height above the ellipsoid if it has one above the sea."""
+        unread = site.geoid is not None and site.geoid.file is not None
+        geoids = self._attempt("site.geoid", lambda: [geoid_of_site(site)]) if unread else []
+        for geoid in geoids:
+            site = site.model_copy(update={"geoid": geoid})
         if site.height_amsl is not None:
             try:
                 return site.model_copy(update={"height": ellipsoidal_height(site)})

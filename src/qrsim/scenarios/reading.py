@@ -180,12 +180,13 @@ def merged(parent: Content, child: Content) -> Content:
 def anchor_files(content: Content, folder: Path) -> None:
     """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
 
-    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, and ``wind: calm`` becomes ``wind: {type:
-    calm}``, as of every component. A name that is not there but is one of the public recordings means the recording.
+    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, as does ``geoid: FILE`` of the site, and
+    ``wind: calm`` becomes ``wind: {type: calm}``, as of every component. A name that is not there but is one of the
+    public recordings means the recording.
     """
     for part in _with_plans(content):
-        if isinstance(part, dict) and isinstance(part.get("plan"), str):
-            part["plan"] = {"file": part["plan"]}
+        if isinstance(part, dict):
+            part |= {key: {"file": part[key]} for key in ("plan", "geoid") if isinstance(part.get(key), str)}
     _spell_out(content, [])
     _anchor(content, folder)
 

@@ -15,7 +15,6 @@ from qrsim.models.atmosphere.weather.table import read_table
 from qrsim.models.atmosphere.weather.values import Request, needed_times
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT
 from qrsim.models.atmosphere.wind_profile import MOST_ROWS
-from qrsim.models.geoid import undulation
 from qrsim.scenarios.build import wind_of
 from qrsim.scenarios.ground import top_of
 from qrsim.scenarios.schema import ScenarioSpec
@@ -59,7 +58,7 @@ def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
         place.latitude_deg, place.longitude_deg, start, start + scenario.duration, vars(wind).get("member")
     )
     if wind.type == WEATHER:
-        amsl = place.height - float(undulation(place.latitude_deg, place.longitude_deg))
+        amsl = place.height - place.undulation
         found = read_weather(wind.file, request, Site(amsl, wind.above, wind.roughness))
     else:
         given = [name for name in ("heights", "speeds", "wind_from_rad", "times") if getattr(wind, name)]
