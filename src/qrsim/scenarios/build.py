@@ -249,7 +249,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
         estimator=_estimator(spec, scenario, sensors, fittings),
         failsafes=None
         if spec.failsafes is None
-        else failsafes(component(spec.failsafes, Failsafes, scenario), scenario),
+        else failsafes(component(spec.failsafes, Failsafes, scenario), spec, scenario, ground_of),
     )
 
 

@@ -111,7 +111,7 @@ class _Places:
         self.shared: dict[str, int] = {}
         z_min = vars(scenario.world.area).get("z_min")
         self.ceiling = None if z_min is None else -z_min
-        self.on_ground = False
+        self.on_ground = self.fails = False
 
     def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
         """Return the points a function gives; where something is wrong, keep that and return none."""
@@ -161,7 +161,7 @@ class _Places:
         plans = [plan for plan in map(self._read, specs if mission else ()) if plan is not None]
         if any(map(touches_ground, plans)) and "ground" not in fleet.model_fields_set and not stands(fleet):
             fleet = fleet.model_copy(update={"ground": "parked"})
-        self.on_ground = mission and stands(fleet)
+        self.on_ground, self.fails = mission and stands(fleet), fleet.failsafes is not None
         vehicles = [self._vehicle(f"{path}.vehicles.{i}", each, mission) for i, each in enumerate(fleet.vehicles)]
         return fleet.model_copy(update={"vehicles": vehicles, "guidance": guidance})
 
@@ -215,8 +215,18 @@ class _Places:
         if vehicle.plan and mission and start and _label(vehicle.plan) in self.flown:
             legs, again = self._legs(path, vehicle.plan, start, math.degrees(vehicle.yaw_rad))
             self._note(f"{path}.legs", vehicle.plan, [leg.item for leg in legs])
+        if vehicle.plan and self.fails and not vehicle.rally_ned and _label(vehicle.plan) in self.flown:
+            vehicle = vehicle.model_copy(update={"rally_ned": self._rally(path, self.flown[_label(vehicle.plan)])})
         changes = {"position_ned": start, "waypoints_ned": route, "legs": legs, "repeat_from": again}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
+
+    def _rally(self, path: str, plan: Plan) -> list[list[float]]:
+        """Return the rally points of a plan in NED; their heights are above its home."""
+        home = (plan.home.latitude_deg, plan.home.longitude_deg, 0.0)
+        around = [home, *((each.latitude_deg, each.longitude_deg, 0.0) for each in plan.rally)]
+        first, *places = self._attempt(f"{path}.plan", lambda: local_ned(self.site, around)) or [[0.0, 0.0, 0.0]]
+        level = float(self.ground.down(*first[:2])) if places else 0.0
+        return [[*place[:2], level - each.height_above_home] for place, each in zip(places, plan.rally, strict=False)]
 
     def _leg(self, path: str, leg: Any) -> Any:
         """Return a leg in NED."""

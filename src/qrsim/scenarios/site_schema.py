@@ -86,7 +86,7 @@ class GeoidSpec(Strict):
     height: Finite | None = Field(None, description="height at the site [m], instead of file", ge=-200, le=200)
     slope_north: Finite = Field(0.0, description="change of the height per metre to the north", ge=-0.01, le=0.01)
     slope_east: Finite = Field(0.0, description="change of the height per metre to the east", ge=-0.01, le=0.01)
-    source: str = Field("", description="file that the numbers are from", exclude_if=lambda source: not source)
+    source: str = Field("", description="file that the numbers are from")
 
     @model_validator(mode="after")
     def _one(self) -> GeoidSpec:
