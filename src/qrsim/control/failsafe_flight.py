@@ -94,7 +94,7 @@ class FailsafeState:
 
     @property
     def safe_ned(self) -> Vec3:
-        """Where a return leads, on the ground (n,) [m]."""
+        """Landing place of a return (n,) [m]."""
         return self.home_ned if self.rally_ned is None else self.rally_ned
 
     @staticmethod

@@ -85,7 +85,9 @@ class VehicleSpec(Strict):
         json_schema_extra=or_its_file,
     )
     rally_ned: list[Position] = Field(
-        [], description="where failsafes return if nearer than home [m]; default: those of plan", max_length=MOST_RALLY
+        [],
+        description="rally points: returns of failsafes if nearer than home [m]; default: those of plan",
+        max_length=MOST_RALLY,
     )
     legs: list[LegSpec] = Field(
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
