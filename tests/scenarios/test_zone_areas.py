@@ -6,6 +6,7 @@ import json
 import zipfile
 from typing import Any
 
+import numpy as np
 import pytest
 
 from qrsim.errors import ScenarioError
@@ -84,6 +85,26 @@ def test_legs_across_a_zone() -> None:
     # Above the school.
     high = {"position_ned": [0, 0, -35], "waypoints_ned": [[50, 0, -35]]}
     assert len(zones_of(load(area, high).spec.world.area)) == 2
+
+
+def test_legs_and_starts_above_a_slope(tmp_path: Any) -> None:
+    """The ground rises by 1 m in 10 m to the north, so 23 m over the origin are 17 m over the middle of the zone."""
+    axis = np.linspace(-200.0, 200.0, 41)
+    np.savez(tmp_path / "slope.npz", north=axis, east=axis, height=0.1 * axis[:, None] + 0.0 * axis)
+    zone = {"circle_ned": [60, 0], "radius": 10, "ceiling": 18, "above": "terrain", "name": "barn"}
+    slope = content(
+        {"stay_in": [{"polygon_ned": [[-90, -90], [-90, 90], [90, 90], [90, -90]]}], "stay_out": [zone]},
+        {"position_ned": [0, 0, -23], "waypoints_ned": [[85, 0, -23]]},
+    )
+    slope["world"]["ground"] = {"type": "dem", "file": str(tmp_path / "slope.npz"), "frame": "local"}
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(slope)
+    (problem,) = caught.value.problems
+    # From 18 m over the ground, at its edge.
+    assert problem.endswith("waypoints_ned.0: 20 m of it are inside 'barn', first at north 50, east 0 m")
+    slope["fleets"]["pelicans"]["vehicles"] = [{"position_ned": [60, 0, -22.5]}]
+    with pytest.raises(ScenarioError, match=r"starts 1\.5 m inside 'barn', to stay out of"):
+        load_scenario(slope)
 
 
 def plan_file(tmp_path: Any, polygons: list[tuple[bool, Any]]) -> str:
