@@ -300,6 +300,10 @@ def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
     if name in ("latitude_deg", "longitude_deg") and "height_amsl" in target:
         # A saved site has both heights, and elsewhere the geoid is another.
         twins.append("height")
+    geoid = target.get("geoid") if name in ("latitude_deg", "longitude_deg") else None
+    if isinstance(geoid, dict) and geoid.get("source"):
+        # Its numbers are those of a file at the place of a saved site.
+        twins.append("geoid")
     for twin in twins:
         if twin not in kept:
             target.pop(twin, None)

@@ -82,6 +82,7 @@ class GeoidSpec(Strict):
         None,
         description="heights of a geoid above the WGS-84 ellipsoid [m]: .tif, .img, or .pgm of GeographicLib",
         min_length=1,
+        exclude=True,
     )
     height: Finite | None = Field(None, description="height at the site [m], instead of file", ge=-200, le=200)
     slope_north: Finite = Field(0.0, description="change of the height per metre to the north", ge=-0.01, le=0.01)

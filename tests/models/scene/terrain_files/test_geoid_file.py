@@ -87,6 +87,9 @@ def test_a_site_with_a_geoid(tmp_path: Path) -> None:
     saved.write_text(scenario.to_yaml())
     Path(file).unlink()
     assert load_scenario(saved).spec == scenario.spec
+    assert "file" not in saved.read_text()
+    moved = load_scenario(saved, ["site.latitude_deg=51.8"]).spec.site
+    assert moved.height == pytest.approx(100.0 + undulation(51.8, LONGITUDE), abs=0.001)
     assert load({"height": 46.0}, height=90.0).spec.site.undulation == 46.0
 
 
