@@ -8,6 +8,7 @@ from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files import Content
+from qrsim.files.user_files import LARGEST_TABLE
 from qrsim.models.geoid import undulation
 from qrsim.scenarios.plans.drawn import (
     Drawn,
@@ -72,7 +73,7 @@ def geojson_polygons(source: str) -> list[DrawnPolygon]:
 
 def _content(source: str, wanted: str, kinds: tuple[str, ...]) -> Content:
     """Return the content of a file, checked to be a collection or one of some geometries."""
-    content = plan_content(source, f"GeoJSON with {wanted}")
+    content = plan_content(source, f"GeoJSON with {wanted}", LARGEST_TABLE)
     kind = content.get("type") if isinstance(content, dict) else None
     if kind not in (*_COLLECTIONS, *kinds):
         hint = did_you_mean(str(kind), (*_COLLECTIONS, *kinds)) if kind else ""
@@ -107,7 +108,7 @@ def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, C
     """Yield the place in the file, properties and geometry of each feature."""
     features: Any = [content]
     if content["type"] == "FeatureCollection":
-        features = _listed(source, "features", content.get("features"))
+        features = _listed(source, "features", content.get("features"), counts=False)
     for number, feature in enumerate(features):
         where = f"feature {number}"
         if not isinstance(feature, dict):
@@ -169,8 +170,9 @@ def _position(source: str, where: str, position: object) -> list[float]:
         raise UsageError(f"{source}: {where}: {shown(position)}: a number is too large") from None
 
 
-def _listed(source: str, where: str, value: object) -> list[Any]:
+def _listed(source: str, where: str, value: object, counts: bool = True) -> list[Any]:
     if not isinstance(value, list):
         raise UsageError(f"{source}: {where}: expected a list, found {shown(value)}")
-    check_count(source, where, len(value))
+    if counts:
+        check_count(source, where, len(value))
     return value
