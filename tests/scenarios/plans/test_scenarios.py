@@ -69,6 +69,11 @@ def test_rally_points_of_a_plan_are_those_of_failsafes(write: Callable[..., str]
     saved.write_text(loaded.to_yaml())
     Path(file).unlink()
     assert load_scenario(saved).spec == loaded.spec
+    # Without its plan the link has the same points.
+    given, written = start_rally(loaded, loaded.world())[0], start_rally(load_scenario(saved), loaded.world())[0]
+    numbers = [[(each.x, each.y, each.z) for each in items] for items in (given, written)]
+    np.testing.assert_allclose(numbers[0], numbers[1], rtol=0.0, atol=1.0)
+    assert [each.z for each in written] == pytest.approx([45.0, 10.0])
     failsafes = loaded.world("float64").fleets[0].failsafes
     assert failsafes is not None
     assert [float(point.place_ned.z[0]) for point in failsafes.rally] == [-45.0, -10.0]
