@@ -340,7 +340,10 @@ def test_kml_heights_above_the_ellipsoid_or_a_higher_ground(recorded, tmp_path, 
     assert "<!-- Heights are above the WGS-84 ellipsoid. -->" in (tmp_path / "h.kml").read_text()
     mode, height = heights(recorded, "--heights", "sea")
     assert (mode, height) == ("absolute", pytest.approx(140.0 - UNDULATION, abs=0.01))
-    assert "<!-- Heights are above mean sea level, by the geoid EGM96. -->" in (tmp_path / "h.kml").read_text()
+    assert (
+        "<!-- Heights are above mean sea level, by the geoid of the scenario (EGM96 by default). -->"
+        in (tmp_path / "h.kml").read_text()
+    )
     site = f"site: {{latitude_deg: {LATITUDE}, longitude_deg: {LONGITUDE}, height: {HEIGHT}}}"
     content = f"start_time: '{START}'\n{site}\nworld: {{ground: {{type: flat, height: 5.0}}}}\n"
     mode, height = heights(write_run(tmp_path / "hill", scenario=content))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from qrsim.control import Estimate, PathSetpoint
-from qrsim.control.failsafe_flight import CLIMB, DOWN, FLY, LOWER, STAY, Failsafes, FailsafeState, Watched
+from qrsim.control.failsafe_flight import CLIMB, DOWN, FLY, LOWER, STAY, Failsafes, FailsafeState, RallyPoint, Watched
 from qrsim.control.failsafes import (
     DESCEND,
     DISARM,
@@ -124,6 +124,49 @@ class Rig:
     @property
     def action(self) -> int:
         return int(self.state.action[0])
+
+
+def returning(x: float) -> Rig:
+    """Return a vehicle 8 m over home that returns; its rally points are 60 m and 160 m north."""
+
+    def rally(north: float, down: float, ground: float) -> RallyPoint:
+        return RallyPoint(Vec3(*(jnp.full(1, axis) for axis in (north, 0.0, down))), jnp.full(1, ground))
+
+    rig = Rig((x, 0.0, -8.0), COM_GNSSLOSS_ACT="return", RTL_RETURN_ALT=30.0)
+    points = (rally(60.0, -20.0, -4.0), rally(160.0, -50.0, 2.0), rally(1e6, -9.0, 0.0))
+    rig.failsafes = replace(rig.failsafes, rally=points)
+    rig.state = replace(rig.state, rally_ned=rig.state.home_ned)
+    rig.step(fixed=jnp.zeros(1, bool))
+    return rig
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("x", "safe", "z"),
+    [
+        # Nearest are home, 10 m south; a rally point on ground at -4 m; another one that is higher than the return.
+        (-2.0, (-10.0, 0.0, 0.0), -8.0),
+        (40.0, (60.0, 0.0, -4.0), -30.0),
+        (140.0, (160.0, 0.0, 2.0), -50.0),
+    ],
+)
+def test_a_return_leads_to_the_nearest_rally_point(x: float, safe: tuple[float, float, float], z: float) -> None:
+    rig = returning(x)
+    assert rig.action == RETURN
+    found = rig.state.safe_ned
+    assert [float(axis[0]) for axis in (found.x, found.y, found.z)] == list(safe)
+    assert float(rig.state.goal_ned.z[0]) == pytest.approx(z, abs=0.01)
+
+
+@pytest.mark.long
+def test_a_return_lowers_over_the_ground_of_its_rally_point() -> None:
+    rig = returning(59.5)
+    rig.step(2, estimate=rig.put(z=-29.6))
+    assert int(rig.state.phase[0]) == LOWER
+    rig.step(2, estimate=rig.put(z=-14.6))
+    assert int(rig.state.phase[0]) == LOWER
+    rig.step(2, estimate=rig.put(z=-14.4))
+    assert int(rig.state.phase[0]) == DOWN
 
 
 @pytest.mark.long

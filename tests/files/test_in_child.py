@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 
 import pytest
 
 from qrsim.errors import UsageError
-from qrsim.files.in_child import ChildError, in_child
+from qrsim.files.in_child import Child, ChildError, in_child
 
 
 def joined(words: list[str], count: int) -> dict[str, object]:
@@ -21,7 +22,17 @@ def refuse(_: str) -> None:
 
 
 def fail() -> None:
-    raise KeyError("gone")
+    try:
+        os.stat("/nowhere/else")
+    except OSError:
+        raise KeyError("gone") from None
+
+
+def half() -> None:
+    for number in range(3, 20):
+        with contextlib.suppress(OSError):
+            os.write(number, b"\x80\x05half")
+    os._exit(0)
 
 
 def crash() -> None:
@@ -50,8 +61,9 @@ def test_its_result_comes_back() -> None:
 def test_its_errors_come_back() -> None:
     with pytest.raises(UsageError, match=r"^FILE: has no 'u'$"):
         in_child(refuse, "x")
-    with pytest.raises(ChildError, match="gone"):
+    with pytest.raises(ChildError, match="gone") as caught:
         in_child(fail)
+    assert [each.partition(":")[0] for each in caught.value.reasons] == ["KeyError", "FileNotFoundError"]
 
 
 def test_what_ends_it_is_told() -> None:
@@ -59,6 +71,8 @@ def test_what_ends_it_is_told() -> None:
         in_child(crash)
     with pytest.raises(ChildError, match="its decoder ended with code 3"):
         in_child(leave)
+    with pytest.raises(ChildError, match="its decoder ended with code 0"):
+        in_child(half)
     with pytest.raises(ChildError, match=r"it takes longer than 0\.5 s"):
         in_child(sleep, seconds=0.5)
 
@@ -68,3 +82,18 @@ def test_its_memory_has_a_limit() -> None:
     assert in_child(grow) == 400 * 2**20
     with pytest.raises(ChildError, match=r"it needs more than 0\.195 GB of memory"):
         in_child(grow, memory=200 * 2**20)
+
+
+def test_one_process_answers_until_it_ends() -> None:
+    with Child(settings={"OF_A_CHILD": "set"}) as child:
+        first = child.call(os.getpid)
+        assert child.call(os.getenv, "OF_A_CHILD") == "set"
+        with pytest.raises(UsageError, match="has no 'u'"):
+            child.call(refuse, "x")
+        with pytest.raises(ChildError, match="gone"):
+            child.call(fail)
+        assert child.call(os.getpid) == first == child.number
+        with pytest.raises(ChildError, match="crashed"):
+            child.call(crash)
+        assert child.call(os.getpid) != first
+    assert child.number is None

@@ -52,6 +52,7 @@ REFUSED: list[tuple[Any, Any, dict[str, Any], str]] = [
         {},
         "failsafes.BAT_LOW_THR: 3 numbers in a list; allowed: 2, one for each vehicle, or a number",
     ),
+    ({}, None, {"vehicles": [{"position_ned": [0, 0, -20], "rally_ned": [[9, 0, -20]] * 21}]}, "at most 20"),
     ({"RTL_RETURN_ALT": []}, None, {}, "failsafes.RTL_RETURN_ALT: 0 numbers in a list"),
     (
         {"COM_LOW_BAT_ACT": "land"},
@@ -157,6 +158,12 @@ def test_numbers_may_be_of_each_vehicle_and_drawn_by_each_episode() -> None:
     wrong = content({"COM_LOW_BAT_ACT": 2})
     wrong["ranges"] = [{"path": "fleets.uav.failsafes.COM_LOW_BAT_ACT", "low": 0.0, "high": 3.0}]
     assert "is not a number that can differ from episode to episode" in problems(wrong)
+
+
+def test_rally_points_without_failsafes_are_refused() -> None:
+    given = content(vehicles=[{"position_ned": [0, 0, -20], "rally_ned": [[9, 0, -20]]}])
+    del given["fleets"]["uav"]["failsafes"]
+    assert "fleets.uav.vehicles.0.rally_ned: only failsafes return there; give failsafes: {}" in problems(given)
 
 
 def test_a_fleet_without_failsafes_has_none() -> None:

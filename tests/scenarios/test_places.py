@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -344,10 +345,18 @@ def fence_of(file: str, **more: Any) -> Any:
     return load_scenario(scenario(vehicle, area={"type": "fence", "file": file, **more})).spec.world.area
 
 
-def test_a_fence_is_the_polygon_of_its_file(write_kml: Callable[..., str], write_plan: Callable[..., str]) -> None:
+def test_a_fence_is_the_polygon_of_its_file(
+    write_kml: Callable[..., str], write_plan: Callable[..., str], tmp_path: Path
+) -> None:
     expected = [north_east(*corner) for corner in SQUARE]
     files = write_kml(), write_plan(polygons=[polygon()])
-    for area in (fence_of(files[0], z_min=-40.0), fence_of(files[1], z_min=-40.0)):
+    packed, json_file = tmp_path / "packed.kmz", tmp_path / "field.geojson"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.write(files[0], "doc.kml")
+    coordinates = [[[longitude, latitude] for latitude, longitude in SQUARE]]
+    json_file.write_text(json.dumps({"type": "Polygon", "coordinates": coordinates}))
+    for file in (*files, str(packed), str(json_file)):
+        area = fence_of(file, z_min=-40.0)
         assert (area.type, area.z_min, area.z_max) == ("polygon", -40.0, 0.0)
         np.testing.assert_allclose(area.corners_ned, expected, rtol=0.0, atol=0.005)
     chosen = fence_of(write_kml(names=("A", "B")), name="B")
@@ -369,11 +378,11 @@ def test_a_bad_fence_is_named(write_kml: Callable[..., str], write_plan: Callabl
         return found
 
     hole = write_kml(hole=True)
-    assert problem(hole).startswith(f"world.area: {hole}: polygon 'Field': has a hole (innerBoundaryIs), and a fence")
+    assert problem(hole).startswith(f"world.area: {hole}: polygon 'Field' has a hole, and a fence")
     two = write_kml(names=("North", "South"))
     assert problem(two) == f"world.area: {two}: has 2 polygons; choose one by its name: 'North', 'South'"
     assert "no polygon is called 'Soth'; did you mean 'South'?" in problem(two, name="Soth")
-    assert "fence.geojson: is no fence; allowed: files that end in .kml or .plan" in problem("fence.geojson")
+    assert "fence.shp: is no fence; allowed: files that end in .plan, .kml" in problem("fence.shp")
     assert "gone.kml: cannot be read: No such file" in problem("gone.kml")
     counts = "polygons or circles to stay in and {} to stay out of; supported: one to stay in"
     assert counts.format(0) in problem(write_plan())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,20 @@ def test_a_table_of_times(tmp_path: Path) -> None:
     again = load_scenario({**scenario.spec.model_dump(mode="json"), "name": "y"}, quiet=True)
     assert again.spec.world.wind == wind
     assert len(scenario.to_yaml()) < 2**20
+
+
+def test_a_file_with_several_cells_in_the_area(tmp_path: Path) -> None:
+    """A quarter of a degree of longitude is 0.25 * 111.195 * cos(51.71) = 17.2 km."""
+    wind = {"type": "weather", "file": str(files.single_levels(tmp_path / "w.nc"))}
+    area = {"type": "box", "x_min": -20e3, "x_max": 20e3, "y_min": -50.0, "y_max": 50.0, "z_min": -90.0, "z_max": 0.0}
+    content = {"name": "x", "extends": "hover_ideal", "start_time": "2026-05-01T10:00:00Z", "duration": 600}
+    with pytest.warns(
+        UserWarning, match=r"w\.nc: its cells are 17 km, and the area is 40 km long; the wind of the site"
+    ):
+        load_scenario({**content, "world": {"wind": wind, "area": area}})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_scenario({**content, "world": {"wind": wind, "area": {**area, "x_min": 0.0}}})
 
 
 def test_turbulence_has_the_strength_and_the_bearing_of_the_middle_of_the_run(tmp_path: Path) -> None:

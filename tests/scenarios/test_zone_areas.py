@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from typing import Any
 
+import numpy as np
 import pytest
 
 from qrsim.errors import ScenarioError
@@ -85,6 +87,26 @@ def test_legs_across_a_zone() -> None:
     assert len(zones_of(load(area, high).spec.world.area)) == 2
 
 
+def test_legs_and_starts_above_a_slope(tmp_path: Any) -> None:
+    """The ground rises by 1 m in 10 m to the north, so 23 m over the origin are 17 m over the middle of the zone."""
+    axis = np.linspace(-200.0, 200.0, 41)
+    np.savez(tmp_path / "slope.npz", north=axis, east=axis, height=0.1 * axis[:, None] + 0.0 * axis)
+    zone = {"circle_ned": [60, 0], "radius": 10, "ceiling": 18, "above": "terrain", "name": "barn"}
+    slope = content(
+        {"stay_in": [{"polygon_ned": [[-90, -90], [-90, 90], [90, 90], [90, -90]]}], "stay_out": [zone]},
+        {"position_ned": [0, 0, -23], "waypoints_ned": [[85, 0, -23]]},
+    )
+    slope["world"]["ground"] = {"type": "dem", "file": str(tmp_path / "slope.npz"), "frame": "local"}
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(slope)
+    (problem,) = caught.value.problems
+    # From 18 m over the ground, at its edge.
+    assert problem.endswith("waypoints_ned.0: 20 m of it are inside 'barn', first at north 50, east 0 m")
+    slope["fleets"]["pelicans"]["vehicles"] = [{"position_ned": [60, 0, -22.5]}]
+    with pytest.raises(ScenarioError, match=r"starts 1\.5 m inside 'barn', to stay out of"):
+        load_scenario(slope)
+
+
 def plan_file(tmp_path: Any, polygons: list[tuple[bool, Any]]) -> str:
     circle = {"version": 1, "inclusion": False, "circle": {"center": [51.7121, -0.2115], "radius": 10}}
     fence = {
@@ -133,6 +155,10 @@ def test_kml_and_geojson_with_a_hole(tmp_path: Any) -> None:
     assert (zone.name, len(zone.rings[0]), len(zone.rings[1])) == ("Field", 4, 3)
     by_hand = {"polygon_geodetic": CORNERS, "holes_geodetic": [INNER], "name": "Field"}
     assert load({"stay_in": [by_hand]}).spec.world.area == found[0]
+    archive = tmp_path / "field.kmz"
+    with zipfile.ZipFile(archive, "w") as packed:
+        packed.write(kml, "doc.kml")
+    assert load({"stay_in": [{"file": str(archive)}]}).spec.world.area == found[0]
     misspelt = {"stay_in": [{"file": str(kml), "name": "Feild"}]}
     assert "no polygon is called 'Feild'; did you mean 'Field'" in fault(misspelt)
     assert "allowed: files that end in .plan, .kml" in fault({"stay_in": [{"file": "field.shp"}]})
@@ -142,11 +168,22 @@ def test_kml_and_geojson_with_a_hole(tmp_path: Any) -> None:
     ("text", "message"),
     [
         ("{", "is not JSON"),
-        ('{"type": "Point", "coordinates": [0, 0]}', "has no Polygon and no MultiPolygon"),
-        ('{"type": "Polygon", "coordinates": [[["a", 1]]]}', "corner 0: expected [longitude, latitude]"),
-        ('{"type": "Polygon", "coordinates": [[[51.7, 151.2], [1, 2], [3, 4]]]}', "longitude comes first"),
-        ('{"type": "Polygon", "coordinates": [[[0.1, 51.7], [0.1, 51.7]]]}', "has a ring of 1 corners"),
-        ('{"type": "Polygon", "coordinates": 3}', "expected coordinates, a list of rings"),
+        ('{"type": "Point", "coordinates": [0, 0]}', "zones.geojson: has no Polygon and no MultiPolygon"),
+        (
+            '{"type": "Polygon", "coordinates": [[["a", 1]]]}',
+            "feature 0, corner 0: ['a', 1]; expected [longitude, latitude]",
+        ),
+        (
+            '{"type": "Polygon", "coordinates": [[[51.7, 151.2], [1, 2], [3, 4]]]}',
+            "latitude 151.2; allowed: -90 to 90 deg; is it",
+        ),
+        (
+            '{"type": "Polygon", "coordinates": [[[0.1, 51.7], [0.1, 51.7]]]}',
+            "feature 0: has 1 corner; a polygon needs at least 3",
+        ),
+        ('{"type": "Polygon", "coordinates": []}', "feature 0: expected a list of rings, found none"),
+        ('{"type": "Polygone", "coordinates": []}', "its type is 'Polygone'; expected GeoJSON with a Polygon; did you"),
+        ('{"type": "Polygon", "coordinates": 3}', "feature 0: expected a list, found 3"),
     ],
 )
 def test_bad_geojson(tmp_path: Any, text: str, message: str) -> None:

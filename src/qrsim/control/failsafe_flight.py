@@ -88,16 +88,39 @@ class FailsafeState:
     since: Array = quantity(doc="int32 ticks above home before a landing; in a landing, ticks at touchdown speed")
     waited: Array = quantity(doc="int32 ticks on the ground")
     landed: Array = quantity(doc="bool: has landed by a failsafe")
+    rally_ned: Vec3 | None = quantity(
+        default=None, unit="m", doc="the ground where a return lands; None: always at home"
+    )
+
+    @property
+    def safe_ned(self) -> Vec3:
+        """Landing place of a return (n,) [m]."""
+        return self.home_ned if self.rally_ned is None else self.rally_ned
 
     @staticmethod
-    def start(home_ned: Vec3, yaw: Array) -> FailsafeState:
-        """Return the state before any failure, for home positions (n,) [m] and headings (n,) [rad]."""
+    def start(home_ned: Vec3, yaw: Array, rally: bool = False) -> FailsafeState:
+        """Return the state before any failure.
+
+        Args:
+            home_ned: home positions (n,) [m].
+            yaw: headings (n,) [rad].
+            rally: whether there are rally points.
+        """
         count, zero = jnp.zeros(yaw.shape, jnp.int32), jnp.zeros_like(yaw)
         no, still = jnp.zeros(yaw.shape, bool), Vec3(zero, zero, zero)
         never = jnp.full_like(count, -1)
         return FailsafeState(
-            count, count, count, count, never, no, no, home_ned, home_ned, still, home_ned, yaw, count, count, count, no
-        )
+            count, count, count, count, never, no, no, home_ned, home_ned, still, home_ned, yaw, count, count, count,
+            no, home_ned if rally else None,
+        )  # fmt: skip
+
+
+@record
+class RallyPoint:
+    """A place of each vehicle (n,) that a return may lead to instead of home; vehicles without one have it far away."""
+
+    place_ned: Vec3 = quantity(unit="m", doc="place; a return flies there at this height or higher")
+    ground_down: Array = quantity(unit="m", doc="down coordinate of the ground below it")
 
 
 @record
@@ -164,6 +187,7 @@ class Failsafes:
         default=0.7, unit="m/s", doc="speed of a descent, and of a landing near the ground", minimum=0.3, maximum=1.4
     )
     top: Any = derived(default=None, doc="down coordinate [m] of the ceiling of the area; None: no ceiling")
+    rally: tuple[RallyPoint, ...] = derived(default=(), doc="rally points of the vehicles")
 
     def step(
         self, state: FailsafeState, seen: Watched, setpoint: PathSetpoint, dt: float
@@ -224,11 +248,12 @@ class Failsafes:
         here, going, home = estimate.position_ned, estimate.velocity_ned, state.home_ned
         level = root(going.x * going.x + going.y * going.y)
         braking = 0.5 * level / self.MPC_ACC_HOR
-        distance = _level_distance(home, here)
+        safe, least = self._nearest(home, here)
+        distance = _level_distance(safe, here)
         height = jnp.where(
             distance < self.RTL_MIN_DIST, jnp.minimum(self.RTL_RETURN_ALT, distance), self.RTL_RETURN_ALT
         )
-        high = home.z - height
+        high = jnp.minimum(home.z - height, least)
         if self.top is not None:
             high = jnp.maximum(high, self.top + BELOW)
         rest = here.z + 0.5 * going.z * jnp.abs(going.z) / VERTICAL
@@ -241,12 +266,23 @@ class Failsafes:
         zero = jnp.zeros_like(state.since)
         return replace(
             state, place_ned=here, speed_ned=going, goal_ned=goal, yaw=estimate.attitude.yaw,
-            phase=phase.astype(jnp.int32), since=zero, waited=zero,
+            phase=phase.astype(jnp.int32), since=zero, waited=zero, rally_ned=safe if self.rally else None,
         )  # fmt: skip
+
+    def _nearest(self, home: Vec3, here: Vec3) -> tuple[Vec3, Array]:
+        """Return where a return lands (n,), on the ground, and the largest down coordinate of the way there [m]."""
+        safe, least, distance = home, home.z, _level_distance(home, here)
+        for point in self.rally:
+            away = _level_distance(point.place_ned, here)
+            nearer = away < distance
+            safe = select(nearer, replace(point.place_ned, z=point.ground_down), safe)
+            least = jnp.where(nearer, point.place_ned.z, least)
+            distance = jnp.where(nearer, away, distance)
+        return safe, least
 
     def _flown(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, PathSetpoint]:
         """Return the state and the set-point (n,) of the failsafe's path."""
-        here, going, home = seen.estimate.position_ned, seen.estimate.velocity_ned, state.home_ned
+        here, going, home = seen.estimate.position_ned, seen.estimate.velocity_ned, state.safe_ned
         blind = state.action == DESCEND
         state = self._next_phase(state, here, dt)
         down, homewards = state.phase == DOWN, (state.phase == FLY) | (state.phase == LOWER)
@@ -278,7 +314,7 @@ class Failsafes:
 
     def _next_phase(self, state: FailsafeState, here: Vec3, dt: float) -> FailsafeState:
         """Return the state with the next phase (n,) of a return, where its condition is met."""
-        phase, home, top = state.phase, state.home_ned, state.goal_ned.z
+        phase, home, top = state.phase, state.safe_ned, state.goal_ned.z
         up = (phase == CLIMB) & (here.z - top < CLIMBED)
         there = (phase == FLY) & (_level_distance(home, here) < ABOVE)
         low = jnp.maximum(home.z - self.RTL_DESCEND_ALT, top)

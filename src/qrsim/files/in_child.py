@@ -1,67 +1,145 @@
-"""Runs a function in a child process with limits of memory and time: a decoder that crashes ends only the child."""
+"""Runs functions in a child process with limits of memory and time: a decoder that crashes ends only the child."""
 
 from __future__ import annotations
 
-import importlib
 import os
 import pickle
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+import warnings
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from qrsim.errors import UsageError
 
 T = TypeVar("T")
-# Address space that a child may take beyond that of its imports [bytes], and its longest life [s].
+# Address space that a child may take beyond that of its imports [bytes], and the longest time of a call [s].
 MEMORY, LONGEST_S = 2**30, 120.0
+# Seconds in which a child that has closed its pipe ends, and messages of one error that come back.
+LAST_S, MOST_REASONS = 5.0, 10
 _BLAS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class ChildError(Exception):
-    """A child ended without a result; the message says why, in some words."""
+    """A child has no result; the message gives the reason.
+
+    Attributes:
+        reasons: type and message of the error that the function raised, then of those that led to it; empty if the
+            child crashed, ran out of memory, or took too long.
+    """
+
+    def __init__(self, message: str, reasons: tuple[str, ...] = ()):
+        super().__init__(message)
+        self.reasons = reasons
+
+
+class Child:
+    """A process that calls functions, started by the first call and ended by ``with``.
+
+    A function is found there by the name of its module, which should be quick to import. Arguments and results travel
+    by pickle. After an error without ``reasons`` the next call starts another process. Windows has no limit of memory.
+
+    Args:
+        memory: address space that it may take beyond that of its imports [bytes].
+        seconds: longest time of a call [s].
+        settings: variables of its environment.
+    """
+
+    def __init__(self, memory: int = MEMORY, seconds: float = LONGEST_S, settings: Mapping[str, str] | None = None):
+        self._memory, self._seconds, self._settings = memory, seconds, settings or {}
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end(0.0)
+
+    @property
+    def number(self) -> int | None:
+        """Number of the running process; None without one."""
+        return self._process.pid if self._process else None
+
+    def call(self, function: Callable[..., T], *arguments: object) -> T:
+        """Return the result of a function of a module.
+
+        Raises:
+            UsageError: the function raised one; the message is the same.
+            ChildError: the child crashed, raised another error, ran out of memory, or took too long.
+        """
+        job = pickle.dumps((function, arguments), pickle.HIGHEST_PROTOCOL)
+        process, late = self._running(), threading.Event()
+
+        def end() -> None:
+            late.set()
+            process.kill()
+
+        assert process.stdin is not None
+        assert process.stdout is not None
+        alarm = threading.Timer(self._seconds, end)
+        alarm.daemon = True
+        alarm.start()
+        try:
+            process.stdin.write(job)
+            process.stdin.flush()
+            kind, value = pickle.load(process.stdout)
+        except Exception:  # broken pipes and partial answers
+            code = self._end(LAST_S)
+            raise ChildError(
+                f"it takes longer than {self._seconds:g} s" if late.is_set() else _how_it_ended(code)
+            ) from None
+        except BaseException:
+            # Its answer would be taken for that of the next call.
+            self._end(0.0)
+            raise
+        finally:
+            alarm.cancel()
+        if kind == "usage":
+            raise UsageError(value)
+        if kind == "memory":
+            self._end(0.0)
+            raise ChildError(f"it needs more than {self._memory / 2**30:.3g} GB of memory")
+        if kind == "error":
+            message = value[0].partition(": ")[2].strip().partition("\n")[0] or value[0].partition(":")[0]
+            raise ChildError(f"{message:.200}", value)
+        found: T = value
+        return found
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            # Only an absolute path leads a child to the same modules from any folder.
+            paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", __name__, str(self._memory)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **dict.fromkeys(_BLAS, "1"), **self._settings, "PYTHONPATH": paths},
+            )
+        return self._process
+
+    def _end(self, patience_s: float) -> int:
+        """End the process, and return its exit code; it has some seconds to end by itself."""
+        process, self._process = self._process, None
+        if process is None:
+            return 0
+        try:
+            process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        process.communicate()
+        return process.returncode
 
 
 def in_child(function: Callable[..., T], *arguments: object, memory: int = MEMORY, seconds: float = LONGEST_S) -> T:
-    """Return the result of a function that runs in a child process.
-
-    The function is found there by its name, so that it has to be one of a module. Its module should be quick to import.
-    Arguments and result travel by pickle. Windows has no limit of memory.
-
-    Args:
-        function: of a module.
-        *arguments: of the function.
-        memory: address space that it may take [bytes].
-        seconds: longest time that it may take [s].
-
-    Raises:
-        UsageError: the function raised one; the message is the same.
-        ChildError: the child crashed, raised another error, ran out of memory, or took too long.
-    """
-    job = pickle.dumps((function.__module__, function.__qualname__, arguments, memory))
-    # Only an absolute path leads a child to the same modules from any folder.
-    paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
-    environment = {**os.environ, **dict.fromkeys(_BLAS, "1"), "PYTHONPATH": paths}
-    try:
-        ended = subprocess.run(
-            [sys.executable, "-P", "-m", __name__], input=job, capture_output=True, timeout=seconds, env=environment
-        )
-    except subprocess.TimeoutExpired:
-        raise ChildError(f"it takes longer than {seconds:g} s") from None
-    try:
-        kind, value = pickle.loads(ended.stdout)
-    except Exception:
-        raise ChildError(_how_it_ended(ended.returncode)) from None
-    if kind == "usage":
-        raise UsageError(value)
-    if kind == "error":
-        raise ChildError(value)
-    return value
+    """Return the result of one call in a child process; arguments and errors are those of ``Child``."""
+    with Child(memory, seconds) as child:
+        return child.call(function, *arguments)
 
 
 def _how_it_ended(code: int) -> str:
-    """Return how the child ended, in words: its exit code or its signal."""
     if code >= 0:
         return f"its decoder ended with code {code}"
     try:
@@ -71,7 +149,6 @@ def _how_it_ended(code: int) -> str:
 
 
 def _limit_memory(memory: int) -> None:
-    """Let this process take some more bytes of memory at most, where the system can limit it."""
     try:
         import resource
     except ImportError:  # Windows
@@ -91,33 +168,45 @@ def _limit_memory(memory: int) -> None:
         return
 
 
-def _result_of(job: bytes) -> tuple[str, Any]:
-    """Run a pickled job; return "value" and its result, or "usage" or "error" and the words."""
-    module, name, arguments, memory = pickle.loads(job)
-    function: Any = importlib.import_module(module)
-    for part in name.split("."):
-        function = getattr(function, part)
-    _limit_memory(memory)
+def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> bytes:
+    answer: tuple[str, Any]
     try:
-        return "value", function(*arguments)
+        return pickle.dumps(("value", function(*arguments)), pickle.HIGHEST_PROTOCOL)
     except UsageError as error:
-        return "usage", str(error)
+        answer = "usage", str(error)
     except MemoryError:
-        return "error", f"it needs more than {memory / 2**30:.3g} GB of memory"
-    except Exception as error:
-        words = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        return "error", f"{words:.200}"
+        answer = "memory", None
+    except Exception as error:  # whatever a decoder makes of a file goes back as text
+        answer = "error", _reasons(error)
+    return pickle.dumps(answer)
 
 
-def _main() -> None:
-    """Read a job from standard input and write its pickled answer to standard output."""
-    # Libraries in C print; the result has a pipe for itself.
-    result = os.dup(1)
+def _reasons(error: BaseException | None) -> tuple[str, ...]:
+    found: list[str] = []
+    while error is not None and len(found) < MOST_REASONS:
+        found.append(f"{type(error).__name__}: {error}")
+        error = error.__cause__ or error.__context__
+    return tuple(found)
+
+
+def _main(memory: int) -> None:
+    # Libraries in C print; the results have a pipe for themselves.
+    results = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    answer = pickle.dumps(_result_of(sys.stdin.buffer.read()))
-    with os.fdopen(result, "wb") as file:
-        file.write(answer)
+    warnings.simplefilter("ignore")
+    limited = False
+    while True:
+        try:
+            function, arguments = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        if not limited:
+            # After the imports of the first function.
+            _limit_memory(memory)
+            limited = True
+        results.write(_answer(function, arguments))
+        results.flush()
 
 
 if __name__ == "__main__":
-    _main()
+    _main(int(sys.argv[1]))

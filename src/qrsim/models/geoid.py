@@ -8,7 +8,7 @@ the file from the grid of 5 minutes of GeographicLib, as in the package egm96 0.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -105,16 +105,36 @@ class GeoidPlane:
     @staticmethod
     @lru_cache(maxsize=8)
     def at(site: Site) -> GeoidPlane:
-        """Return the plane at a site."""
-        by = SLOPE_OVER
-        places = [[0.0, 0.0, 0.0], [by, 0.0, 0.0], [-by, 0.0, 0.0], [0.0, by, 0.0], [0.0, -by, 0.0]]
-        latitude, longitude, _ = site.ned_to_geodetic(places)
-        here, north, south, east, west = undulation(np.degrees(latitude), np.degrees(longitude)).tolist()
-        return GeoidPlane(here, (north - south) / (2.0 * by), (east - west) / (2.0 * by))
+        """Return the plane at a site, of EGM96 unless the site names another geoid."""
+        return GeoidPlane(*site.geoid) if site.geoid is not None else plane_of(site, undulation)
 
     def undulation(self, north: Lengths, east: Lengths) -> Lengths:
         """Return the height of the geoid above the ellipsoid [m] at a place [m] in the site's frame, or at places."""
         return self.height + self.slope_north * north + self.slope_east * east
+
+
+def plane_of(site: Site, undulations: Callable[[Float64, Float64], Float64]) -> GeoidPlane:
+    """Return the plane of a geoid at a site.
+
+    Args:
+        site: the place.
+        undulations: heights (n,) above the ellipsoid [m] at latitudes and longitudes (n,) [deg].
+    """
+    by = SLOPE_OVER
+    places = [[0.0, 0.0, 0.0], [by, 0.0, 0.0], [-by, 0.0, 0.0], [0.0, by, 0.0], [0.0, -by, 0.0]]
+    latitude, longitude, _ = site.ned_to_geodetic(places)
+    here, north, south, east, west = undulations(np.degrees(latitude), np.degrees(longitude)).tolist()
+    return GeoidPlane(here, (north - south) / (2.0 * by), (east - west) / (2.0 * by))
+
+
+def above_sea(geodetic: Float64, site: Site) -> Float64:
+    """Return places (..., 3) [deg, deg, m] near a site with heights above the sea instead of the ellipsoid."""
+    latitude, longitude, height = (geodetic[..., i] for i in range(3))
+    if site.geoid is None:
+        return np.stack((latitude, longitude, height - undulation(latitude, longitude)), axis=-1)
+    ned = site.geodetic_to_ned(np.radians(latitude), np.radians(longitude), height)
+    amsl = height - GeoidPlane.at(site).undulation(ned[..., 0], ned[..., 1])
+    return np.stack((latitude, longitude, amsl), axis=-1)
 
 
 def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
@@ -135,14 +155,19 @@ def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
 
 def _weights(part: Float64) -> list[Float64]:
     """Return Lagrange's weight of each of the points (...), at a place (...) in the cell, 0 to 1."""
+    return [*lagrange(part, POINTS, BEFORE)]
+
+
+def lagrange(place: float | Float64, points: int, before: int = 0) -> Float64:
+    """Return Lagrange's weights (points, ...) of the points -before, 1 - before and so on, at places (...)."""
     weights = []
-    for a in range(POINTS):
-        weight = np.ones_like(part)
-        for b in range(POINTS):
+    for a in range(points):
+        weight = np.ones_like(place, np.float64)
+        for b in range(points):
             if b != a:
-                weight = weight * (part + (BEFORE - b)) / (a - b)
+                weight = weight * (place + (before - b)) / (a - b)
         weights.append(weight)
-    return weights
+    return np.array(weights)
 
 
 @lru_cache(maxsize=1)

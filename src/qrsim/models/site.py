@@ -38,6 +38,8 @@ class Site:
         latitude_rad: geodetic latitude [rad], north positive.
         longitude_rad: longitude [rad], east positive.
         height: above the ellipsoid [m].
+        geoid: height of the geoid above the ellipsoid at the origin [m], and its change per metre to the north and to
+            the east; None: that of EGM96.
 
     The default is the flying field of Symington et al., IROS 2014.
     """
@@ -45,6 +47,7 @@ class Site:
     latitude_rad: float = math.radians(51.71190)
     longitude_rad: float = math.radians(-0.21052)
     height: float = 0.0
+    geoid: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -64,9 +67,14 @@ class Site:
             raise UsageError(f"site.height: {self.height} is not a finite number of metres")
 
     @staticmethod
-    def from_degrees(latitude_deg: float, longitude_deg: float, height: float = 0.0) -> Site:
+    def from_degrees(
+        latitude_deg: float,
+        longitude_deg: float,
+        height: float = 0.0,
+        geoid: tuple[float, float, float] | None = None,
+    ) -> Site:
         """Return the site at a latitude and longitude in degrees; raises UsageError as the constructor does."""
-        return Site(math.radians(latitude_deg), math.radians(longitude_deg), height)
+        return Site(math.radians(latitude_deg), math.radians(longitude_deg), height, geoid)
 
     def ned_to_geodetic(self, position_ned: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
         """Return (latitude [rad], longitude [rad], height [m]), each (...), of positions (..., 3) in NED [m]."""

@@ -43,7 +43,13 @@ def polygon_model() -> Any:
 def _fence_model() -> type[Strict]:
     """Return the schema of a polygon whose corners are in a file."""
     places = {
-        "file": (str, Field(description="a .kml file, or a QGroundControl .plan file with a geofence", min_length=1)),
+        "file": (
+            str,
+            Field(
+                description="a .kml, .kmz or .geojson file with a polygon, or a QGroundControl .plan with a geofence",
+                min_length=1,
+            ),
+        ),
         "name": (str | None, Field(None, description="of the polygon; may be left out where the KML has one only")),
     }
     return component_model("fence", PolygonArea, arrays=places)

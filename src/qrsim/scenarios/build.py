@@ -25,7 +25,7 @@ from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.prisms import prisms_of
 from qrsim.models.scene.zones import ZonesArea
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
-from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.models.site import gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import has_contact
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
@@ -60,7 +60,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     """Build the World of a scenario without problems; ``precision`` is float32 or float64."""
     dtype = np.dtype(precision)
     world = scenario.world
-    site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
+    site = scenario.site.at()
     ephemeris = for_receivers(scenario, component(world.sky.orbits, known.ORBITS, scenario))
     start = gps_seconds_from_utc(scenario.start_time)
     orbits = ephemeris.at(site, start, dtype, scenario.duration)
@@ -173,9 +173,9 @@ def updraft_of(scenario: ScenarioSpec, number: int, **changes: object) -> Any:
 
 def ground_of(scenario: ScenarioSpec) -> Any:
     """Build the ground; a file of elevations is read for the site and the area."""
-    place = scenario.site
-    site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
-    return component(scenario.world.ground, known.GROUNDS, scenario).at(site, bounds_of(scenario.world.area))
+    return component(scenario.world.ground, known.GROUNDS, scenario).at(
+        scenario.site.at(), bounds_of(scenario.world.area)
+    )
 
 
 def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
@@ -253,7 +253,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
         estimator=_estimator(spec, scenario, sensors, fittings),
         failsafes=None
         if spec.failsafes is None
-        else failsafes(component(spec.failsafes, Failsafes, scenario), scenario),
+        else failsafes(component(spec.failsafes, Failsafes, scenario), spec, scenario, ground_of),
     )
 
 

@@ -11,7 +11,6 @@ from jax import Array
 from qrsim.core.host import on_host
 from qrsim.core.tree import map_tree
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.geoid import undulation
 from qrsim.models.sensors.earth_field import declination, inclination
 from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, handling_of
 from qrsim.models.vehicles.fixed_wing import FixedWing
@@ -58,12 +57,13 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
 def heights_line(scenario: Scenario) -> str:
     """Return the heights of the site above the ellipsoid and the sea, and that of the geoid, in one line."""
     site = scenario.spec.site
-    geoid = undulation(site.latitude_deg, site.longitude_deg)
+    geoid = site.undulation
+    name = "EGM96" if site.geoid is None else site.geoid.source or "given"
     # Zero has no sign.
     ellipsoid, amsl = (round(height, 2) + 0.0 for height in (site.height, site.height - geoid))
     return (
         f"site: {ellipsoid:.2f} m above the WGS-84 ellipsoid, {amsl:.2f} m above mean sea level; undulation of the "
-        f"geoid (EGM96): {geoid:.2f} m"
+        f"geoid ({name}): {geoid:.2f} m"
     )
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from qrsim.control import PathSetpoint, WaypointSetpoint
-from qrsim.control.failsafe_flight import Failsafes
+from qrsim.control.failsafe_flight import Failsafes, RallyPoint
 from qrsim.control.rover import RoverController
-from qrsim.core.tree import replace
+from qrsim.core.tree import record_of, replace
+from qrsim.core.vectors import Vec3
 from qrsim.errors import did_you_mean
+from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.faults import reading_fields
 from qrsim.scenarios.ground import stands, top_of
@@ -20,17 +22,46 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 # Guidances that give one of these can be taken over from.
 _TAKEN_OVER = (WaypointSetpoint, PathSetpoint)
 
+# North coordinate of a rally point that a vehicle does not have [m].
+FAR_AWAY = 1e6
 
-def failsafes(given: Failsafes, scenario: ScenarioSpec) -> Failsafes:
-    """Return the failsafes of a fleet with the ceiling of the area."""
+
+def failsafes(
+    given: Failsafes, fleet: FleetSpec, scenario: ScenarioSpec, ground_of: Callable[[ScenarioSpec], Ground]
+) -> Failsafes:
+    """Return the failsafes of a fleet with the ceiling of the area and the rally points of its vehicles.
+
+    Args:
+        given: as the scenario has them.
+        fleet, scenario: where.
+        ground_of: builds the ground, if there are rally points.
+    """
     top = top_of(scenario.world.area)
-    return given if top is None else replace(given, top=np.array(-top))
+    given = given if top is None else replace(given, top=np.array(-top))
+    count = max((len(vehicle.rally_ned) for vehicle in fleet.vehicles), default=0)
+    if not count:
+        return given
+    ground = ground_of(scenario)
+    return replace(given, rally=tuple(_rally(fleet, number, ground) for number in range(count)))
+
+
+def _rally(fleet: FleetSpec, number: int, ground: Ground) -> RallyPoint:
+    """Return a rally point of all vehicles, far away for those with fewer."""
+    none = [FAR_AWAY, 0.0, 0.0]
+    places = [each.rally_ned[number] if number < len(each.rally_ned) else none for each in fleet.vehicles]
+    north, east, down = np.array(places, np.float64).T
+    below = down_at(ground, record_of(Vec3, north, east, np.zeros_like(north)))
+    return record_of(RallyPoint, record_of(Vec3, north, east, down), np.asarray(below, np.float64))
 
 
 def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield the errors in the failsafes of a scenario."""
     for name, fleet in scenario.fleets.items():
-        if fleet.failsafes is not None:
+        if fleet.failsafes is None:
+            for i, vehicle in enumerate(fleet.vehicles):
+                if vehicle.rally_ned:
+                    yield f"fleets.{name}.vehicles.{i}.rally_ned: only failsafes return there; give failsafes: {{}}"
+        else:
             path = f"fleets.{name}.failsafes"
             yield from _flight_problems(path, fleet)
             yield from _level_problems(path, fleet)

@@ -1,4 +1,4 @@
-"""Reads the corners of a fence from a KML file or a QGroundControl plan."""
+"""Reads the corners of a fence from a map or a QGroundControl plan."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 
 from qrsim.errors import UsageError
 from qrsim.models.site import Site
-from qrsim.scenarios.kml_file import read_fence
 from qrsim.scenarios.local import local_ned
-from qrsim.scenarios.plans.plan import Plan
+from qrsim.scenarios.plans.plan import Corners, Plan
+from qrsim.scenarios.plans.polygons import MAPS, read_outline
 from qrsim.scenarios.plans.reading import read_plan
 
 # A circle becomes a polygon with this many corners on it: nowhere outside the circle, and inside it by at most 0.4 % of
@@ -21,18 +21,18 @@ def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[fl
     """Read the corners [north, east] [m] of a fence, and the plan if it comes from one.
 
     Args:
-        file: a .kml file with a polygon, or a .plan file whose geofence is one polygon or circle to stay in.
-        name: of the polygon, where a KML has several.
+        file: a map with a polygon (.kml, .kmz, .geojson), or a .plan file with one polygon or circle to stay in.
+        name: of the polygon, where a map has several.
         site: origin of the local frame.
 
     Raises:
         UsageError: the file cannot be read, or has no such fence.
     """
     suffix = Path(file).suffix.lower()
-    if suffix == ".kml":
-        return _corners(site, read_fence(file, name).vertices), None
+    if suffix in MAPS:
+        return _corners(site, read_outline(file, name)), None
     if suffix != ".plan":
-        raise UsageError(f"{file}: is no fence; allowed: files that end in .kml or .plan")
+        raise UsageError(f"{file}: is no fence; allowed: files that end in .plan, {', '.join(MAPS)}")
     if name is not None:
         raise UsageError(f"{file}: the fences of a plan have no names, so none is called '{name}'; leave the name out")
     plan = read_plan(file)
@@ -50,6 +50,6 @@ def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[fl
     return [[north + circle.radius * math.cos(a), east + circle.radius * math.sin(a)] for a in angles], plan
 
 
-def _corners(site: Site, vertices: tuple[tuple[float, float], ...]) -> list[list[float]]:
+def _corners(site: Site, vertices: Corners) -> list[list[float]]:
     """Return [north, east] [m] from the site of vertices (latitude, longitude) [deg]."""
     return [point[:2] for point in local_ned(site, [(*vertex, 0.0) for vertex in vertices])]

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter
 
 from qrsim.errors import ScenarioError, UsageError, warn_user
-from qrsim.models.site import Site
 from qrsim.scenarios.area_schema import MOST_CORNERS, polygon_model
 from qrsim.scenarios.fence_file import fence_corners
 from qrsim.scenarios.ground import stands
@@ -23,6 +22,7 @@ from qrsim.scenarios.plan_lines import IDLE, PlannedVehicle, listed
 from qrsim.scenarios.plan_site import (
     ellipsoidal_height,
     far_from_home,
+    geoid_of_site,
     height_of_home,
     home_of,
     in_feet,
@@ -51,7 +51,7 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
         messages, and the plans of its vehicles.
     """
     vehicles = [vehicle for fleet in scenario.fleets.values() for vehicle in fleet.vehicles]
-    site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None
+    site_is_elsewhere = scenario.site.plan or scenario.site.height_amsl is not None or scenario.site.geoid
     if not has_places(scenario.world.area) and not site_is_elsewhere and not any(map(_is_elsewhere, vehicles)):
         return scenario, [], {}, []
     places = _Places(scenario)
@@ -101,7 +101,7 @@ class _Places:
         level = height_of_home(scenario)
         site = scenario.site if level is None else scenario.site.model_copy(update={"height_amsl": level})
         self.place = self._place(site)
-        self.site = Site.from_degrees(self.place.latitude_deg, self.place.longitude_deg, self.place.height)
+        self.site = self.place.at()
         self.site_amsl = None if self.problems else amsl_of(scenario.site, self.place)
         self.ground: PlanGround
         self.written: dict[str, str] = {}
@@ -113,7 +113,7 @@ class _Places:
         self.shared: dict[str, int] = {}
         z_min = vars(scenario.world.area).get("z_min")
         self.ceiling = None if z_min is None else -z_min
-        self.on_ground = False
+        self.on_ground = self.fails = False
 
     def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
         """Return the points of a function; if it raises UsageError, note the problem and return none."""
@@ -134,7 +134,11 @@ class _Places:
         return self._with_height(site, "site.height_amsl")
 
     def _with_height(self, site: SiteSpec, path: str) -> SiteSpec:
-        """Return a site with its height above the ellipsoid, where it has one above mean sea level."""
+        """Return a site with its geoid in numbers, and its height above the ellipsoid if it has one above the sea."""
+        unread = site.geoid is not None and site.geoid.file is not None
+        geoids = self._attempt("site.geoid", lambda: [geoid_of_site(site)]) if unread else []
+        for geoid in geoids:
+            site = site.model_copy(update={"geoid": geoid})
         if site.height_amsl is not None:
             try:
                 return site.model_copy(update={"height": ellipsoidal_height(site)})
@@ -159,7 +163,7 @@ class _Places:
         plans = [plan for plan in map(self._read, specs if mission else ()) if plan is not None]
         if any(map(touches_ground, plans)) and "ground" not in fleet.model_fields_set and not stands(fleet):
             fleet = fleet.model_copy(update={"ground": "parked"})
-        self.on_ground = mission and stands(fleet)
+        self.on_ground, self.fails = mission and stands(fleet), fleet.failsafes is not None
         vehicles = [self._vehicle(f"{path}.vehicles.{i}", each, mission) for i, each in enumerate(fleet.vehicles)]
         return fleet.model_copy(update={"vehicles": vehicles, "guidance": guidance})
 
@@ -214,8 +218,18 @@ class _Places:
         if vehicle.plan and mission and start and _label(vehicle.plan) in self.flown:
             legs, again = self._legs(path, vehicle.plan, start, math.degrees(vehicle.yaw_rad))
             self._note(f"{path}.legs", vehicle.plan, [leg.item for leg in legs])
+        if vehicle.plan and self.fails and not vehicle.rally_ned and _label(vehicle.plan) in self.flown:
+            vehicle = vehicle.model_copy(update={"rally_ned": self._rally(path, self.flown[_label(vehicle.plan)])})
         changes = {"position_ned": start, "waypoints_ned": route, "legs": legs, "repeat_from": again}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
+
+    def _rally(self, path: str, plan: Plan) -> list[list[float]]:
+        """Return the rally points of a plan in NED; their heights are above its home."""
+        home = (plan.home.latitude_deg, plan.home.longitude_deg, 0.0)
+        around = [home, *((each.latitude_deg, each.longitude_deg, 0.0) for each in plan.rally)]
+        first, *places = self._attempt(f"{path}.plan", lambda: local_ned(self.site, around)) or [[0.0, 0.0, 0.0]]
+        level = float(self.ground.down(*first[:2])) if places else 0.0
+        return [[*place[:2], level - each.height_above_home] for place, each in zip(places, plan.rally, strict=False)]
 
     def _leg(self, path: str, leg: Any) -> Any:
         """Return a leg in NED."""

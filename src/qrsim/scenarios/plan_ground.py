@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
-from qrsim.models.geoid import undulation
 from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.scenarios import build
 from qrsim.scenarios.plans.heights import Floats, GroundDown
@@ -69,4 +68,4 @@ def amsl_of(given: SiteSpec, place: SiteSpec) -> float | None:
         return place.height_amsl
     if "height" not in given.model_fields_set:
         return None
-    return place.height - undulation(place.latitude_deg, place.longitude_deg)
+    return place.height - place.undulation

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
 from qrsim.errors import UsageError
-from qrsim.models.geoid import undulation
+from qrsim.models.geoid import GeoidPlane
 from qrsim.models.site import Site
 from qrsim.scenarios.plans.heights import GroundDown
 from qrsim.scenarios.plans.plan import Home, Plan
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.schema import ScenarioSpec
-from qrsim.scenarios.site_schema import HIGHEST_AMSL, HIGHEST_SITE, LOWEST_AMSL, LOWEST_SITE, SiteSpec
+from qrsim.scenarios.site_schema import HIGHEST_AMSL, HIGHEST_SITE, LOWEST_AMSL, LOWEST_SITE, GeoidSpec, SiteSpec
 
 NUMBERS = ("latitude_deg", "longitude_deg", "height")
 # Further apart [m], a plan and a site are hardly meant to be the same field: away, and up or down from the ground.
@@ -42,6 +43,27 @@ def home_of(site: SiteSpec) -> list[float]:
     return [home.latitude_deg, home.longitude_deg, home.altitude_amsl]
 
 
+def geoid_of_site(site: SiteSpec) -> GeoidSpec:
+    """Return the geoid of a site's file in numbers.
+
+    Raises:
+        UsageError: the file cannot be read, or has no geoid there.
+    """
+    # Only sites with a file wait for its readers to be imported.
+    from qrsim.models.scene.terrain_files.geoid_file import geoid_of_file
+
+    assert site.geoid is not None
+    assert site.geoid.file is not None
+    plane = geoid_of_file(site.geoid.file, site.at())
+    return GeoidSpec(
+        file=None,
+        height=plane.height,
+        slope_north=plane.slope_north,
+        slope_east=plane.slope_east,
+        source=Path(site.geoid.file).name,
+    )
+
+
 def ellipsoidal_height(site: SiteSpec) -> float:
     """Return the height above the WGS-84 ellipsoid [m] of a site that has one above mean sea level.
 
@@ -49,7 +71,7 @@ def ellipsoidal_height(site: SiteSpec) -> float:
         UsageError: no site can be that high.
     """
     assert site.height_amsl is not None
-    height = site.height_amsl + undulation(site.latitude_deg, site.longitude_deg)
+    height = site.height_amsl + site.undulation
     if not LOWEST_SITE <= height <= HIGHEST_SITE:
         raise UsageError(
             f"{site.height_amsl:g} m above the sea is {height:.1f} m above the WGS-84 ellipsoid there; allowed: "
@@ -100,7 +122,7 @@ def far_from_home(plans: Mapping[str, Plan], site: Site, ground_down: GroundDown
         ground_down: of the scenario; None where it is flat.
     """
     far = {}
-    level = site.height - undulation(math.degrees(site.latitude_rad), math.degrees(site.longitude_rad))
+    level = site.height - GeoidPlane.at(site).height
     for file, plan in plans.items():
         distance, rise = _distance(site, plan.home), plan.home.altitude_amsl - level
         if ground_down and distance <= FAR:

@@ -180,12 +180,13 @@ def merged(parent: Content, child: Content) -> Content:
 def anchor_files(content: Content, folder: Path) -> None:
     """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
 
-    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, and ``wind: calm`` becomes ``wind: {type:
-    calm}``, as of every component. A name that is not there but is one of the public recordings means the recording.
+    ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, as does ``geoid: FILE`` of the site, and
+    ``wind: calm`` becomes ``wind: {type: calm}``, as of every component. A name that is not there but is one of the
+    public recordings means the recording.
     """
     for part in _with_plans(content):
-        if isinstance(part, dict) and isinstance(part.get("plan"), str):
-            part["plan"] = {"file": part["plan"]}
+        if isinstance(part, dict):
+            part |= {key: {"file": part[key]} for key in ("plan", "geoid") if isinstance(part.get(key), str)}
     _spell_out(content, [])
     _anchor(content, folder)
 
@@ -302,6 +303,10 @@ def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
     if name in ("latitude_deg", "longitude_deg") and "height_amsl" in target:
         # A saved site has both heights, and elsewhere the geoid is another.
         twins.append("height")
+    geoid = target.get("geoid") if name in ("latitude_deg", "longitude_deg") else None
+    if isinstance(geoid, dict) and geoid.get("source"):
+        # Its numbers are those of a file at the place of a saved site.
+        twins.append("geoid")
     for twin in twins:
         if twin not in kept:
             target.pop(twin, None)

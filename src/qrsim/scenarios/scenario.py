@@ -97,8 +97,7 @@ class Scenario(Tabled):
     @property
     def site(self) -> Site:
         """Origin of the local frame."""
-        site = self.spec.site
-        return Site.from_degrees(site.latitude_deg, site.longitude_deg, site.height)
+        return self.spec.site.at()
 
     @property
     def earth_field_ned(self) -> npt.NDArray[np.float64]:

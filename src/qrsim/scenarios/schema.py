@@ -11,6 +11,8 @@ from pydantic import (
     AwareDatetime,
     BeforeValidator,
     Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
     model_validator,
 )
 
@@ -42,7 +44,7 @@ from qrsim.scenarios.wind_schema import WindSlot
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
-LONGEST_ROUTE, MOST_SPANS = 2000, 100
+LONGEST_ROUTE, MOST_SPANS, MOST_RALLY = 2000, 100, 20
 Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 # Where a vehicle flies is given in one of these.
 ROUTES = ("waypoints_ned", "waypoints_geodetic", "plan", "legs")
@@ -82,12 +84,22 @@ class VehicleSpec(Strict):
         exclude=True,
         json_schema_extra=or_its_file,
     )
+    rally_ned: list[Position] = Field(
+        [],
+        description="rally points: returns of failsafes if nearer than home [m]; default: those of plan",
+        max_length=MOST_RALLY,
+    )
     legs: list[LegSpec] = Field(
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
     )
     repeat_from: int | None = Field(
         None, description="index of the leg that follows the last one; default: none", ge=0, strict=True
     )
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
+        """Leave out rally points that there are not."""
+        return {key: value for key, value in handler(self).items() if key != "rally_ned" or value}
 
     @model_validator(mode="after")
     def _one_of_each(self) -> VehicleSpec:
@@ -106,7 +118,8 @@ class VehicleSpec(Strict):
     @property
     def places_ned(self) -> dict[str, list[float]]:
         """Where the vehicle is sent to [m], by the path of each waypoint or leg; landings are on the ground."""
-        places = {f"waypoints_ned.{j}": point for j, point in enumerate(self.waypoints_ned)}
+        routes = {"waypoints_ned": self.waypoints_ned, "rally_ned": self.rally_ned}
+        places = {f"{name}.{j}": point for name, points in routes.items() for j, point in enumerate(points)}
         here = self.position_ned
         for j, leg in enumerate(self.legs):
             there = vars(leg).get("to_ned") or here

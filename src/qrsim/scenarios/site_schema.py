@@ -7,6 +7,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from qrsim.errors import shortened
 from qrsim.files import Content
 from qrsim.models.geoid import undulation
+from qrsim.models.site import Site
 from qrsim.scenarios.component_schema import Finite, Strict
 
 # Of the origin over the ellipsoid [m].
@@ -76,6 +77,32 @@ class RoutePlanSpec(Strict):
         return home
 
 
+class GeoidSpec(Strict):
+    """A geoid near the site: a file, or the plane that was made of one."""
+
+    file: str | None = Field(
+        None,
+        description="heights of a geoid above the WGS-84 ellipsoid [m]: .tif, .img, or .pgm of GeographicLib",
+        min_length=1,
+        exclude=True,
+    )
+    height: Finite | None = Field(None, description="height at the site [m], instead of file", ge=-200, le=200)
+    slope_north: Finite = Field(0.0, description="change of the height per metre to the north", ge=-0.01, le=0.01)
+    slope_east: Finite = Field(0.0, description="change of the height per metre to the east", ge=-0.01, le=0.01)
+    source: str = Field("", description="file that the numbers are from")
+
+    @model_validator(mode="after")
+    def _one(self) -> GeoidSpec:
+        if (self.file is None) == (self.height is None):
+            raise ValueError("expected one of file and height")
+        return self
+
+    @property
+    def plane(self) -> tuple[float, float, float] | None:
+        """Height and slopes; None of a file that is not yet read."""
+        return None if self.height is None else (self.height, self.slope_north, self.slope_east)
+
+
 def or_its_file(schema: Content) -> None:
     """Add the file alone to the JSON schema of a plan."""
     schema["anyOf"].append({"type": "string"})
@@ -89,9 +116,14 @@ class SiteSpec(Strict):
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=LOWEST_SITE, le=HIGHEST_SITE)
     height_amsl: Finite | None = Field(
         None,
-        description="height above mean sea level (EGM96) [m], instead of height",
+        description="height above mean sea level (the geoid) [m], instead of height",
         ge=LOWEST_AMSL,
         le=HIGHEST_AMSL,
+    )
+    geoid: GeoidSpec | None = Field(
+        None,
+        description="reference of heights above the sea, FILE or {file: FILE}; default: the geoid EGM96",
+        json_schema_extra=or_its_file,
     )
     temperature_offset: Finite = Field(
         0.0,
@@ -108,11 +140,23 @@ class SiteSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Write the site without ``height_amsl`` if that is None."""
+        """Write the site without ``height_amsl`` and ``geoid`` where they are None."""
         found: Content = handler(self)
-        if self.height_amsl is None:
-            found.pop("height_amsl", None)
+        for name in ("height_amsl", "geoid"):
+            if getattr(self, name) is None:
+                found.pop(name, None)
         return found
+
+    @property
+    def undulation(self) -> float:
+        """Height of the geoid above the ellipsoid at the site [m]."""
+        plane = self.geoid.plane if self.geoid else None
+        return undulation(self.latitude_deg, self.longitude_deg) if plane is None else plane[0]
+
+    def at(self) -> Site:
+        """Return the origin of the local frame."""
+        plane = self.geoid.plane if self.geoid else None
+        return Site.from_degrees(self.latitude_deg, self.longitude_deg, self.height, plane)
 
     @model_validator(mode="after")
     def _one_height(self) -> SiteSpec:
@@ -120,7 +164,6 @@ class SiteSpec(Strict):
         if self.height_amsl is None or "height" not in self.model_fields_set:
             return self
         # Saved scenarios have both.
-        geoid = undulation(self.latitude_deg, self.longitude_deg)
-        if abs(self.height - self.height_amsl - geoid) > SAME_HEIGHT:
+        if abs(self.height - self.height_amsl - self.undulation) > SAME_HEIGHT:
             raise ValueError("height and height_amsl are both given; allowed: one")
         return self

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,8 @@ from qrsim.models.atmosphere.weather.table import read_table
 from qrsim.models.atmosphere.weather.values import Request, needed_times
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT
 from qrsim.models.atmosphere.wind_profile import MOST_ROWS
-from qrsim.models.geoid import undulation
 from qrsim.scenarios.build import wind_of
-from qrsim.scenarios.ground import top_of
+from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.wind_schema import PROFILE, WEATHER, profile_model
 
@@ -26,6 +25,8 @@ REFERENCE_M = REFERENCE_FT / FEET_PER_METRE
 USUAL_TOP = 3000.0
 # Depth of valleys [m].
 DEEPEST = 500.0
+# An area of more cells of a model has more than one wind.
+MOST_OF_CELL = 2.0
 
 
 def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
@@ -59,7 +60,7 @@ def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
         place.latitude_deg, place.longitude_deg, start, start + scenario.duration, vars(wind).get("member")
     )
     if wind.type == WEATHER:
-        amsl = place.height - float(undulation(place.latitude_deg, place.longitude_deg))
+        amsl = place.height - place.undulation
         found = read_weather(wind.file, request, Site(amsl, wind.above, wind.roughness))
     else:
         given = [name for name in ("heights", "speeds", "wind_from_rad", "times") if getattr(wind, name)]
@@ -68,12 +69,23 @@ def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
         if kind := kind_of(wind.file):
             raise UsageError(f"{wind.file}: is {kind}; a file of a weather model is of type weather, a profile is CSV")
         found = _of_run(wind.file, read_table(wind.file, wind.roughness), request)
-    for note in () if quiet else found.notes:
+    for note in () if quiet else (*found.notes, *_coarse(scenario, wind.file, found.cell)):
         warn_user(f"{scenario.name}: world.wind: {note}")
     top = top_of(scenario.world.area)
     # Above valleys vehicles are higher above the ground than above the origin.
     relief = 0.0 if scenario.world.ground.type == "flat" else DEEPEST
     return _spec(found, start, wind.roughness, USUAL_TOP if top is None else top + relief)
+
+
+def _coarse(scenario: ScenarioSpec, file: str, cell: float) -> Iterator[str]:
+    """Yield a sentence on a file that has several cells in the area, of which only the wind at the site is used."""
+    bounds = bounds_of(scenario.world.area)
+    side = 0.0 if bounds is None else max(bounds[1] - bounds[0], bounds[3] - bounds[2])
+    if side > MOST_OF_CELL * cell:
+        yield (
+            f"{file}: its cells are {cell / 1000.0:.2g} km, and the area is {side / 1000.0:.2g} km long; the wind of "
+            "the site is used everywhere; world.wind of type grid differs from place to place"
+        )
 
 
 def _of_run(file: str, found: Soundings, request: Request) -> Soundings:

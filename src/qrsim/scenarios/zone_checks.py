@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
+from qrsim.core.arrays import Floats
 from qrsim.models.scene.fence import polygon_problems
-from qrsim.models.scene.zone import CIRCLE_CORNERS, Triple, Zone, Zones, height_of
+from qrsim.models.scene.zone import CIRCLE_CORNERS, TERRAIN_STEP, GroundDown, Point, Triple, Zone, Zones, height_of
 from qrsim.scenarios.build import ground_if_any
 from qrsim.scenarios.missions import MISSION, ways_of
 from qrsim.scenarios.plan_ground import ground_down
@@ -88,21 +91,63 @@ def _nothing_left(area: Any, zones: Zones) -> str:
         south, north, west, east = zone.bounds
         low, high = max(zone.floor, bottom), min(zone.ceiling, top)
         levels = [low + (high - low) * part for part in (0.02, 0.25, 0.5, 0.75, 0.98)]
-        for i in range(SAMPLES):
-            for j in range(SAMPLES):
-                x = south + (north - south) * (i + 0.5) / SAMPLES
-                y = west + (east - west) * (j + 0.5) / SAMPLES
-                ground = height_of(zone, x, y, 0.0, zones.ground)
-                if any(zones.inside(x, y, ground - level) for level in levels):
-                    return ""
+        parts = [(number + 0.5) / SAMPLES for number in range(SAMPLES)]
+        places = [(south + (north - south) * i, west + (east - west) * j) for i in parts for j in parts]
+        for (x, y), known in zip(places, _ground_at(zones, places), strict=True):
+            ground = height_of(zone, x, y, 0.0, known)
+            if any(zones.inside(x, y, ground - level, known) for level in levels):
+                return ""
     return "world.area: nothing is left to fly in" if kept else ""
+
+
+def _ground_at(zones: Zones, places: Sequence[Point]) -> list[GroundDown | None]:
+    """Return for each place [m] a ground that knows the height there; one evaluation for all, which takes a while."""
+    if zones.ground is None or not places:
+        return [None] * len(places)
+    return [_always(down) for down in _downs(zones.ground, *np.array(places, np.float64).T).tolist()]
+
+
+def _downs(ground: Any, norths: Floats, easts: Floats) -> Floats:
+    """Return the down coordinates (n,) [m] of a scenario's ground, which takes arrays."""
+    return np.asarray(ground(norths, easts), np.float64)
+
+
+def _always(down: float) -> GroundDown:
+    return lambda north, east: down
+
+
+def _ground_along(zones: Zones, ways: Sequence[tuple[Triple, Triple]]) -> list[GroundDown | None]:
+    """Return for each way (begin, end) NED [m] the ground along it, linear between close places."""
+    if zones.ground is None or not ways:
+        return [None] * len(ways)
+    counts = [max(1, math.ceil(2.0 * math.dist(begin, end) / TERRAIN_STEP)) for begin, end in ways]
+    shares = [np.linspace(0.0, 1.0, count + 1) for count in counts]
+    norths, easts = (
+        np.concatenate([a[axis] + share * (b[axis] - a[axis]) for (a, b), share in zip(ways, shares, strict=True)])
+        for axis in (0, 1)
+    )
+    own = np.split(_downs(zones.ground, norths, easts), np.cumsum([len(share) for share in shares])[:-1])
+    return [_along(*way, share, part) for way, share, part in zip(ways, shares, own, strict=True)]
+
+
+def _along(begin: Triple, end: Triple, shares: Floats, downs: Floats) -> GroundDown:
+    dx, dy = end[0] - begin[0], end[1] - begin[1]
+    square = dx * dx + dy * dy
+
+    def down(north: float, east: float) -> float:
+        share = ((north - begin[0]) * dx + (east - begin[1]) * dy) / square if square else 0.0
+        return float(np.interp(share, shares, downs))
+
+    return down
 
 
 def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
     for name, fleet in scenario.fleets.items():
-        for i, vehicle in enumerate(fleet.vehicles if fleet.placement.type == "given" else ()):
+        vehicles = fleet.vehicles if fleet.placement.type == "given" else []
+        grounds = _ground_at(zones, [(each.position_ned[0], each.position_ned[1]) for each in vehicles])
+        for i, (vehicle, ground) in enumerate(zip(vehicles, grounds, strict=True)):
             north, east, down = vehicle.position_ned
-            distance, zone = zones.limit(north, east, down)
+            distance, zone = zones.limit(north, east, down, ground)
             path = f"fleets.{name}.vehicles.{i}.position_ned"
             if zone is None or distance >= 0.0:
                 continue
@@ -117,9 +162,11 @@ def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
     barred = [zone for zone in zones.all if not zone.keep]
     inside: dict[tuple[str, str], float] = {}
     first: dict[tuple[str, str], Triple] = {}
-    for path, begin, end in _ways(scenario):
-        found = [(f"inside '{zone.name}'", zone.along(begin, end, zones.ground)) for zone in barred]
-        found.append(("outside the zones to stay in", zones.outside(begin, end)))
+    ways = list(_ways(scenario))
+    grounds = _ground_along(zones, [(begin, end) for _, begin, end in ways])
+    for (path, begin, end), ground in zip(ways, grounds, strict=True):
+        found = [(f"inside '{zone.name}'", zone.along(begin, end, ground)) for zone in barred]
+        found.append(("outside the zones to stay in", zones.outside(begin, end, ground)))
         for words, (length, where) in found:
             if length > TOUCHES and where is not None:
                 inside[path, words] = inside.get((path, words), 0.0) + length

@@ -108,14 +108,14 @@ def _placed(
         found, plan = zones_of_file(zone.file, zone.name)
         if plan is not None:
             plans[zone.file] = plan
-            if not any(each.keep is keep for each in found):
+            if not any(each.inclusion is keep for each in found):
                 raise UsageError(f"{zone.file}: geoFence has nothing to stay {'in' if keep else 'out of'}")
             both = keep and zone.file not in barred
-            found = [each for each in found if both or each.keep is keep]
+            found = [each for each in found if both or each.inclusion is keep]
         for number, each in enumerate(found, 1):
             stem = Path(zone.file).stem
             name = each.name or (f"{stem} #{number}" if len(found) > 1 else stem)
-            kept = keep if each.keep is None else each.keep
+            kept = keep if plan is None else each.inclusion
             try:
                 shape = in_ned(each, site)
             except UsageError as error:

@@ -26,7 +26,7 @@ class ZoneSpec(Strict):
     name: str | None = Field(None, description="for messages; of a file: the polygons to take", max_length=100)
     file: str | None = Field(
         None,
-        description="a .kml or .geojson file with polygons, or a QGroundControl .plan file with a geofence",
+        description="a .kml, .kmz or .geojson file with polygons, or a QGroundControl .plan file with a geofence",
         min_length=1,
         exclude=True,
     )

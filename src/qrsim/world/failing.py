@@ -21,7 +21,9 @@ def first_failsafe(world: World, fleet: Fleet, pose: Pose) -> FailsafeState | No
     if fleet.failsafes is None:
         return None
     start = pose.position_ned
-    return FailsafeState.start(replace(start, z=world.ground_down(start)), pose.attitude.yaw)
+    return FailsafeState.start(
+        replace(start, z=world.ground_down(start)), pose.attitude.yaw, rally=bool(fleet.failsafes.rally)
+    )
 
 
 def by_failsafe(

@@ -18,5 +18,5 @@ def process() -> Iterator[Gdal]:
 @pytest.fixture
 def one_process(process: Gdal, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read with one process for all tests, because it takes a moment to start."""
-    running = Gdal._running
-    monkeypatch.setattr(Gdal, "_running", lambda _, file: running(process, file))
+    ask = Gdal._ask
+    monkeypatch.setattr(Gdal, "_ask", lambda _, *request: ask(process, *request))

@@ -293,7 +293,7 @@ BAD: dict[str, tuple[str, Any, dict[str, Any], str]] = {
         "a.geojson",
         collection(feature("LineString", [[8, 47, 9]]), feature("Polygon", [[[8, 47], [8, 48], [33.9, 151.2]]])),
         {},
-        "feature 1: corner 2: latitude 151.2; allowed: -90 to 90 deg; is it longitude, latitude?",
+        "feature 1, corner 2: latitude 151.2; allowed: -90 to 90 deg; is it longitude, latitude?",
     ),
     "no GeoJSON": (
         "a.geojson",

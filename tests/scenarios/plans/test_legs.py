@@ -188,6 +188,17 @@ def test_a_scan_of_a_structure_goes_round_it(legs: Legs) -> None:
     assert points(falls)[2][2] == -16.0
 
 
+@pytest.mark.parametrize(("relative", "z"), [(True, 0.0), (False, 500.0)])
+def test_a_scan_of_version_2_begins_with_its_first_round(legs: Legs, relative: bool, z: float) -> None:
+    """QGroundControl 3.4: the altitude is that of the bottom, and there is no altitude of entrance."""
+    old = {"version": 2, "Altitude": z + 4, "altitudeRelative": relative}
+    kept = ("type", "complexItemType", "Layers", "StructureHeight", "CameraCalc", "polygon")
+    found = legs(fly(0, 0, 9), {**{key: SCAN[key] for key in kept}, **old})
+    ring = [[30.0, 10.0], [30.0, 70.0], [-30.0, 70.0], [-30.0, 10.0], [30.0, 10.0]]
+    expected = [*([*place, -8.0] for place in ring), *([*place, -16.0] for place in ring)]
+    assert np.array(points(found)[1:]) == pytest.approx(np.array(expected), abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -196,7 +207,8 @@ def test_a_scan_of_a_structure_goes_round_it(legs: Legs) -> None:
             ": DistanceToSurface is -5 m; allowed: above 0",
         ),
         ({"Layers": 0}, ".Layers: 0 is out of range; allowed: 1 to 500"),
-        ({"version": 2}, ".version: version 2 is not supported; supported: 3"),
+        ({"version": 1}, ".version: version 1 is not supported; supported: 2, 3"),
+        ({"version": 2}, ".Altitude: expected a number [m], found null"),
         ({"polygon": SCAN["polygon"][:2]}, ".polygon: has 2 corners; a polygon needs at least 3"),
         ({"EntranceAltitude": None}, ".EntranceAltitude: expected a number [m], found null"),
     ],

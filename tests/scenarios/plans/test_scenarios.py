@@ -56,6 +56,30 @@ def places(loaded: Scenario) -> list[list[float]]:
     return [[round(number, 1) for number in leg.to_ned] for leg in vehicle.legs if getattr(leg, "to_ned", None)]
 
 
+def test_rally_points_of_a_plan_are_those_of_failsafes(write: Callable[..., str], tmp_path: Path) -> None:
+    """Heights are above the home of the plan, which is on the ground at z = 0."""
+    rally = {"version": 2, "points": [[*at(200, 0), 45], [*at(0, 300), 10]]}
+    file = write(fly(50, 0, 20), fly(100, 0, 20), rallyPoints=rally)
+    fleet = {"vehicle": {"type": "multirotor", "model": "x500"}, "sensors": {"gnss": {"type": "ideal_gnss"}}}
+    for guidance in ("mission", "route"):
+        loaded, _ = quietly(mission(file, guidance={"type": guidance}, failsafes={}, **fleet))
+        (vehicle,) = loaded.spec.fleets["a"].vehicles
+        np.testing.assert_allclose(vehicle.rally_ned, [[200, 0, -45], [0, 300, -10]], atol=0.03)
+    saved = tmp_path / "saved.yaml"
+    saved.write_text(loaded.to_yaml())
+    Path(file).unlink()
+    assert load_scenario(saved).spec == loaded.spec
+    # Without its plan the link has the same points.
+    given, written = start_rally(loaded, loaded.world())[0], start_rally(load_scenario(saved), loaded.world())[0]
+    numbers = [[(each.x, each.y, each.z) for each in items] for items in (given, written)]
+    np.testing.assert_allclose(numbers[0], numbers[1], rtol=0.0, atol=1.0)
+    assert [each.z for each in written] == pytest.approx([45.0, 10.0])
+    failsafes = loaded.world("float64").fleets[0].failsafes
+    assert failsafes is not None
+    assert [float(point.place_ned.z[0]) for point in failsafes.rally] == [-45.0, -10.0]
+    assert [float(point.ground_down[0]) for point in failsafes.rally] == [0.0, 0.0]
+
+
 def test_a_take_off_begins_on_the_feet_of_the_model(write: Callable[..., str]) -> None:
     """An x500 stands 0.2 m above the ground on its legs."""
     file = write(item(22, 0, 0, 0, None, *at(0, 0), 10), fly(30, 0, 10), order(20))

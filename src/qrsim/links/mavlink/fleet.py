@@ -5,7 +5,7 @@ Rovers and fixed wings stay as the scenario has them; fixed wings go by its guid
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -137,26 +137,33 @@ def _row_of(vehicle: PlannedVehicle, world: World) -> int:
 
 
 def start_rally(scenario: Scenario, world: World) -> dict[int, tuple[Item, ...]]:
-    """Return the rally points of plans as items, by the row of the vehicle that has the plan.
+    """Return the rally points of vehicles as items, by the row of the vehicle: those of its plan, or its ``rally_ned``.
 
     Args:
         scenario: with the plans of its vehicles.
         world: of it.
     """
     found = {}
-    for vehicle in scenario.planned:
-        found[_row_of(vehicle, world)] = tuple(
-            Item(
-                seq,
-                ABOVE_HOME[1],
-                RALLY_POINT,
-                x=round(place.latitude_deg * 1e7),
-                y=round(place.longitude_deg * 1e7),
-                z=place.height_above_home,
-            )
-            for seq, place in enumerate(vehicle.plan.rally)
-        )
+    for name, fleet in scenario.spec.fleets.items():
+        for row, vehicle in enumerate(fleet.vehicles, world.rows_of(name).start):
+            if vehicle.rally_ned:
+                latitudes, longitudes, _ = np.degrees(scenario.site.ned_to_geodetic(vehicle.rally_ned))
+                home = float(ground_down(world.ground)(*vehicle.position_ned[:2]))
+                heights = [home - place[2] for place in vehicle.rally_ned]
+                found[row] = _rally_items(zip(latitudes.tolist(), longitudes.tolist(), heights, strict=True))
+    for planned in scenario.planned:
+        places = ((each.latitude_deg, each.longitude_deg, each.height_above_home) for each in planned.plan.rally)
+        if planned.plan.rally:
+            found[_row_of(planned, world)] = _rally_items(places)
     return found
+
+
+def _rally_items(places: Iterable[tuple[float, float, float]]) -> tuple[Item, ...]:
+    """Return items of places: latitude and longitude [deg], height above home [m]."""
+    return tuple(
+        Item(seq, ABOVE_HOME[1], RALLY_POINT, x=round(latitude * 1e7), y=round(longitude * 1e7), z=height)
+        for seq, (latitude, longitude, height) in enumerate(places)
+    )
 
 
 def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:

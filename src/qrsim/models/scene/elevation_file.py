@@ -15,7 +15,7 @@ from qrsim.core.arrays import Floats
 from qrsim.core.tree import record, record_of, setting
 from qrsim.errors import UsageError
 from qrsim.extras import MissingExtraError
-from qrsim.models.geoid import undulation
+from qrsim.models.geoid import GeoidPlane
 from qrsim.models.scene.elevation import EARTH_RADIUS, SUFFIXES, Bounds, Landscape, filled_note, landscape
 from qrsim.models.scene.ground import GridGround
 from qrsim.models.site import Site
@@ -116,8 +116,7 @@ class ElevationFile:
             return self.height_of_zero
         if self.height_of_zero is not None:
             raise UsageError("height_of_zero and zero: site are both given; allowed: one")
-        place = math.degrees(site.latitude_rad), math.degrees(site.longitude_rad)
-        return site.height - (undulation(*place) if self.datum == "sea" else 0.0)
+        return site.height - (GeoidPlane.at(site).height if self.datum == "sea" else 0.0)
 
     def _own_notes(self) -> tuple[str, ...]:
         """Return what a user should know of a file that is no survey."""

@@ -134,6 +134,8 @@ class Zone:
 class Zones:
     """Zones that hold together: inside one of those to stay in, if any, and outside all to stay out of.
 
+    Methods take another ``ground``, which may know the heights at their places in advance.
+
     Args:
         zones: all of them.
         ground: down coordinate [m] of the ground at a north and an east [m]; None: z = 0.
@@ -144,28 +146,30 @@ class Zones:
         self._kept = [zone for zone in zones if zone.keep]
         self._barred = [zone for zone in zones if not zone.keep]
 
-    def inside(self, north: float, east: float, down: float | None = None) -> bool:
+    def inside(self, north: float, east: float, down: float | None = None, ground: GroundDown | None = None) -> bool:
         """Return whether a place NED [m] is allowed; without ``down`` the zones reach over all heights."""
 
         def holds(zone: Zone) -> bool:
-            return zone.over(north, east) if down is None else zone.holds(north, east, down, self.ground)
+            return zone.over(north, east) if down is None else zone.holds(north, east, down, ground or self.ground)
 
         if self._kept and not any(map(holds, self._kept)):
             return False
         return not any(map(holds, self._barred))
 
-    def outside(self, begin: Triple, end: Triple) -> tuple[float, Triple | None]:
+    def outside(self, begin: Triple, end: Triple, ground: GroundDown | None = None) -> tuple[float, Triple | None]:
         """Return the length [m] of the part of a way outside all zones to stay in, and where that begins NED [m]."""
         if not self._kept:
             return 0.0, None
         cuts = [cut for zone in self._kept for cut in zone.cuts(begin, end)]
 
         def is_out(north: float, east: float, down: float) -> bool:
-            return not any(zone.holds(north, east, down, self.ground) for zone in self._kept)
+            return not any(zone.holds(north, east, down, ground or self.ground) for zone in self._kept)
 
         return _stretch(begin, end, cuts, is_out)
 
-    def limit(self, north: float, east: float, down: float) -> tuple[float, Zone | None]:
+    def limit(
+        self, north: float, east: float, down: float, ground: GroundDown | None = None
+    ) -> tuple[float, Zone | None]:
         """Return the distance [m] of a place from the limit that is nearest or worst broken, and that limit's zone.
 
         Negative where the place is not allowed. Of the zones to stay in, the one counts that holds the place best.
@@ -173,7 +177,7 @@ class Zones:
         found: list[tuple[float, Zone | None]] = []
 
         def signed(zone: Zone) -> float:
-            return zone.signed(north, east, height_of(zone, north, east, down, self.ground))
+            return zone.signed(north, east, height_of(zone, north, east, down, ground or self.ground))
 
         if self._kept:
             found.append(max(((signed(zone), zone) for zone in self._kept), key=lambda item: item[0]))

@@ -9,14 +9,13 @@ from typing import Any
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.runs.export.output import Written, replacing
-from qrsim.runs.export.place import above_sea
 from qrsim.runs.export.tracks import Tracks, said_in_xml
 
 
 def write(content: Tracks, path: Path) -> Written:
     """Write one track per vehicle and source (true, receiver), one trkseg per unbroken piece, events as waypoints.
 
-    ``ele`` is the height above mean sea level, by the geoid EGM96.
+    ``ele`` is the height above mean sea level, by the geoid of the scenario, EGM96 by default.
     A GPX waypoint has a place, so an event of unknown place is left out with a warning.
 
     Raises:
@@ -24,13 +23,14 @@ def write(content: Tracks, path: Path) -> Written:
     """
     from gpxpy.gpx import GPX, GPXTrack, GPXTrackPoint, GPXTrackSegment, GPXWaypoint
 
+    content = content.over_sea()
     placed = [(mark, mark.geodetic) for mark in content.marks if mark.geodetic is not None]
     if missing := len(content.marks) - len(placed):
         warnings.warn(f"{path}: events of unknown place left out: {missing}", stacklevel=2)
     document = GPX()
     document.creator, document.name = "qrsim", said_in_xml(content.name)
     for mark, geodetic in placed:
-        point = GPXWaypoint(*_place(above_sea(geodetic)), time=_parsed_time(mark.utc), name=said_in_xml(mark.title))
+        point = GPXWaypoint(*_place(geodetic), time=_parsed_time(mark.utc), name=said_in_xml(mark.title))
         point.description, point.type = said_in_xml(mark.event.message), said_in_xml(mark.event.kind)
         document.waypoints.append(point)
     for track in content.tracks:
@@ -38,7 +38,7 @@ def write(content: Tracks, path: Path) -> Written:
         found.type = track.kind
         document.tracks.append(found)
         for segment in track.segments:
-            points = zip(above_sea(segment.geodetic).tolist(), segment.utc, strict=True)
+            points = zip(segment.geodetic.tolist(), segment.utc, strict=True)
             piece = [GPXTrackPoint(*_place(geodetic), time=_parsed_time(utc)) for geodetic, utc in points]
             found.segments.append(GPXTrackSegment(piece))
     with replacing(path) as file:

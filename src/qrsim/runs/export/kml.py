@@ -10,7 +10,7 @@ import numpy as np
 
 from qrsim.runs.colours import VEHICLES
 from qrsim.runs.export.output import Written, replacing
-from qrsim.runs.export.place import Floats, above_sea
+from qrsim.runs.export.place import Floats
 from qrsim.runs.export.tracks import Mark, Track, Tracks, said_in_xml
 
 # As in the figure of a run: a colour per vehicle, the true track thick and the reported one thin.
@@ -19,7 +19,7 @@ Heights = Literal["ground", "sea", "ellipsoid"]
 MODES: dict[Heights, str] = {"ground": "relativeToGround", "sea": "absolute", "ellipsoid": "absolute"}
 DATUMS: dict[Heights, str] = {
     "ground": "the ground",
-    "sea": "mean sea level, by the geoid EGM96",
+    "sea": "mean sea level, by the geoid of the scenario (EGM96 by default)",
     "ellipsoid": "the WGS-84 ellipsoid",
 }
 
@@ -39,6 +39,8 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     """
     import simplekml
 
+    if heights == "sea":
+        content = content.over_sea()
     document = simplekml.Kml(name=said_in_xml(content.name))
     for _, tracks in groupby(content.tracks, key=lambda track: track.number):
         own = list(tracks)
@@ -90,7 +92,6 @@ def _add_event(folder: Any, mark: Mark, heights: Heights) -> None:
 
 def _coordinates(geodetic: Floats, above_ground: Floats, heights: Heights) -> list[tuple[float, float, float]]:
     """Return longitude and latitude [deg] to 0.1 mm, and height [m], of each place (T, 3)."""
-    places = above_sea(geodetic) if heights == "sea" else geodetic
-    chosen = above_ground if heights == "ground" else places[:, 2]
-    rows = zip(places[:, 1].tolist(), places[:, 0].tolist(), chosen.tolist(), strict=True)
+    chosen = above_ground if heights == "ground" else geodetic[:, 2]
+    rows = zip(geodetic[:, 1].tolist(), geodetic[:, 0].tolist(), chosen.tolist(), strict=True)
     return [(round(longitude, 9), round(latitude, 9), round(height, 4)) for longitude, latitude, height in rows]

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from qrsim.errors import RunError
-from qrsim.models.geoid import undulation
 from qrsim.models.site import Site
 from qrsim.runs import Run
 from qrsim.scenarios.site_schema import SiteSpec
@@ -54,12 +53,6 @@ class Place:
         return text
 
 
-def above_sea(geodetic: Floats) -> Floats:
-    """Return places (..., 3) [deg, deg, m] whose heights are above mean sea level (EGM96) instead of the ellipsoid."""
-    amsl = geodetic[..., 2] - undulation(geodetic[..., 0], geodetic[..., 1])
-    return np.stack((geodetic[..., 0], geodetic[..., 1], amsl), axis=-1)
-
-
 def place_of(run: Run) -> Place:
     """Return where and when a run took place, from its resolved scenario.
 
@@ -75,4 +68,4 @@ def place_of(run: Run) -> Place:
         raise RunError(f"{source} does not say where and when the run took place: {where}: {first['msg']}") from error
     site = recorded.site
     start_us = (recorded.start_time - EPOCH) // timedelta(microseconds=1)
-    return Place(Site.from_degrees(site.latitude_deg, site.longitude_deg, site.height), start_us)
+    return Place(site.at(), start_us)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +15,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from qrsim.errors import QrsimError, RunError
+from qrsim.models.geoid import above_sea
+from qrsim.models.site import Site
 from qrsim.runs import Event, Run
 from qrsim.runs.export.output import is_readable
 from qrsim.runs.export.place import Floats, Place
@@ -106,8 +108,23 @@ class Tracks:
     """Content of geojson, gpx and kml: tracks, the true one of each vehicle first, and events in order of time."""
 
     name: str
+    site: Site
     tracks: list[Track]
     marks: list[Mark]
+
+    def over_sea(self) -> Tracks:
+        """Return the same with heights above the sea instead of the ellipsoid."""
+        tracks = [
+            replace(
+                track, segments=[replace(each, geodetic=above_sea(each.geodetic, self.site)) for each in track.segments]
+            )
+            for track in self.tracks
+        ]
+        marks = [
+            mark if mark.geodetic is None else replace(mark, geodetic=above_sea(mark.geodetic, self.site))
+            for mark in self.marks
+        ]
+        return replace(self, tracks=tracks, marks=marks)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -140,7 +157,7 @@ def read_tracks(run: Run, place: Place, every: int) -> Tracks:
     marks = _event_marks(run, place, ground)
     if not found and not marks:
         raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
-    return Tracks(run.info.scenario, sorted(found, key=lambda track: track.number), marks)
+    return Tracks(run.info.scenario, place.site, sorted(found, key=lambda track: track.number), marks)
 
 
 def ground_of(run: Run) -> Ground:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.scene.fence import polygon_problems
@@ -59,25 +60,61 @@ class Options:
     home: Home | None = None
 
 
-def chosen(source: str, routes: Sequence[Drawn], name: str | None) -> Drawn:
-    """Return the only route of a file, or the named one; routes of one name are 'NAME #1', 'NAME #2' and so on.
+@dataclass(frozen=True)
+class DrawnPolygon:
+    """A polygon of a file.
+
+    Attributes:
+        name: of it, "" where it has none.
+        read: returns it with its holes, as a place to stay in; raises UsageError where a corner is wrong.
+    """
+
+    name: str
+    read: Callable[[], FencePolygon]
+
+
+Named = TypeVar("Named", Drawn, DrawnPolygon)
+
+
+def named(source: str, kind: str, items: Sequence[Named], name: str | None) -> list[tuple[str, Named]]:
+    """Return the items of a name with their own names: items of one name are 'NAME #1', 'NAME #2' and so on.
+
+    Args:
+        source: the file, for messages.
+        kind: of the items, for messages.
+        items: in the order of the file.
+        name: of the items, or of one of several that share a name; None: all.
 
     Raises:
-        UsageError: no route has the name, or several have.
+        UsageError: no item has the name.
     """
-    counts, so_far, names = Counter(route.name for route in routes), Counter[str](), []
-    for route in routes:
-        so_far[route.name] += 1
-        many = counts[route.name] > 1
-        names.append(f"{route.name} #{so_far[route.name]}".strip() if many else route.name)
-    found = [route for route, own in zip(routes, names, strict=True) if name in (None, route.name, own)]
+    counts, so_far, names = Counter(item.name for item in items), Counter[str](), []
+    for item in items:
+        so_far[item.name] += 1
+        names.append(f"{item.name} #{so_far[item.name]}".strip() if counts[item.name] > 1 else item.name)
+    found = [(own, item) for own, item in zip(names, items, strict=True) if name in (None, item.name, own)]
     if not found:
         hint = did_you_mean(str(name), [own for own in names if own])
-        raise UsageError(f"{source}: no route is called '{name}'{hint}")
+        raise UsageError(f"{source}: no {kind} is called '{name}'{hint}")
+    return found
+
+
+def chosen(source: str, kind: str, items: Sequence[Named], name: str | None, key: str) -> Named:
+    """Return the only item of a file, or the named one.
+
+    Args:
+        source, kind, items, name: as of ``named``.
+        key: where a scenario chooses, for messages.
+
+    Raises:
+        UsageError: no item has the name, or several have.
+    """
+    found = named(source, kind, items, name)
     if len(found) > 1:
-        listed = ", ".join(f"'{own}'" for own in names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
-        raise UsageError(f"{source}: has {len(found)} routes; choose one by plan.route: {listed}")
-    return found[0]
+        many = f"has {len(found)} {kind}s" if name is None else f"{len(found)} {kind}s are called '{name}'"
+        listed = ", ".join(f"'{own}'" if own else "(without a name)" for own, _ in found[:MOST_NAMES])
+        raise UsageError(f"{source}: {many}; choose one by {key}: {listed}{', ...' * (len(found) > MOST_NAMES)}")
+    return found[0][1]
 
 
 def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[FencePolygon] = ()) -> Plan:

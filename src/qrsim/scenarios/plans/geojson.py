@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files import Content
+from qrsim.files.user_files import LARGEST_TABLE
 from qrsim.models.geoid import undulation
 from qrsim.scenarios.plans.drawn import (
     Drawn,
+    DrawnPolygon,
     Options,
     Point,
     check_count,
@@ -20,9 +23,11 @@ from qrsim.scenarios.plans.drawn import (
     drawn_plan,
 )
 from qrsim.scenarios.plans.parts import plan_content, shown
-from qrsim.scenarios.plans.plan import FencePolygon, Plan
+from qrsim.scenarios.plans.plan import Corners, FencePolygon, Plan
 
-_KINDS = ("FeatureCollection", "Feature", "LineString", "MultiLineString", "Point", "GeometryCollection")
+_POLYGONS = ("Polygon", "MultiPolygon")
+_COLLECTIONS = ("FeatureCollection", "Feature", "GeometryCollection")
+_ROUTES = ("LineString", "MultiLineString", "Point")
 _LACKS = "has points without altitudes"
 
 
@@ -34,15 +39,11 @@ def read_geojson(source: str, options: Options) -> Plan:
     Raises:
         UsageError: the file cannot be read, is no GeoJSON, has no such route, or a point of it is wrong.
     """
-    content = plan_content(source, "GeoJSON with a LineString")
-    kind = content.get("type") if isinstance(content, dict) else None
-    if kind not in _KINDS:
-        hint = did_you_mean(str(kind), _KINDS) if kind else ""
-        raise UsageError(f"{source}: its type is {shown(kind)}; expected GeoJSON with a LineString{hint}")
-    routes, points, polygons = [], [], []
+    content = _content(source, "a LineString", _ROUTES)
+    routes, points = [], []
     for where, properties, geometry in _geometries(source, content):
         height = _height(source, where, properties)
-        name = str(properties.get("name", ""))[:100]
+        name = _name(properties)
         coordinates = geometry.get("coordinates")
         if geometry.get("type") == "Point":
             points.append(_point(source, where, coordinates, height))
@@ -50,21 +51,64 @@ def read_geojson(source: str, options: Options) -> Plan:
             routes.append(_line(source, where, name, coordinates, height))
         elif geometry.get("type") == "MultiLineString":
             routes += [_line(source, where, name, each, height) for each in _listed(source, where, coordinates)]
-        elif geometry.get("type") == "Polygon":
-            rings = [_ring(source, where, ring) for ring in _listed(source, where, coordinates)]
-            polygons += [FencePolygon(True, rings[0], tuple(rings[1:]), name)] if rings else []
     if not routes and points:
         routes = [Drawn("", tuple(points), _LACKS)]
     if not routes:
         raise UsageError(f"{source}: has no route; expected a LineString or Points")
-    return drawn_plan(source, chosen(source, routes, options.route), options, polygons)
+    polygons = [each.read() for each in _polygons(source, content)]
+    return drawn_plan(source, chosen(source, "route", routes, options.route, "plan.route"), options, polygons)
+
+
+def geojson_polygons(source: str) -> list[DrawnPolygon]:
+    """Return the polygons of a GeoJSON file; other geometries are passed over.
+
+    Raises:
+        UsageError: the file cannot be read, is no GeoJSON, or has no polygon.
+    """
+    found = list(_polygons(source, _content(source, "a Polygon", (*_ROUTES, *_POLYGONS))))
+    if not found:
+        raise UsageError(f"{source}: has no Polygon and no MultiPolygon")
+    return found
+
+
+def _content(source: str, wanted: str, kinds: tuple[str, ...]) -> Content:
+    """Return the content of a file, checked to be a collection or one of some geometries."""
+    content = plan_content(source, f"GeoJSON with {wanted}", LARGEST_TABLE)
+    kind = content.get("type") if isinstance(content, dict) else None
+    if kind not in (*_COLLECTIONS, *kinds):
+        hint = did_you_mean(str(kind), (*_COLLECTIONS, *kinds)) if kind else ""
+        raise UsageError(f"{source}: its type is {shown(kind)}; expected GeoJSON with {wanted}{hint}")
+    found: Content = content
+    return found
+
+
+def _polygons(source: str, content: Content) -> Iterator[DrawnPolygon]:
+    for where, properties, geometry in _geometries(source, content):
+        if geometry.get("type") in _POLYGONS:
+            coordinates = _listed(source, where, geometry.get("coordinates"))
+            for rings in [coordinates] if geometry["type"] == "Polygon" else coordinates:
+                name = _name(properties)
+                yield DrawnPolygon(name, partial(_polygon, source, where, name, rings))
+
+
+def _polygon(source: str, where: str, name: str, rings: object) -> FencePolygon:
+    where = f"{where}, polygon '{name}'" if name else where
+    found = [_ring(source, where, ring) for ring in _listed(source, where, rings)]
+    if not found:
+        raise UsageError(f"{source}: {where}: expected a list of rings, found none")
+    return FencePolygon(True, found[0], tuple(found[1:]), name)
+
+
+def _name(properties: Content) -> str:
+    name = properties.get("name")
+    return name[:100] if isinstance(name, str) else ""
 
 
 def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, Content]]:
     """Yield the place in the file, properties and geometry of each feature."""
     features: Any = [content]
     if content["type"] == "FeatureCollection":
-        features = _listed(source, "features", content.get("features"))
+        features = _listed(source, "features", content.get("features"), counts=False)
     for number, feature in enumerate(features):
         where = f"feature {number}"
         if not isinstance(feature, dict):
@@ -107,11 +151,11 @@ def _point(source: str, where: str, position: object, height: float | None) -> P
     return Point(latitude, longitude, checked_altitude(source, where, numbers[2]) - undulation(latitude, longitude))
 
 
-def _ring(source: str, where: str, positions: object) -> tuple[tuple[float, float], ...]:
+def _ring(source: str, where: str, positions: object) -> Corners:
     corners = []
     for i, position in enumerate(_listed(source, where, positions)):
         numbers = _position(source, f"{where}, corner {i}", position)
-        corners.append(checked_place(source, f"{where}: corner {i}", numbers[1], numbers[0]))
+        corners.append(checked_place(source, f"{where}, corner {i}", numbers[1], numbers[0]))
     return closed_ring(source, where, corners)
 
 
@@ -126,8 +170,9 @@ def _position(source: str, where: str, position: object) -> list[float]:
         raise UsageError(f"{source}: {where}: {shown(position)}: a number is too large") from None
 
 
-def _listed(source: str, where: str, value: object) -> list[Any]:
+def _listed(source: str, where: str, value: object, counts: bool = True) -> list[Any]:
     if not isinstance(value, list):
         raise UsageError(f"{source}: {where}: expected a list, found {shown(value)}")
-    check_count(source, where, len(value))
+    if counts:
+        check_count(source, where, len(value))
     return value

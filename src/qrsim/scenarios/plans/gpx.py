@@ -38,7 +38,7 @@ def read_gpx(source: str, options: Options) -> Plan:
             other = f"it has a track of {tracks} points: a recorded path is recorded_path"
         raise UsageError(f"{source}: has no route; {other}")
     routes = [_route(source, element) for element in found]
-    return drawn_plan(source, chosen(source, routes, options.route), options)
+    return drawn_plan(source, chosen(source, "route", routes, options.route, "plan.route"), options)
 
 
 def _route(source: str, element: Element) -> Drawn:

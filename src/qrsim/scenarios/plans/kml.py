@@ -7,13 +7,16 @@ import math
 import struct
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from xml.etree.ElementTree import Element
 
 from qrsim.errors import UsageError, readable, shortened
 from qrsim.files.user_files import LARGEST_TEXT, read_bytes
 from qrsim.scenarios.plans.drawn import (
     Drawn,
+    DrawnPolygon,
     Options,
     Point,
     check_count,
@@ -31,6 +34,7 @@ MOST_PACKED = 100
 # altitudeMode, also that of Google's extension, and what altitudes are above; the others are on the ground or sea.
 _ABOVE: dict[str, Above] = {"absolute": "sea", "relativeToGround": "ground", "relativeToSeaFloor": "ground"}
 _TRACKS = ("Track", "MultiTrack")
+GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", *_TRACKS)
 # Whatever zipfile raises for an archive that is damaged.
 _DAMAGED = (
     zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, OverflowError, struct.error,
@@ -60,7 +64,23 @@ def read_kml(source: str, options: Options) -> Plan:
             ": its gx:Track is a recording, which is recorded_path" if tracks else "; expected a LineString or Points"
         )
         raise UsageError(f"{source}: has no route{other}")
-    return drawn_plan(source, chosen(source, routes, options.route), options, [*_polygons(source, marks)])
+    polygons = [each.read() for each in _polygons(source, marks)]
+    return drawn_plan(source, chosen(source, "route", routes, options.route, "plan.route"), options, polygons)
+
+
+def kml_polygons(source: str) -> list[DrawnPolygon]:
+    """Return the polygons of a KML file or KMZ archive; points, lines and other features are passed over.
+
+    Raises:
+        UsageError: the file cannot be read, or has no polygon.
+    """
+    marks = [each for each in _root(source).iter() if tag(each) == "Placemark"]
+    found = _polygons(source, marks)
+    if not found:
+        others = Counter(tag(part) for mark in marks for part in mark.iter() if tag(part) in GEOMETRIES)
+        words = ", ".join(f"{count} {kind}" for kind, count in others.items()) or "no geometry"
+        raise UsageError(f"{source}: has no Polygon in a Placemark; found {words}")
+    return found
 
 
 def _root(source: str) -> Element:
@@ -127,8 +147,7 @@ def _lacking(mode: str) -> str:
 
 def _points(source: str, where: str, text: str, mode: str) -> Iterator[Point]:
     above = _ABOVE.get(mode)
-    for number, numbers in enumerate(_tuples(source, where, text), 1):
-        place = f"{where}, point {number}"
+    for place, numbers in _tuples(source, f"{where}, point", 1, text):
         latitude, longitude = checked_place(source, place, numbers[1], numbers[0])
         if above is None or len(numbers) < 3:
             yield Point(latitude, longitude)
@@ -136,42 +155,48 @@ def _points(source: str, where: str, text: str, mode: str) -> Iterator[Point]:
             yield Point(latitude, longitude, checked_altitude(source, place, numbers[2]), above)
 
 
-def _tuples(source: str, where: str, text: str) -> Iterator[list[float]]:
-    """Yield longitude, latitude [deg] and perhaps altitude [m] of each tuple of a coordinates element."""
+def _tuples(source: str, where: str, first: int, text: str) -> Iterator[tuple[str, list[float]]]:
+    """Yield each tuple of a coordinates element: its place in the file, and longitude, latitude [deg], altitude [m].
+
+    The place is ``where`` with a number, which begins at ``first``. The altitude may be left out.
+    """
     tuples = text.split()
-    check_count(source, where, len(tuples))
-    for i, words in enumerate(tuples, 1):
+    check_count(source, where.rpartition(",")[0], len(tuples))
+    for i, words in enumerate(tuples, first):
         try:
             numbers = [float(word) for word in words.split(",")]
         except ValueError:
             numbers = []
         if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
             raise UsageError(
-                f"{source}: {where}, point {i}: '{shortened(words, 60)}'; expected longitude,latitude or "
+                f"{source}: {where} {i}: '{shortened(words, 60)}'; expected longitude,latitude or "
                 "longitude,latitude,altitude"
             )
-        yield numbers
+        yield f"{where} {i}", numbers
 
 
-def _polygons(source: str, marks: list[Element]) -> Iterator[FencePolygon]:
-    """Yield the polygons of placemarks with their holes, as places to stay in."""
-    for mark in marks:
-        name = text_of(mark, "name")
-        for element in mark.iter():
-            if tag(element) == "Polygon":
-                where = f"polygon '{name}'" if name else "polygon (without a name)"
-                outer = _rings(source, where, element, "outerBoundaryIs")
-                if len(outer) != 1:
-                    raise UsageError(f"{source}: {where}: expected one outerBoundaryIs, found {len(outer)}")
-                yield FencePolygon(True, outer[0], tuple(_rings(source, where, element, "innerBoundaryIs")), name)
+def _polygons(source: str, marks: list[Element]) -> list[DrawnPolygon]:
+    """Return the polygons of placemarks."""
+    return [
+        DrawnPolygon(name, partial(_polygon, source, name, element))
+        for mark in marks
+        for name in [text_of(mark, "name")]
+        for element in mark.iter()
+        if tag(element) == "Polygon"
+    ]
 
 
-def _rings(source: str, where: str, element: Element, boundary: str) -> list[Corners]:
-    found = []
+def _polygon(source: str, name: str, element: Element) -> FencePolygon:
+    where = f"polygon '{name}'" if name else "polygon (without a name)"
+    outer, inner = (list(_rings(source, where, element, f"{kind}BoundaryIs")) for kind in ("outer", "inner"))
+    if len(outer) != 1:
+        raise UsageError(f"{source}: {where}: expected one outerBoundaryIs with a LinearRing with coordinates")
+    return FencePolygon(True, outer[0], tuple(inner), name)
+
+
+def _rings(source: str, where: str, element: Element, boundary: str) -> Iterator[Corners]:
     for ring in (ring for each in children(element, boundary) for ring in children(each, "LinearRing")):
-        corners = [
-            checked_place(source, f"{where}, corner {i}", numbers[1], numbers[0])
-            for i, numbers in enumerate(_tuples(source, where, text_of(ring, "coordinates")))
-        ]
-        found.append(closed_ring(source, where, corners))
-    return found
+        tuples = _tuples(source, f"{where}, corner", 0, text_of(ring, "coordinates"))
+        corners = [checked_place(source, place, numbers[1], numbers[0]) for place, numbers in tuples]
+        if corners:
+            yield closed_ring(source, where, corners)

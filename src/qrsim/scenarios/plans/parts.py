@@ -11,7 +11,7 @@ from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file, nearest
 from qrsim.files import Content
-from qrsim.files.user_files import read_text
+from qrsim.files.user_files import LARGEST_TEXT, read_text
 from qrsim.scenarios.local import swapped_hint
 
 KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
@@ -25,10 +25,10 @@ class PlanFaultError(Exception):
     """One fault: the path of a value, and what is wrong with it."""
 
 
-def plan_content(source: str, expected: str = "a .plan of QGroundControl") -> Any:
-    """Return the JSON content of a plan's file."""
+def plan_content(source: str, expected: str = "a .plan of QGroundControl", most: int = LARGEST_TEXT) -> Any:
+    """Return the JSON content of a plan's file of at most a size [bytes]."""
     try:
-        text = read_text(source)
+        text = read_text(source, most)
     except OSError as error:
         if error.errno == errno.EILSEQ:
             raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None

@@ -1,7 +1,8 @@
 """Items that QGroundControl makes of patterns while it uploads them, and does not save.
 
-StructureScan as StructureScanComplexItem of QGroundControl (version 3 of the item) makes it, and fwLandingPattern as
-its LandingComplexItem. Both were compared with those sources, not with recorded uploads.
+StructureScan as StructureScanComplexItem of QGroundControl makes it (version 3 of the item, and version 2 of
+QGroundControl 3.4), and fwLandingPattern as its LandingComplexItem. Both were compared with those sources, not with
+recorded uploads.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from qrsim.scenarios.plans import commands as known
 from qrsim.scenarios.plans.parts import (
     LARGEST_LENGTH,
     PlanFaultError,
-    check_version,
     number_of,
     of_kind,
     part_of,
@@ -25,6 +25,8 @@ from qrsim.scenarios.plans.parts import (
 
 SCAN, LANDING, VTOL_LANDING = "StructureScan", "fwLandingPattern", "vtolLandingPattern"
 MOST_LAYERS = 500
+# Of the item; that of version 1 had layers of another height.
+SCAN_VERSIONS = (2, 3)
 # Below this sine of the angle between two edges their corner would be far away.
 _SHARPEST = 0.02
 # An item, and the heading relative to the way to it [deg], None along it.
@@ -36,31 +38,33 @@ def scan_items(item: Mapping[str, object], path: str) -> list[Generated]:
     """Return the waypoints of a scan of a structure, which the vehicle faces.
 
     The polygon is set out by the distance to the surface. Every layer is a round at half of its height, from the first
-    corner and back to it; the scan is entered and left there at the altitude of entrance, above home.
+    corner and back to it. Version 3 enters and leaves the scan there at the altitude of entrance, above home.
 
     Raises:
         PlanFaultError: a part is missing or out of range.
     """
-    check_version(item, 3, path)
+    version = part_of(item, "version", int, path)
+    if version not in SCAN_VERSIONS:
+        raise PlanFaultError(f"{path}.version: version {version} is not supported; supported: 2, 3")
     camera = part_of(item, "CameraCalc", dict, path)
     distance = _above_zero(camera, "DistanceToSurface", path)
     height = _above_zero(camera, "AdjustedFootprintFrontal", path)
-    names = ("EntranceAltitude", "ScanBottomAlt", "StructureHeight")
-    entrance, bottom, top = (_length(item, name, path) for name in names)
+    bottom = _length(item, "Altitude" if version == 2 else "ScanBottomAlt", path)
     layers = int(number_of(item.get("Layers"), f"{path}.Layers", MOST_LAYERS, ""))
     if layers < 1:
         raise PlanFaultError(f"{path}.Layers: {layers} is out of range; allowed: 1 to {MOST_LAYERS}")
-    falls = bool(item.get("StartFromTop"))
-    corners = _corners(item, path)
-    ring, turn = _set_out(corners, distance, path)
-    first = (top - 0.5 * height) if falls else (bottom + 0.5 * height)
-    step = -height if falls else height
-    found: list[Generated] = [(_waypoint(ring[0], entrance), None)]
+    ring, turn = _set_out(_corners(item, path), distance, path)
+    first, step = bottom + 0.5 * height, height
+    if version == 3 and item.get("StartFromTop"):
+        first, step = _length(item, "StructureHeight", path) - 0.5 * height, -height
+    frame = known.ABOVE_HOME[0] if version == 3 or item.get("altitudeRelative", True) else known.ABOVE_SEA[0]
+    found: list[Generated] = []
     for layer in range(layers):
-        altitude = first + layer * step
-        found.append((_waypoint(ring[0], altitude), turn))
-        found += [(_waypoint(place, altitude), turn) for place in (*ring[1:], ring[0])]
-    return [*found, (_waypoint(ring[0], entrance), None)]
+        found += [(_waypoint(place, first + layer * step, frame), turn) for place in (*ring, ring[0])]
+    if version == 2:
+        return found
+    gate = _waypoint(ring[0], _length(item, "EntranceAltitude", path), frame)
+    return [(gate, None), *found, (gate, None)]
 
 
 def landing_items(item: Mapping[str, object], path: str) -> list[Generated]:
@@ -99,8 +103,8 @@ def _item(command: int, params: Sequence[float | None], frame: int) -> Content:
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": list(params), "autoContinue": True}
 
 
-def _waypoint(place: Point, altitude: float) -> Content:
-    return _item(known.WAYPOINT, [0.0, 0.0, 0.0, None, *place, altitude], known.ABOVE_HOME[0])
+def _waypoint(place: Point, altitude: float, frame: int) -> Content:
+    return _item(known.WAYPOINT, [0.0, 0.0, 0.0, None, *place, altitude], frame)
 
 
 def _length(item: Mapping[str, object], key: str, path: str) -> float:

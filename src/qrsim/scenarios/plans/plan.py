@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 # What an altitude is above: the plan's home, mean sea level, or the ground at its place.
 Above = Literal["home", "sea", "ground"]
@@ -107,12 +107,13 @@ class FencePolygon:
 
 @dataclass(frozen=True)
 class FenceCircle:
-    """A circle to stay in (inclusion) or out of; centre [deg], radius [m]."""
+    """A circle to stay in (inclusion) or out of; centre [deg], radius [m]. It has no name."""
 
     inclusion: bool
     latitude_deg: float
     longitude_deg: float
     radius: float
+    name: ClassVar[str] = ""
 
 
 @dataclass(frozen=True)

@@ -150,7 +150,7 @@ class SiteSpec(Part):
     ceiling: Finite | None = Field(None, description="height above home [m]", gt=0.0, le=10_000.0)
     terrain: list[str] = Field([], description="files of heights: GeoTIFF, SRTM (.hgt) and others")
     buildings: str | None = Field(None, description="a .geojson file with buildings", min_length=1)
-    keep_out: list[str] = Field([], description="files with zones to stay out of: .kml, .geojson or .plan")
+    keep_out: list[str] = Field([], description="files with zones to stay out of: .kml, .kmz, .geojson or .plan")
     latitude_deg: Finite | None = Field(None, description="of the origin, instead of the home [deg]", ge=-90, le=90)
     longitude_deg: Finite | None = Field(None, description="of the origin, instead of the home [deg]", ge=-180, le=180)
     height_amsl: Finite | None = Field(None, description="of the origin above the sea [m]", ge=-500, le=9000)

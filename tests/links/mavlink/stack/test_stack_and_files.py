@@ -159,12 +159,10 @@ def test_a_plan_flies_one_path_from_a_file_and_by_upload(name: str, tmp_path: Pa
     for flavour in flavours:
         by_link = path_of_link(rows, {"p": "px4", "a": "ardupilot"}[flavour])
         begun = by_link[by_link[:, 2] < -1.0]
-        # Where a corner is sharp, the link turns inside that of the file.
-        most = 0.6 if "sharp" in name else 0.5
-        assert farthest(begun[::10], by_file) < most
+        assert farthest(begun[::10], by_file) < 0.5
         way = np.concatenate([np.linspace(a, b, 2 + int(math.dist(a, b))) for a, b in pairwise(by_file)])
         way = way[(way[:, 2] < -1.0) & (np.linalg.norm(way - end, axis=1) > 2.1)]
-        assert farthest(way, by_link[::10]) < most
+        assert farthest(way, by_link[::10]) < 0.5
 
 
 def test_every_command_is_compared() -> None:

@@ -130,7 +130,9 @@ def test_lambert_is_turned_to_true_north(
 ) -> None:
     """Places and convergence of meridians are those of PROJ 9 (pyproj 3.7.2, lcc of a sphere of 6 371 229 m)."""
     path = lambert(tmp_path / "l.grib2", *grid)
-    (level, *_), *_ = read(path, REQUEST._replace(latitude_deg=place[0], longitude_deg=place[1])).levels
+    found = read(path, REQUEST._replace(latitude_deg=place[0], longitude_deg=place[1]))
+    assert found.cell == 4000.0
+    (level, *_), *_ = found.levels
     assert math.hypot(level.north, level.east) == pytest.approx(math.hypot(east / 4000.0, 10.0), abs=2e-4)
     own = math.degrees(math.atan2(level.east, level.north)) - math.degrees(math.atan2(east / 4000.0, 10.0))
     assert own == pytest.approx(turn, abs=0.01)

@@ -89,6 +89,7 @@ class TestOneHill:
             tmp_path / "b.tif", "EPSG:4326", 20.0, change=lambda metres: metres / 0.3048, tags={"units": ("ft",)}
         )
         np.testing.assert_allclose(down(feet), expected(), atol=0.01 + bilinear(20.0))
+        assert "its heights are in feet ('ft')" in ElevationFile(feet).notes(SITE, BOX)[0]
         tags = {"scales": (0.01,), "offsets": (50.0,)}
         packed = geotiff(
             tmp_path / "c.tif", "EPSG:4326", 20.0, dtype="int32", change=lambda h: (h - 50.0) * 100.0, tags=tags

@@ -36,9 +36,9 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path]]:
 
 def processor_s(gdal: Gdal) -> float:
     """Return the seconds of the processor that GDAL's process has taken."""
-    if gdal._process is None:
+    if gdal.child.number is None:
         return 0.0
-    words = Path(f"/proc/{gdal._process.pid}/stat").read_text().rpartition(")")[2].split()
+    words = Path(f"/proc/{gdal.child.number}/stat").read_text().rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 

@@ -12,7 +12,7 @@ from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, 
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.parameters import Parameters
-from qrsim.links.mavlink.stack.path import SHORTEST, STANDS, Path
+from qrsim.links.mavlink.stack.path import STANDS, Path
 
 # A vehicle that has risen so far from where it stood flies [m]; until then it goes straight up.
 RISEN, UPRIGHT_UNTIL = 0.1, 0.5
@@ -213,10 +213,7 @@ class Craft:
             goal, along, begin = (here[0], here[1], goal[2]), (0.0, 0.0, along[2]), None
         limits = (values["MPC_ACC_HOR"], values["MPC_JERK_AUTO"])
         speeds = speeds or self.speeds()
-        if begin is not None and math.dist(begin, goal) > SHORTEST:
-            path.move_along(begin, goal, here, speeds, limits, self.facts.time_step, beyond)
-        else:
-            path.move(goal, here, speeds, limits, self.facts.time_step, beyond, along)
+        path.move(goal, here, speeds, limits, self.facts.time_step, beyond, along, begin)
         return self.follow(path.position, path.velocity, path.acceleration)
 
     def follow(self, position: Triple, velocity: Triple = ZERO, acceleration: Triple = ZERO) -> Order:

@@ -320,7 +320,7 @@ class Mission:
         if turns:
             _, up, down = craft.speeds()
             return False, craft.go(goal, (0.0, up, down))
-        beyond = 0.0 if circles or hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius
+        beyond = 0.0 if circles or hold > 0.0 or self.current + 1 >= len(self.items) else self._way.beyond_goal(radius)
         order = craft.go(goal, beyond=beyond, begin=self._way.begin)
         return self._arrived is not None and now - self._arrived >= hold, order
 

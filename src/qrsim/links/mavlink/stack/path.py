@@ -60,8 +60,11 @@ class Path:
         dt: float,
         beyond: float = 0.0,
         along: Triple = STANDS,
+        begin: Triple | None = None,
     ) -> None:
-        """Move the point on by a step.
+        """Move the point on by a step, to a goal or along the straight line that ends there.
+
+        Off a line it returns to it: errors across the line are corrected before those along it.
 
         Args:
             goal: where it is to go [m].
@@ -70,15 +73,30 @@ class Path:
             limits: largest horizontal acceleration [m/s^2] and jerk [m/s^3].
             dt: step [s].
             beyond: how far beyond the goal the way goes on: so much later it brakes [m].
-            along: velocity of the goal itself [m/s].
+            along: velocity of the goal itself [m/s], without a line.
+            begin: of the line [m]; None: there is no line.
         """
+        behind = math.dist(here, self.position)
+        rate = min(max(1.0 - (behind - WAITS_FROM) / WAITS_OVER, 0.0), 1.0)
+        if begin is not None and math.dist(begin, goal) > SHORTEST:
+            ax, ay, az = self._on_line(begin, goal, speeds, limits, limits[1] * dt, beyond, rate)
+        else:
+            ax, ay, az = self._to_goal(goal, speeds, limits, dt, beyond, along, rate)
+        (vx, vy, vz), (px, py, pz) = self.velocity, self.position
+        vx, vy, vz = vx + ax * dt, vy + ay * dt, vz + az * dt
+        self.acceleration, self.velocity = (ax, ay, az), (vx, vy, vz)
+        self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
+
+    def _to_goal(
+        self, goal: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float, along: Triple,
+        rate: float,
+    ) -> Triple:  # fmt: skip
+        """Return the acceleration towards a goal; ``rate``: share of the speed that a vehicle behind leaves."""
         px, py, pz = self.position
         vx, vy, vz = self.velocity
         ax, ay, az = self.acceleration
         dx, dy, dz = goal[0] - px, goal[1] - py, goal[2] - pz
         most, jerk = limits
-        behind = math.dist(here, self.position)
-        rate = min(max(1.0 - (behind - WAITS_FROM) / WAITS_OVER, 0.0), 1.0)
         way = math.hypot(dx, dy)
         ratio = min(speeds[0], approach(way + beyond, BRAKING * most)) / way if way > 1e-6 else 0.0
         if ratio * dt > 1.0:
@@ -97,30 +115,13 @@ class Path:
         bz = min(max(bz, -speeds[1]), speeds[2]) * rate - vz
         bz = math.copysign(_answer(abs(bz), VERTICAL, jerk), bz)
         step = jerk * dt
-        ax, ay = ax + _within(bx - ax, step), ay + _within(by - ay, step)
-        az = az + _within(bz - az, step)
-        vx, vy, vz = vx + ax * dt, vy + ay * dt, vz + az * dt
-        self.acceleration, self.velocity = (ax, ay, az), (vx, vy, vz)
-        self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
+        return ax + _within(bx - ax, step), ay + _within(by - ay, step), az + _within(bz - az, step)
 
-    def move_along(
-        self,
-        begin: Triple,
-        goal: Triple,
-        here: Triple,
-        speeds: Triple,
-        limits: tuple[float, float],
-        dt: float,
-        beyond: float = 0.0,
-    ) -> None:
-        """Move the point on by a step along the straight line from one place to another.
-
-        Off the line it returns to it: errors across the line are corrected before those along it.
-
-        Args:
-            begin: of the line [m].
-            goal, here, speeds, limits, dt, beyond: as of ``move``.
-        """
+    def _on_line(
+        self, begin: Triple, goal: Triple, speeds: Triple, limits: tuple[float, float], step: float, beyond: float,
+        rate: float,
+    ) -> Triple:  # fmt: skip
+        """Return the acceleration along a line; ``step``: its largest change, ``rate`` as for ``_to_goal``."""
         line = _minus(goal, begin)
         length = math.hypot(*line)
         unit = (line[0] / length, line[1] / length, line[2] / length)
@@ -131,8 +132,6 @@ class Path:
         # The largest speed and acceleration along the line are those of the axis that reaches its limit first.
         most = 1.0 / max(level / limits[0], rise / VERTICAL)
         fastest = 1.0 / max(level / max(speeds[0], SLOWEST), rise / max(vertical, SLOWEST))
-        behind = math.dist(here, self.position)
-        rate = min(max(1.0 - (behind - WAITS_FROM) / WAITS_OVER, 0.0), 1.0)
         speed = min(fastest, approach(length - done + beyond, BRAKING * most)) * rate
         beside = _minus(nearest, self.position)
         off = math.hypot(*beside)
@@ -144,12 +143,9 @@ class Path:
         left = math.sqrt(max(most * most - turn * turn, 0.0))
         push = math.copysign(min(_answer(abs(speed - moving), most, limits[1]), left), speed - moving)
         asked = [push * unit[i] + turn * across[i] / max(size, 1e-9) - self.acceleration[i] for i in range(3)]
-        share = min(1.0, limits[1] * dt / max(math.hypot(*asked), 1e-9))
-        (ax, ay, az), (vx, vy, vz), (px, py, pz) = self.acceleration, self.velocity, self.position
-        ax, ay, az = ax + asked[0] * share, ay + asked[1] * share, az + asked[2] * share
-        vx, vy, vz = vx + ax * dt, vy + ay * dt, vz + az * dt
-        self.acceleration, self.velocity = (ax, ay, az), (vx, vy, vz)
-        self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
+        share = min(1.0, step / max(math.hypot(*asked), 1e-9))
+        ax, ay, az = self.acceleration
+        return ax + asked[0] * share, ay + asked[1] * share, az + asked[2] * share
 
 
 def approach(way: float, most: float) -> float:

@@ -34,6 +34,7 @@ class Way:
         places: NED [m], without the begin and the goal.
         goal: NED [m].
         limits: acceleration and jerk of turns at the places.
+        after: the next goal [m]; None: none follows, or its place is not known yet.
 
     Attributes:
         begin: of the straight line that is flown, NED [m].
@@ -45,8 +46,10 @@ class Way:
         places: Sequence[Triple] = (),
         goal: Triple = ORIGIN,
         limits: Limits = LIMITS,
+        after: Triple | None = None,
     ):
         self.begin, self._places, self._goal, self._limits = begin, list(places), goal, limits
+        self._after, self._at_goal = after, (-1.0, 0.0)
         # Of the places that are left, with the radius that it holds for.
         self._beyond: tuple[int, float, float] | None = None
 
@@ -65,6 +68,31 @@ class Way:
         if self._beyond is None or self._beyond[:2] != left:
             self._beyond = *left, self._onward(radius)
         return self._places[0], self._beyond[2]
+
+    def beyond_goal(self, radius: float) -> float:
+        """Return how far the way goes on beyond the goal [m], for the speed there.
+
+        It is half of the radius. A turn of more than a right angle would then lead too near to the goal: there it is
+        less, so that the turn begins at the speed of the same turn in a plan from a file.
+
+        Args:
+            radius: distance from the goal at which the way to the next one begins [m].
+        """
+        if self._at_goal[0] != radius:
+            self._at_goal = radius, self._beyond_goal(radius)
+        return self._at_goal[1]
+
+    def _beyond_goal(self, radius: float) -> float:
+        if self._after is None:
+            return 0.5 * radius
+        come, leave = np.subtract(self._goal, self.begin), np.subtract(self._after, self._goal)
+        lengths = [max(float(np.linalg.norm(way)), 1e-6) for way in (come, leave)]
+        cosine = float(come @ leave) / (lengths[0] * lengths[1])
+        if cosine >= 0.0:
+            return 0.5 * radius
+        cut = min(radius, 0.5 * lengths[0], 0.5 * lengths[1])
+        speed = corner_speed(cut, math.acos(max(cosine, -1.0)), self._limits)
+        return min(max(braking_way(speed, self._limits.acceleration) - radius, 0.0), 0.5 * radius)
 
     def _passed(self, here: Triple, radius: float) -> bool:
         """Return whether the next place is near enough for the line after it, or near and behind."""
@@ -122,9 +150,18 @@ def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple
     elif item.frame in TERRAIN and craft.facts.ground_down and begin and before and before[-1].frame in TERRAIN:
         places = over_ground(begin, goal, craft.facts.ground_down)
     limits = Limits(craft.parameters["MPC_ACC_HOR"], craft.parameters["MPC_JERK_AUTO"])
-    way = Way(begin or craft.path.position, [(place[0], place[1], place[2]) for place in places], goal, limits)
+    passed = [(place[0], place[1], place[2]) for place in places]
+    follows = _after(items, seq)
+    after = place_of(follows, craft, goal) if follows and follows.command in known.WAYPOINTS else None
+    way = Way(begin or craft.path.position, passed, goal, limits, after)
     way.join(here)
     return way
+
+
+def _after(items: Sequence[Item], seq: int) -> Item | None:
+    """Return the item after one of a plan that leads somewhere; None without one."""
+    leads = (each for each in items[seq + 1 :] if each.command in known.PLACES or each.command == known.RETURN)
+    return next(leads, None)
 
 
 def _tangents(
@@ -137,8 +174,7 @@ def _tangents(
         origin = place_of(before[-2], craft, craft.home.position_ned if craft.home else begin)
         ahead = goal if before[-1].command == known.SPLINE else begin
         first = [b - a for a, b in zip(origin, ahead, strict=True)]
-    leads = (each for each in items[seq + 1 :] if each.command in known.PLACES or each.command == known.RETURN)
-    after = next(leads, None)
+    after = _after(items, seq)
     onward = after is not None and after.command in _ONWARD and not items[seq].params[0] > 0.0
     if after is None or not onward:
         return first, NONE

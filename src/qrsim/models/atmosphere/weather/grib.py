@@ -73,7 +73,7 @@ def grib_values(file: str, path: str, request: Request) -> Values:
         needed = needed_times(file, times, request)
         newest = {message.key: message for message in sorted(messages, key=lambda each: each.analysis)}
         chosen = {message.number: key for key, message in newest.items() if key.time in needed}
-        return Values(times, _decoded(eccodes, file, path, chosen, request))
+        return _decoded(eccodes, file, path, chosen, Values(times), request)
     except eccodes.CodesInternalError as error:
         raise UsageError(f"{file}: cannot be read: {str(error).strip()[:200]}") from None
 
@@ -158,13 +158,14 @@ def _check_winds(file: str, messages: list[_Message]) -> None:
             raise UsageError(f"{file}: has {own}, but no {other}")
 
 
-def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], request: Request) -> dict[Key, float]:
+def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values: Values, request: Request) -> Values:
     """Return the values of messages at the place, u and v to true east and north.
 
     Args:
         eccodes: the module.
         file, path: of the file.
         chosen: keys by the numbers of messages.
+        values: of the file's times, still empty.
         request: the place.
     """
     found: dict[Key, float] = {}
@@ -187,7 +188,9 @@ def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], request
                          for each in (key, other))  # fmt: skip
         sine, cosine = math.sin(turns[key]), math.cos(turns[key])
         found[key], found[other] = along * cosine + across * sine, across * cosine - along * sine
-    return {key: value for key, value in found.items() if math.isfinite(value)}
+    values.found = {key: value for key, value in found.items() if math.isfinite(value)}
+    values.cell = min((place.cell for place in places.values()), default=math.inf)
+    return values
 
 
 def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:

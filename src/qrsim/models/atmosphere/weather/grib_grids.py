@@ -31,11 +31,13 @@ class Place(NamedTuple):
     Attributes:
         points: numbers of the four points around it.
         weights: (4,) of them, which add up to 1.
+        cell: shorter side of the cell between them [m].
         turn: angle from true north to the grid's, clockwise [rad]; 0 where velocities are to the east and north.
     """
 
     points: tuple[int, ...]
     weights: Floats
+    cell: float
     turn: float
 
 
@@ -63,7 +65,7 @@ def place_in(get: Get, file: str, request: Request) -> Place:
     pairs = [(row, column) for row in corners.rows for column in corners.columns]
     points = tuple(column * down + row if by_column else row * along + column for row, column in pairs)
     rows, columns = (1.0 - corners.down, corners.down), (1.0 - corners.along, corners.along)
-    return Place(points, np.array([row * column for row in rows for column in columns]), turn)
+    return Place(points, np.array([row * column for row in rows for column in columns]), corners.cell, turn)
 
 
 def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
@@ -124,4 +126,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
     parts = [min(max(value - number, 0.0), 1.0) for value, number in ((row, low), (column, left))]
     # Velocities along the rows are turned by the convergence of meridians.
     turn = cone * math.radians((request.longitude_deg - middle + 180.0) % 360.0 - 180.0)
-    return Corners((low, low + 1), (left, left + 1), *parts), turn if int(get("uvRelativeToGrid")) else 0.0
+    cell = min(map(abs, steps))
+    return Corners((low, low + 1), (left, left + 1), parts[0], parts[1], cell), turn if int(
+        get("uvRelativeToGrid")
+    ) else 0.0

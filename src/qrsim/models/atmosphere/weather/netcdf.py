@@ -104,7 +104,7 @@ def _values(file: str, content: Any, request: Request) -> Values:
     present = list(_present(content, names))
     _check_winds(file, content, [key[:3] for _, key, _ in present])
     needed = needed_times(file, sorted(set(times)), request)
-    found = Values(sorted(set(times)))
+    found = Values(sorted(set(times)), cell=corners.cell)
     reader = _Reader(file, content, names, corners, request.member, times, needed)
     for variable, (name, kind, level), factor in present:
         reader.read(variable, name, kind, level, factor, found)

@@ -54,6 +54,7 @@ class Soundings:
         source: what it was read from, in words.
         gust: largest gust of the model in these times [m/s]; None: it states none.
         notes: what a user should know, a sentence each.
+        cell: shorter side of a cell of the model's grid [m]; infinite: there is no grid.
     """
 
     times: tuple[float, ...]
@@ -61,6 +62,7 @@ class Soundings:
     source: str
     gust: float | None = None
     notes: tuple[str, ...] = ()
+    cell: float = math.inf
 
 
 class Site(NamedTuple):
@@ -122,7 +124,7 @@ def soundings_of(file: str, values: Values, request: Request, site: Site) -> Sou
         raise UsageError(f"{file}: has no level with both u and v at the site")
     gusts = [value for key, value in values.found.items() if key.name == "gust" and request.start <= key.time]
     source = f"{file}, {span(values.times[0], values.times[-1])}"
-    return Soundings(tuple(times), tuple(levels), source, max(gusts, default=None), tuple(notes))
+    return Soundings(tuple(times), tuple(levels), source, max(gusts, default=None), tuple(notes), values.cell)
 
 
 def _levels(file: str, values: Values, time: float, site: Site, notes: dict[str, None]) -> Iterator[Level]:

@@ -16,6 +16,8 @@ from qrsim.errors import UsageError
 FASTEST = 150.0
 # Levels above this one [hPa] are not read: it is 16 km high.
 LOWEST_HPA = 100.0
+# Of the Earth as a sphere.
+METRES_PER_DEGREE = 111_195.0
 
 
 class Request(NamedTuple):
@@ -57,10 +59,12 @@ class Values:
     Attributes:
         times: (T,) of the file, increasing, seconds since 1970 UTC.
         found: the values at the times that a run needs.
+        cell: shorter side of a cell of the file's grid at the place [m]; infinite: not known.
     """
 
     times: list[float]
     found: dict[Key, float] = field(default_factory=dict)
+    cell: float = math.inf
 
 
 def needed_times(file: str, times: list[float], request: Request) -> list[float]:
@@ -117,12 +121,14 @@ class Corners(NamedTuple):
         rows: of the points south and north, or in the order of the file.
         columns: of the points west and east.
         down, along: weight of the second row and of the second column, 0 to 1.
+        cell: shorter side of the cell between the points [m].
     """
 
     rows: tuple[int, int]
     columns: tuple[int, int]
     down: float
     along: float
+    cell: float
 
     def weighted(self, values: Floats) -> Floats:
         """Return values (...) between those at the corners (..., 2, 2), rows before columns."""
@@ -162,11 +168,13 @@ def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: f
             + ("; are its latitude and longitude swapped?" if swapped else "")
         )
     upward = latitudes if steps[0] > 0 else -latitudes
+    sides = abs(steps[0]), step * math.cos(math.radians(latitude_deg))
+    cell = METRES_PER_DEGREE * float(max(min(sides), 0.0))
     row, down = _cell(upward, latitude_deg if steps[0] > 0 else -latitude_deg)
     if offset > ways[-1]:
-        return Corners((row, row + 1), (len(ways) - 1, 0), down, (offset - ways[-1]) / (360.0 - ways[-1]))
+        return Corners((row, row + 1), (len(ways) - 1, 0), down, (offset - ways[-1]) / (360.0 - ways[-1]), cell)
     column, along = _cell(ways, offset)
-    return Corners((row, row + 1), (column, column + 1), down, along)
+    return Corners((row, row + 1), (column, column + 1), down, along, cell)
 
 
 def _cell(values: Floats, place: float) -> tuple[int, float]:

@@ -12,7 +12,7 @@ from qrsim.files.user_files import read_text
 from qrsim.models.scene.elevation import read_elevations
 from qrsim.models.scene.terrain_files.crs import from_wkt
 from qrsim.models.scene.terrain_files.gdal import Gdal
-from qrsim.models.scene.terrain_files.gdal_process import LARGEST_HEIGHT
+from qrsim.models.scene.terrain_files.gdal_requests import LARGEST_HEIGHT
 from qrsim.models.scene.terrain_files.raster import ArrayRaster, Crs, grid_of
 
 LARGEST_PRJ = 2**16

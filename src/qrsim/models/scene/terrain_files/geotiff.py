@@ -46,8 +46,9 @@ class GeoTiff:
         return self._read(rows, columns, True)
 
     def _read(self, rows: range, columns: range, coarse: bool) -> Heights:
-        source = {"driver": self.driver, "metres": self.metres, "nodata": list(self.nodata)}
-        return self.gdal.read(self.file, rows, columns, coarse=coarse, **source)
+        return self.gdal.read(
+            self.file, self.driver, rows, columns, coarse=coarse, metres=self.metres, nodata=self.nodata
+        )
 
 
 def open_geotiff(

@@ -1,48 +1,28 @@
-"""The process that runs GDAL and PROJ, with a limit on its memory; ``gdal.py`` starts it and describes its requests.
-
-It is run as a script and imports nothing of qrsim, so that it starts in a fraction of a second.
-"""
+"""Requests that GDAL and PROJ answer; ``gdal.py`` calls these functions in a child process."""
 
 from __future__ import annotations
 
 import json
 import os
-import struct
-import sys
-import warnings
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
-LARGEST_MEMORY, LONGEST_CPU_S = 10**9, 120
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
 # Cells in memory at once where every n-th of them is wanted.
 STRIP = 4_000_000
 OPEN_FILES = 8
 # Values that files use for missing heights, whatever their tag says; and no height is so large [m].
 MISSING, LARGEST_HEIGHT = (-9999.0, -32768.0), 20_000.0
-HEAD = struct.Struct("<IQ")
-Answer = tuple[dict[str, Any], bytes]
 
 
-def limit() -> None:
-    """Limit memory and processor time, where the system can."""
-    try:
-        import resource
-    except ImportError:
-        return
-    # macOS refuses a limit on the address space.
-    for what, most in (("RLIMIT_AS", LARGEST_MEMORY), ("RLIMIT_CPU", LONGEST_CPU_S), ("RLIMIT_CORE", 0)):
-        try:
-            resource.setrlimit(getattr(resource, what), (most, most))
-        except (AttributeError, ValueError, OSError):
-            continue
-
-
-def dataset(request: dict[str, Any]) -> Any:
+def dataset(file: str, driver: str) -> Any:
     """Open a file with one driver, or return it if it is open and has not changed."""
-    status = os.stat(request["file"])
-    return opened(request["file"], request["driver"], status.st_mtime_ns, status.st_size)
+    status = os.stat(file)
+    return opened(file, driver, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=OPEN_FILES)
@@ -53,9 +33,9 @@ def opened(file: str, driver: str, changed: int, size: int) -> Any:
     return rasterio.open(file, driver=driver)
 
 
-def describe(request: dict[str, Any], payload: bytes) -> Answer:
+def describe(file: str, driver: str) -> dict[str, Any]:
     """Return size, type, place and tags of a file."""
-    found = dataset(request)
+    found = dataset(file, driver)
     colours = [each.name for each in found.colorinterp]
     return {
         "bands": found.count,
@@ -66,29 +46,31 @@ def describe(request: dict[str, Any], payload: bytes) -> Answer:
         "unit": found.units[0],
         "overviews": found.overviews(1),
         "palette": colours[0] == "palette",
-    }, b""
+    }
 
 
-def read(request: dict[str, Any], payload: bytes) -> Answer:
+def read(
+    file: str, driver: str, rows: range, columns: range, coarse: bool, metres: float, nodata: tuple[float, ...]
+) -> npt.NDArray[Any]:
     """Return every n-th height [m] of a window in float64, or means of n by n in float32; NaN: missing."""
     import numpy as np
     from rasterio.windows import Window
 
-    found = dataset(request)
-    (r0, r1), (c0, c1), n = request["rows"], request["columns"], request["every"]
-    if request["coarse"]:
+    found = dataset(file, driver)
+    (r0, r1), (c0, c1), n = (rows.start, rows.stop), (columns.start, columns.stop), rows.step
+    if coarse:
         shape = ((r1 - r0) // n, (c1 - c0) // n)
-        data = heights(found, Window(c0, r0, c1 - c0, r1 - r0), request, shape).astype(np.float32)
-        return {"shape": list(data.shape)}, data.tobytes()
+        return heights(found, Window(c0, r0, c1 - c0, r1 - r0), shape, metres, nodata).astype(np.float32)
     parts, strip = [], max(1, STRIP // (c1 - c0) // n) * n
     for first in range(r0, r1, strip):
         window = Window(c0, first, c1 - c0, min(strip, r1 - first))
-        parts.append(heights(found, window, request, None)[::n, ::n])
-    data = np.concatenate(parts)
-    return {"shape": list(data.shape)}, data.tobytes()
+        parts.append(heights(found, window, None, metres, nodata)[::n, ::n])
+    return np.concatenate(parts)
 
 
-def heights(found: Any, window: Any, request: dict[str, Any], shape: tuple[int, int] | None) -> Any:
+def heights(
+    found: Any, window: Any, shape: tuple[int, int] | None, metres: float, nodata: tuple[float, ...]
+) -> npt.NDArray[np.float64]:
     """Return the heights [m] of a window; NaN: missing."""
     import numpy as np
     from rasterio.enums import MaskFlags
@@ -96,13 +78,13 @@ def heights(found: Any, window: Any, request: dict[str, Any], shape: tuple[int, 
     raw = found.read(1, window=window, out_shape=shape)
     value = raw.astype(np.float64)
     missing = ~np.isfinite(value)
-    for none in (*MISSING, *request["nodata"]):
+    for none in (*MISSING, *nodata):
         missing |= value == none
     if found.nodatavals[0] is not None:
         missing |= value == found.nodatavals[0]
     if MaskFlags.per_dataset in found.mask_flag_enums[0]:
         missing |= found.read_masks(1, window=window, out_shape=shape) == 0
-    value = (value * found.scales[0] + found.offsets[0]) * request["metres"]
+    value = (value * found.scales[0] + found.offsets[0]) * metres
     return np.where(missing | ~(np.abs(value) <= LARGEST_HEIGHT), np.nan, value)
 
 
@@ -115,9 +97,9 @@ def crs_of(text: str, esri: bool = False) -> Any:
     return CRS.from_wkt(text, morph_from_esri_dialect=esri) if esri else CRS.from_user_input(text)
 
 
-def crs(request: dict[str, Any], payload: bytes) -> Answer:
+def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
     """Return the horizontal part of a coordinate reference system, its kind, and the accuracy of its datum shift."""
-    found = crs_of(request["text"], request["esri"])
+    found = crs_of(text, esri)
     content = found.to_dict(projjson=True)
     while content.get("type") in ("CompoundCRS", "BoundCRS"):
         content = content["components"][0] if content["type"] == "CompoundCRS" else content["source_crs"]
@@ -131,8 +113,8 @@ def crs(request: dict[str, Any], payload: bytes) -> Answer:
         "name": f"{code['authority']}:{code['code']}" if "code" in code else content.get("name", "unnamed"),
         "kind": kind,
         "wgs84": wgs84,
-        "accuracy": accuracy(base, *request["site"]),
-    }, b""
+        "accuracy": accuracy(base, *site),
+    }
 
 
 def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float | None:
@@ -161,53 +143,11 @@ def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float |
     return None if found is None else float(found)
 
 
-def transform(request: dict[str, Any], payload: bytes) -> Answer:
+def transform(
+    source: str, target: str, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
     """Return points in another coordinate reference system: x of all, then y; infinite beyond its area."""
     import numpy as np
     from rasterio.warp import transform as transformed
 
-    x, y = np.frombuffer(payload, np.float64).reshape(2, -1)
-    found = np.array(transformed(crs_of(request["from"]), crs_of(request["to"]), x, y)[:2], np.float64)
-    return {}, found.tobytes()
-
-
-REQUESTS: dict[str, Callable[[dict[str, Any], bytes], Answer]] = {
-    "describe": describe,
-    "read": read,
-    "crs": crs,
-    "transform": transform,
-}
-
-
-def reasons(error: BaseException | None) -> list[str]:
-    """Return the messages of an error and of those that led to it."""
-    found: list[str] = []
-    while error is not None and len(found) < 10:
-        found.append(f"{type(error).__name__}: {error}")
-        error = error.__cause__ or error.__context__
-    return found
-
-
-def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until there are no more."""
-    while len(head := requests.read(HEAD.size)) == HEAD.size:
-        length, size = HEAD.unpack(head)
-        request = json.loads(requests.read(length))
-        payload = requests.read(size)
-        try:
-            content, data = REQUESTS[request["ask"]](request, payload)
-        except Exception as error:  # whatever GDAL makes of a file goes back as text
-            content, data = {"error": reasons(error)}, b""
-        text = json.dumps(content).encode()
-        answers.write(HEAD.pack(len(text), len(data)) + text)
-        answers.write(data)
-        answers.flush()
-
-
-if __name__ == "__main__":
-    limit()
-    warnings.simplefilter("ignore")
-    # Libraries that print must not disturb the answers.
-    own = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    serve(sys.stdin.buffer, own)
+    return np.array(transformed(crs_of(source), crs_of(target), x, y)[:2], np.float64)
