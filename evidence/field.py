@@ -16,7 +16,7 @@ import scipy
 from tests.models.atmosphere import field_reference as of
 
 from evidence import IMAGES
-from qrsim.studies.validate.statistics import against, judge, mean_and_error
+from qrsim.studies.validate.statistics import against, family_summary, mean_and_error
 from qrsim.studies.validate.wind_field import LIFETIME
 from qrsim.studies.validate.wind_field import kept as remembered
 
@@ -65,7 +65,7 @@ def run(full: bool) -> dict[str, Any]:
         "rotation": {str(h): rotation(h, 20 if full else 5) for h in (5, 15, 60, 700)},
         "normality": normality(200 if full else 60),
         "independence": independence(1000 if full else 300),
-        **judge(pairs),
+        **family_summary(pairs),
     }
 
 

@@ -19,7 +19,7 @@ import scipy
 
 from qrsim.core.arrays import Floats
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
-from qrsim.studies.validate.statistics import CONFIDENCE, Statistic, against, judge, p_values  # noqa: F401 (tests use p_values)
+from qrsim.studies.validate.statistics import CONFIDENCE, Statistic, against, family_summary, p_values  # noqa: F401 (tests use p_values)
 
 DOC = "standard normals and Ornstein-Uhlenbeck processes against their theory"
 SEED = 20140914
@@ -109,7 +109,7 @@ def normals(shape: tuple[int, int, int]) -> dict[str, Any]:
         "worlds": _pairs(worlds),
         "seeds": _pairs(seeds),
     }
-    return {"draws": int(everything.size), **judge(tests), **tests}
+    return {"draws": int(everything.size), **family_summary(tests), **tests}
 
 
 @partial(jax.jit, static_argnames=("steps",))
@@ -180,7 +180,7 @@ def ornstein_uhlenbeck(processes: int, steps: int) -> dict[str, Any]:
     }
     return {
         "draws": int(path.size + relaxing.size),
-        **judge(tests),
+        **family_summary(tests),
         "stationary_std": math.sqrt(tests["variance"]["all"]["value"]),
         "expected_std": std,
         **tests,

@@ -10,7 +10,7 @@ from typing import Any
 from evidence import IMAGES
 from qrsim.studies.validate.jsbsim_gusts import INSTALL, TYPES, jsbsim_theory
 from qrsim.studies.validate.spectra import CASES, COMPONENTS, DT, SEVERITY, SPAN, closed_form
-from qrsim.studies.validate.statistics import judge
+from qrsim.studies.validate.statistics import family_summary
 from qrsim.studies.validate.turbulence import spectra_figure, study_case
 
 __all__ = ["CASES", "COMPONENTS", "DOC", "INSTALL", "SEED", "TYPES", "closed_form", "jsbsim_theory", "run"]
@@ -35,4 +35,4 @@ def run(full: bool) -> dict[str, Any]:
         if full and name == "low":
             FIGURE.parent.mkdir(parents=True, exist_ok=True)
             spectra_figure(case, series, levels).savefig(FIGURE, dpi=110)
-    return {"time_step": DT, "span": SPAN, "severity": SEVERITY, "steps": steps, **judge(results), **results}
+    return {"time_step": DT, "span": SPAN, "severity": SEVERITY, "steps": steps, **family_summary(results), **results}

@@ -212,7 +212,7 @@ class Arrays:
         return select(self.tree)
 
     def put(self, worlds: NumpyArray, tree: object) -> None:
-        """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
+        """Overwrite the states of ``worlds`` by the first rows of a tree's leaves; further rows are ignored."""
         count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
         # What goes beyond the end is dropped, so that parts of one length share a program.
         target = np.concatenate([worlds, np.full(rows - len(worlds), count)])

@@ -84,11 +84,7 @@ class VehicleSpec(Strict):
         exclude=True,
         json_schema_extra=or_its_file,
     )
-    rally_ned: list[Position] = Field(
-        [],
-        description="rally points: returns of failsafes if nearer than home [m]; default: those of plan",
-        max_length=MOST_RALLY,
-    )
+    rally_ned: list[Position] = Field([], description="rally points [m]; default: those of plan", max_length=MOST_RALLY)
     legs: list[LegSpec] = Field(
         [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
     )

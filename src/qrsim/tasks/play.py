@@ -267,7 +267,7 @@ class Play:
         return each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
 
     def _fleet_truth(self, episode: Episode, name: str) -> dict[str, Array]:
-        """Return name -> true value of a fleet's vehicles."""
+        """Return quantity -> true value of the vehicles of a fleet."""
         model, fleet = fleet_of(self.world, episode.state, name)
         vehicle = model.vehicle.pose(fleet.vehicle)
         return {

@@ -155,4 +155,5 @@ class EstimatedPaths(Paths):
         return frame.estimate_ned
 
     def _colours(self) -> Any:
+        """Return one colour for the segments of all vehicles."""
         return ESTIMATE_COLOUR

@@ -110,7 +110,7 @@ def free_port(port: int, host: str = LOOPBACK) -> int:
 
 
 def listen(server: ViserServer, wish: Callable[[Any], None]) -> None:
-    """Call a function with what the page's own script asks for, in a thread."""
+    """Set the function that is called, in a thread, with each wish of the page's script; it replaces the one before."""
     _gates[server].wish = wish
 
 

@@ -179,7 +179,11 @@ def _is_soft(speed: Array, tilt: Array) -> Array:
 def _at_rest_below(
     world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array
 ) -> tuple[VehicleState, Vec3 | None]:
-    """Return vehicles (n,) at rest on the ground below a pose, in its attitude and rates, with a thrust (n,) [N]."""
+    """Put vehicles (n,) on the ground at a pose's place.
+
+    Returns:
+        States with the attitude and rates of the pose, no velocity and a thrust (n,) [N]; and ``low`` with z 0.
+    """
     zero = jnp.zeros_like(pose.position_ned.z)
     place = replace(pose.position_ned, z=world.ground_down(pose.position_ned))
     state = fleet.vehicle.initial_state(place, pose.attitude, Vec3(zero, zero, zero), pose.rates_body)

@@ -92,7 +92,7 @@ class Outcome:
 
 
 def outcomes(flown: Rollout) -> list[Outcome]:
-    """Count every kind of failure, and last any of them."""
+    """Return in how many runs each kind of failure happened; the last entry counts the runs with any of them."""
     kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
     stopped, places = flown["stopped_at_s"], flown["position_ned"]
     times = {name: np.where(kinds == kind, stopped, np.nan) for name, kind in KINDS.items()}

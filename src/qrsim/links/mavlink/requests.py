@@ -63,7 +63,7 @@ def _set_interval(system: System, link: Link, command: Command) -> Answer:
 
 
 def _get_interval(system: System, link: Link, command: Command) -> Answer:
-    """Answer GET_MESSAGE_INTERVAL."""
+    """Return the answer to GET_MESSAGE_INTERVAL: an acknowledgement and a MESSAGE_INTERVAL."""
     number = _number(command.params[0])
     interval = link.streams.interval_us(number) if number in ENCODERS else 0
     payload = LAYOUTS["MESSAGE_INTERVAL"].payload(message_id=max(number, 0) & 0xFFFF, interval_us=interval)
@@ -96,7 +96,7 @@ def _request_version(system: System, link: Link, command: Command) -> Answer:
 
 
 def _request_protocol(system: System, link: Link, command: Command) -> Answer:
-    """Answer REQUEST_PROTOCOL_VERSION, which ArduPilot does not support."""
+    """Answer REQUEST_PROTOCOL_VERSION; a stack of ArduPilot says "unsupported", as ArduPilot does."""
     if system.stack.heartbeat().autopilot == ARDUPILOT:
         return Ack(Result.UNSUPPORTED), ()
     return _send(system, NUMBERS["PROTOCOL_VERSION"])

@@ -267,7 +267,7 @@ class FilterState:
         """Return the gust (n,) in units of its standard deviation."""
         return _COS_15 * self.first + _SIN_15 * self.second
 
-    def gust_change(self, ratio: Array) -> Array:
+    def gust_less_lagged(self, ratio: Array) -> Array:
         """Return the gust minus its lagged value, (n,), in units of the gust's standard deviation."""
         w1, w2, w3 = rate_weights(ratio)
         return w1 * self.first + w2 * self.second + w3 * self.third
@@ -363,8 +363,8 @@ class Dryden(Turbulence):
         roll_sigma = ROLL_FACTOR * sigma.z / power(jnp.asarray(self.span * self.span * lengths.z), 1.0 / 3.0)
         return wind_to_ned(
             roll_sigma * state.roll,
-            sigma.z * per_pitch * state.down.gust_change(lengths.z * per_pitch),
-            -sigma.y * per_yaw * state.across.gust_change(lengths.y * per_yaw),
+            sigma.z * per_pitch * state.down.gust_less_lagged(lengths.z * per_pitch),
+            -sigma.y * per_yaw * state.across.gust_less_lagged(lengths.y * per_yaw),
             self.wind_from_rad,
         )
 

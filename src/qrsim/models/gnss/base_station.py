@@ -81,7 +81,7 @@ class BaseStation:
         return BaseState(started, tilts, Vec3(*first), Vec3(survey[0], survey[1], survey[2]))
 
     def step(self, state: BaseState, draw: Draw, dt: float) -> BaseState:
-        """Advance all but the carrier from knot to knot, by dt [s]."""
+        """Advance all but the carrier (see ``carried``) by dt [s], from knot to knot of the sky."""
         code = draw.normal_rows(2, first=_CODE_PAIR)
         tilt = draw.alone(BASE).normal_rows(12, first=_TILT_PAIR)
         process = _unit(_TILT_TIMES, code)

@@ -178,7 +178,7 @@ def met_by(
 
 
 def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
-    """Return the distance [m] along rays (R, n) of the observing vehicles to the sphere of another vehicle."""
+    """Return the distance [m] along rays (R, n) of the vehicles to the nearest other one; inf if none is hit."""
     to_centre = Vec3(
         *(
             (other[:, None] - own[None, :])[:, None, :]

@@ -50,7 +50,7 @@ def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3)
 
 
 def jet_share(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Array:
-    """Return which part of its thrust leaves a vehicle as a jet; arguments as those of ``jet_axis``.
+    """Return the share, 0 to 1, of its thrust that leaves a vehicle as a jet; arguments as those of ``jet_axis``.
 
     All of it down to a descent at half of the induced velocity of a hover. There the vortex ring state begins, in which
     the flow returns to the rotors, and at the whole of it nothing goes away as a jet (Leishman 2006, section 2.13.6).

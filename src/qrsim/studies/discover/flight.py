@@ -115,7 +115,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
 
 
 def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: int) -> Floats:
-    """Return the states (10, n) at rows, from parabolas through the rows around them."""
+    """Return ``Flight.start`` (10, n) at rows, smoothed by parabolas over ``margin`` rows on each side."""
     start = np.zeros((10, len(rows)))
     offsets = np.arange(-margin, margin + 1)
     # The first row of the pseudo-inverse gives a parabola's value in the middle.

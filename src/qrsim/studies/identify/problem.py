@@ -55,8 +55,8 @@ class Piece:
         nuisances: estimated for this log.
         commands: (T, 5) SI commands of the log from its beginning to the end of the part, gaps held.
         measured: (T, C) measured channels of the whole log.
-        windows: (W, n) rows of each window; those beyond its end repeat its last.
-        used: (W, n) whether a row counts.
+        windows: (W, n) numbers of the W rows of each of n windows; those beyond the end of a window repeat its last.
+        used: (W, n) whether a row counts, as in ``windows``.
         silent: channels that count for nothing, because they were not measured or do not follow their commands.
     """
 
@@ -88,7 +88,7 @@ class Piece:
 
     @property
     def recorded(self) -> Floats:
-        """The measured channels in each window, (W, n, C)."""
+        """The measured channels (W, n, C) at the W rows of each of n windows."""
         return self.measured[self.windows]
 
     def starts(self) -> Floats:

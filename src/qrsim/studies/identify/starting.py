@@ -11,7 +11,11 @@ from qrsim.studies.identify.constants import CONSTANTS, PITCH, ROLL
 
 
 def starting_values(path: Path | None, separate: bool) -> dict[str, float]:
-    """Return every constant by name.
+    """Return every constant by name: the published ones, replaced by those of a vehicle file, if one is given.
+
+    Args:
+        path: of the vehicle file.
+        separate: accept a file whose pitch constants differ from those of roll.
 
     Raises:
         UsageError: the file is no vehicle of this form.

@@ -178,7 +178,7 @@ class JointGraph:
         return 0.5 * float(np.sum(residual**2))
 
     def _add_common(self, x: Floats, common: Common, diagonal: Floats, below: Floats, gradient: Floats) -> float:
-        """Add the prior and the steps of the common error; return half the sum of their squares."""
+        """Add the prior and the steps of the common error in place; return half their sum of squares."""
         first, following = common.weights
         start, steps = self._common_residuals(x)
         at = self.size - 2 + np.arange(2)

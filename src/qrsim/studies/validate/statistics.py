@@ -33,8 +33,8 @@ def p_values(tree: Mapping[str, object]) -> Iterator[float]:
                 yield from p_values(value)
 
 
-def judge(tree: Mapping[str, object]) -> dict[str, float]:
-    """Return the number of statistics in a family, its smallest p-value and the limit for it."""
+def family_summary(tree: Mapping[str, object]) -> dict[str, float]:
+    """Return the number of statistics in a tree, their smallest p-value and its Bonferroni limit, for a comparison."""
     found = list(p_values(tree))
     return {"statistics": len(found), "smallest_p": min(found), "p_limit": (1.0 - CONFIDENCE) / len(found)}
 

@@ -244,9 +244,9 @@ class Craft:
         return min(max((risen - RISEN) / (UPRIGHT_UNTIL - RISEN), 0.0), 1.0)
 
     def throttle_of(self, thrust: float) -> float:
-        """Return the throttle of the vehicle for a normalised thrust, both 0 to 1.
+        """Return the vehicle's throttle for a thrust on PX4's scale, where ``MPC_THR_HOVER`` carries the weight.
 
-        ``MPC_THR_HOVER`` carries the weight, as in PX4's rescaled throttle curve; 0 and 1 are the ends of both.
+        Both are 0 to 1; the scale has two straight parts, as PX4's rescaled throttle curve.
         """
         return _through(thrust, self.parameters.values["MPC_THR_HOVER"], self.facts.hover_throttle)
 
