@@ -63,7 +63,7 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     # Out of time after its first batch, it is marginal.
     code, part = brief(file, "--minutes", "0.0001")
     assert (code, part["runs"], part["complete"], part["verdict"]) == (3, 16, False, "marginal")
-    assert "the brief is not complete" in capsys.readouterr().out
+    assert "the brief was stopped before it was complete" in capsys.readouterr().out
     code, found = brief(file)
     assert (code, found["verdict"], found["why"]) == (0, "go", "every criterion is met")
     assert (found["runs"], found["complete"]) == (72, True)
@@ -90,6 +90,20 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     file.write_text(file.read_text().replace("speed: 4", "speed: 5"))
     assert cli.main(["brief", str(file), "--out", str(file.parent / "out")]) == 2
     assert "wind.speed: 5.0 here, 4.0 there" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_window_spreads_the_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, found = brief(write(tmp_path / "window", window="30 min"))
+    assert (code, found["runs"], found["complete"]) == (0, 72, True)
+    out = tmp_path / "window" / "out"
+    stores = [json.loads(path.read_text())["attributes"] for path in sorted(out.glob("nominal_*.zarr/zarr.json"))]
+    starts = [json.loads(store["study"])["set"]["start_time"] for store in stores]
+    # 32 and 40 runs, each from 4 starts.
+    assert starts == [f"2026-05-01T10:{minute}:00Z" for minute in (["00", 10, 20, 30] * 2)]
+    assert [json.loads(store["study"])["first_seed"] for store in stores] == [0, 8, 16, 24, 32, 42, 52, 62]
+    # A run is flown again from its own start.
+    assert all("'start_time=\"2026-05-01T10:" in each["command"] for each in found["worst"])
 
 
 @pytest.mark.long

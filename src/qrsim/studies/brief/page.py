@@ -37,7 +37,7 @@ def write_page(brief: Brief) -> str:
     template = files("qrsim.studies.brief").joinpath(TEMPLATE).read_text("utf-8")
     pictures = [Picture(title, png(figure)) for title, figure in figures_of(brief)]
     page: str = made.from_string(template).render(
-        about=brief.to_json(), volumes=brief.volumes_text(), pictures=pictures
+        about=brief.to_json(), missing=brief.missing_text(), volumes=brief.volumes_text(), pictures=pictures
     )
     return page + "\n"
 

@@ -76,10 +76,10 @@ class Runs:
         return np.concatenate(found) if found else np.empty((0, 1, len(self.names), 4))
 
     def values_at(self, run: int) -> Content:
-        """Return the varied numbers of a run by path."""
+        """Return the values of a run by path: those of its start in the window, and the numbers that vary."""
         for results in self._results:
             if run < results.episodes:
-                return results.values_at(run)
+                return {**results.spec.set, **results.values_at(run)}
             run -= results.episodes
         raise IndexError(run)
 
