@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from qrsim.errors import UsageError
 from qrsim.files import Content
 from qrsim.models.site import Site
+from qrsim.scenarios.checks import distance_outside
 from qrsim.scenarios.plans.plan import Plan
 from qrsim.studies.brief.operation import OperationSpec, SiteSpec
 
@@ -31,14 +33,16 @@ def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, a
         ceiling = math.ceil(highest + ABOVE)
         assumed.append(f"No ceiling was given: it is at {ceiling:g} m, {ABOVE:g} m above the highest item.")
     fenced = [
-        mission.plan
+        (mission.plan, plan)
         for mission, plan in zip(operation.missions, plans, strict=True)
         if any(each.inclusion for each in plan.polygons) or any(each.inclusion for each in plan.circles)
     ]
     if fenced:
         if len(fenced) > 1:
-            assumed.append(f"The fence is that of {Path(fenced[0]).name}; those of other plans are not used.")
-        area: Content = {"type": "fence", "file": fenced[0]}
+            assumed.append(f"The fence is that of {Path(fenced[0][0]).name}; those of other plans are not used.")
+        for mission, plan in zip(operation.missions, plans, strict=True):
+            _check_home(mission.plan, plan, *fenced[0])
+        area: Content = {"type": "fence", "file": fenced[0][0]}
     else:
         assumed.append(f"No fence in the plan: the area is a box {AROUND:g} m around the route.")
         area = {"type": "box", **_box(plans)}
@@ -47,7 +51,7 @@ def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, a
     if not operation.site.keep_out:
         return {**area, **limits}
     if fenced:
-        stay_in: Content = {"file": fenced[0]}
+        stay_in: Content = {"file": fenced[0][0]}
     else:
         north, far_north, east, far_east = (area[key] for key in ("x_min", "x_max", "y_min", "y_max"))
         stay_in = {
@@ -56,6 +60,25 @@ def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, a
         }
     stay_out = [{"file": file} for file in operation.site.keep_out]
     return {"type": "zones", **limits, "stay_in": [stay_in], "stay_out": stay_out}
+
+
+def _check_home(name: str, plan: Plan, fence_name: str, fenced: Plan) -> None:
+    """Refuse a plan with its home outside the fence of a plan."""
+    home = plan.home
+    site = Site.from_degrees(home.latitude_deg, home.longitude_deg, 0.0)
+
+    def around(places: Sequence[tuple[float, float]]) -> list[list[float]]:
+        """Return places in latitude and longitude [deg] as north and east of home [m]."""
+        radians = [(math.radians(north), math.radians(east)) for north, east in places]
+        return [[float(axis) for axis in site.geodetic_to_ned(*each, 0.0)[:2]] for each in radians]
+
+    distances = [distance_outside(around(each.vertices), [0.0, 0.0]) for each in fenced.polygons if each.inclusion]
+    for circle in (each for each in fenced.circles if each.inclusion):
+        distances.append(math.hypot(*around([(circle.latitude_deg, circle.longitude_deg)])[0]) - circle.radius)
+    if min(distances) > 0.0:
+        raise UsageError(
+            f"home of {name} is {min(distances):.0f} m outside the fence of {fence_name}; move the home or the fence"
+        )
 
 
 def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
