@@ -236,9 +236,12 @@ class Brief:
         try:
             with ExitStack() as opened, _progress() as told:
                 fly(brief, stages, lambda: self._flyer(opened, folder, told))
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, RunError) as error:
             keep(brief)
-            self._tell(brief, folder)
+            try:
+                self._tell(brief, folder)
+            except RunError as other:
+                raise RunError(*(error.args if isinstance(error, RunError) else ()), *other.args) from None
             raise
         if self.record:
             record_worst(brief)
