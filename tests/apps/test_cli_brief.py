@@ -10,14 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
-from tests.studies.brief.plans import write_plan
+from tests.studies.brief.plans import HOME, write_plan
+from tests.studies.brief.test_flights import write_projection
 
 from qrsim import cli
 
 WIDE = [(-60.0, -60.0), (-60.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs/reference/brief.schema.json").read_text())
+# The grid of the hill reaches as far.
+NEAR = [(-50.0, -40.0), (-50.0, 40.0), (60.0, 40.0), (60.0, -40.0)]
 AWAY, ON_THE_LEG = {"x": -40.0, "y": -40.0}, {"x": 12.0, "y": 0.5}
 
 
@@ -134,6 +138,33 @@ def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert rows(found)["wind"]["verdict"] == "no-go"
     assert rows(found)["loss"]["value"] > 0.5
     assert found["worst"][0]["command"].startswith("qrsim run ")
+
+
+def write_hill(file: Path, north: float, height: float) -> None:
+    """Write terrain of 90 m with a hill on the leg north of home, 4 m wide (one standard deviation)."""
+    cell, half = 0.00002, 50
+    head = f"ncols 101\nnrows 101\nxllcenter {HOME[1] - half * cell}\nyllcenter {HOME[0] - half * cell}\n"
+    norths = cell * 111_250.0 * np.arange(half, -half - 1, -1)
+    easts = cell * 111_320.0 * np.cos(np.radians(HOME[0])) * np.arange(-half, half + 1)
+    heights = 90.0 + height * np.exp(-((norths[:, None] - north) ** 2 + easts**2) / (2.0 * 4.0**2))
+    rows = (" ".join(f"{each:.2f}" for each in row) for row in heights)
+    file.write_text(f"{head}cellsize {cell}\n" + "\n".join(rows) + "\n")
+    write_projection(file)
+
+
+@pytest.mark.long
+def test_a_hill_on_a_leg_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "hill", fence=NEAR, site={"terrain": ["hill.asc"]})
+    # 3 m above the leg at 12 m.
+    write_hill(file.parent / "hill.asc", 14.0, 15.0)
+    code, found = brief(file)
+    assert (code, found["verdict"], found["runs"]) == (1, "no-go", 32)
+    row = rows(found)["loss"]
+    assert "lost (32 crashed), the earliest at a, leg 2, " in row["why"]
+    # The vehicle is up at 12 m after about 8 s.
+    assert (row["worst"]["leg"], row["worst"]["vehicle"]) == (2, "a")
+    assert 5.0 < row["worst"]["at_s"] < 20.0
+    assert rows(found)["ground"]["verdict"] == "no-go"
 
 
 @pytest.mark.nightly

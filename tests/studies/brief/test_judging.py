@@ -22,6 +22,7 @@ class Given(Runs):
         super().__init__([], ("scout",))
         good = dict.fromkeys(METRICS, 0.0)
         good |= {"charge_end": 0.6, "fence_horizontal_min_m": 20.0, "ceiling_min_m": 30.0, "ground_min_m": 15.0}
+        good |= {"stopped_leg": np.nan, "stopped_vehicle": np.nan}
         good |= {"air_separation_min_m": np.nan, "obstacle_min_m": np.nan, "stopped_s": np.nan, "failsafe_s": np.nan}
         self._arrays = {name: np.full(runs, value) for name, value in good.items()}
         for name, value in given.items():
@@ -62,14 +63,14 @@ def test_72_runs_without_a_loss_are_a_go() -> None:
 
 
 def test_one_loss_needs_another_look() -> None:
-    lost = {"stopped": [1.0], "stopped_s": [12.0], "left_area": [1.0]}
+    lost = {"stopped": [1.0], "stopped_s": [12.0], "left_area": [1.0], "stopped_leg": [2.0], "stopped_vehicle": [0.0]}
     assert verdicts(Given(72, **lost), 1)["loss"] == "marginal"
     assert undecided(judge(Given(72, **lost), LIMITS, 1))
     assert verdicts(Given(144, **lost), 2)["loss"] == "go"
     loss = rows(Given(144, **lost), 2)["loss"]
     assert loss.why.startswith("144 runs, 1 lost (1 left the area): below")
     assert loss.worst is not None
-    assert (loss.worst.seed, loss.worst.at_s) == (0, 12.0)
+    assert loss.worst.text() == "scout, leg 2, 12 s, seed 0"
 
 
 def test_between_two_looks_nothing_that_needs_runs_is_decided() -> None:

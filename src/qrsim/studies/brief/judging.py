@@ -116,7 +116,7 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     worst = None
     if hits:
         first = int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan)))
-        worst = Moment(int(runs.seeds[first]), "", None, float(runs["stopped_s"][first]))
+        worst = runs.loss(first)
     if verdict == "no-go":
         told = f"{total} runs, {hits} lost{_kinds(runs)}, the earliest at {worst.text() if worst else ''}"
     if verdict == "marginal":

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from qrsim.extras import load
 from qrsim.studies.brief.briefing import Brief
-from qrsim.studies.brief.figures import MOST_TRACKS, map_figure, margins_figure, png, polar_figure, time_figure
+from qrsim.studies.brief.figures import MOST_TRACKS, losses, map_figure, margins_figure, png, polar_figure, time_figure
 from qrsim.studies.brief.studying import TRACK_S
 
 TEMPLATE = "page.html.jinja"
@@ -48,7 +48,7 @@ def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
     if len(runs):
         tracks = runs.tracks(MOST_TRACKS)
         worst = [run for run in brief.worst() if run < len(tracks)]
-        yield "Map", map_figure(brief.flights.scenario, tracks, worst)
+        yield "Map", map_figure(brief.flights.scenario, tracks, worst, losses(runs, tracks))
         margins = margins_figure(runs, brief.nominal)
         if margins is not None:
             yield "Margins", margins

@@ -28,7 +28,8 @@ SCENARIO = "scenario.yaml"
 TRACK_S, BATCH, UNFINISHED = 2.0, 16, 0.05
 MARGINS = ("fence_horizontal_min", "ceiling_min", "ground_min", "obstacle_min", "air_separation_min")
 METRICS = (
-    "stopped", "left_area", "collided", "crashed", "stopped_s", "not_finished", "finished_s", "down_s", "flown_s",
+    "stopped", "left_area", "collided", "crashed", "stopped_s", "stopped_leg", "stopped_vehicle",
+    "not_finished", "finished_s", "down_s", "flown_s",
     "charge_end", "failsafes", "failsafe_s", "home_m", "in_the_air", "wind_max_m_s", "tracking_error_max_m",
     "gnss_horizontal_rms_m", "gnss_vertical_rms_m", "without_fix_s",
     *(f"{margin}_{part}" for margin in MARGINS for part in ("m", "at_s", "leg", "vehicle")),
