@@ -17,7 +17,7 @@ from qrsim.studies.brief.operation import OperationSpec
 from qrsim.studies.brief.statistics import FEWEST, first_look
 from qrsim.studies.sweep.groups import Group, regrouped
 from qrsim.studies.sweep.plan import Batch, Plan
-from qrsim.studies.sweep.prepare import plan_of, plan_of_numbers
+from qrsim.studies.sweep.prepare import plan_of, plan_of_conditions, plan_of_numbers
 from qrsim.studies.sweep.provenance import differences, versions
 from qrsim.studies.sweep.store import Store
 from qrsim.studies.sweep.study import load_study
@@ -186,7 +186,8 @@ class Flyer:
         write_atomically(path, dump_yaml(study).encode())
         loaded = load_study(str(path))
         if "sampling" not in study:
-            return plan_of(loaded)
+            conditions = any("conditions" in item for item in study["vary"].values())
+            return plan_of_conditions(loaded) if conditions else plan_of(loaded)
         # All parts of the nominal stage vary the same numbers; each start of a window has its own sky and wind.
         start = str(loaded.content["start_time"])
         if self._first is None:
