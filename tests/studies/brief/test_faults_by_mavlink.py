@@ -1,4 +1,4 @@
-"""The fault flights of a brief against `qrsim mavlink`: the same fault, vehicle, air and sensors, flown by its stack."""
+"""The fault flights of a brief against `qrsim mavlink`: the same fault, air and sensors, flown by its stack."""
 
 from __future__ import annotations
 

@@ -88,9 +88,10 @@ def test_the_early_look_decides_against_only() -> None:
 
 
 def test_runs_that_do_not_finish() -> None:
-    found = rows(Given(72, not_finished=[1.0] * 20, failsafes=[1.0] * 20, failsafe_s=[50.0] * 20), 1)
+    taken = {"failsafes": [1.0] * 20, "failsafe_s": [50.0] * 20, "charge_end": [0.14] * 18}
+    found = rows(Given(72, not_finished=[1.0] * 20, **taken), 1)
     assert found["finished"].verdict == "no-go"
-    assert "a failsafe took over in 20" in found["finished"].why
+    assert "a failsafe took over in 20, with the battery low in 18" in found["finished"].why
 
 
 @pytest.mark.parametrize(("charge", "verdict"), [(0.21, "go"), (0.15, "marginal"), (0.05, "no-go")])
@@ -118,4 +119,6 @@ def test_the_worst_counts_and_what_is_only_reported_does_not() -> None:
     reported = Row("fault motor", "no-go", 0.0, None, 0.95, "1", "falls", None, False)
     assert overall([good, reported]) == ("go", "every criterion is met")
     assert overall([good, bad, reported]) == ("no-go", "near")
+    worse = Row("loss", "no-go", 1.0, 1.0, 0.01, "1", "all are lost")
+    assert overall([worse, bad]) == ("no-go", "all are lost; also no-go: fence")
     assert overall([]) == ("marginal", "nothing was flown")

@@ -278,8 +278,9 @@ def _read(brief: Brief, look: int | None) -> None:
     runs = Runs(stores, brief.flights.names)
     if look is not None or len(runs) > len(brief.runs):
         brief.runs = runs
+        low = brief.operation.contingency.low_battery.at
         decided = {row.name: row for row in brief.nominal if row.verdict != "marginal"} if look is None else {}
-        found = judge(runs, brief.operation.criteria, look, brief.operation.energy)
+        found = judge(runs, brief.operation.criteria, look, brief.operation.energy, low)
         brief.nominal = [decided.get(row.name, row) for row in found]
 
 
