@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -97,6 +99,14 @@ def test_runs_that_do_not_finish() -> None:
 @pytest.mark.parametrize(("charge", "verdict"), [(0.21, "go"), (0.15, "marginal"), (0.05, "no-go")])
 def test_the_reserve_is_that_of_the_worst_runs(charge: float, verdict: str) -> None:
     assert verdicts(Given(72, charge_end=[charge] * 12), 1)["reserve"] == verdict
+
+
+def test_every_number_of_a_run_that_ends_in_the_air_is_json() -> None:
+    given = {"not_finished": [1.0], "charge_end": [0.1], "down_s": [np.nan], "finished_s": [np.nan]}
+    found = rows(Given(72, **given), 1)
+    assert found["reserve"].worst is not None
+    assert found["reserve"].worst.at_s is None
+    json.dumps([asdict(row) for row in found.values()], allow_nan=False)
 
 
 def test_a_lost_run_says_nothing_of_the_reserve() -> None:

@@ -175,7 +175,9 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     told = (
         f"5 % of the runs end with less than {_percent(value)} of charge; the reserve is {_percent(criteria.reserve)}"
     )
-    worst = Moment(int(runs.seeds[run]), "", None, float(runs["down_s"][run]))
+    down = float(runs["down_s"][run])
+    # A run that ends in the air has no time of its end.
+    worst = Moment(int(runs.seeds[run]), "", None, None if math.isnan(down) else down)
     return Row("reserve", verdict, value, low if math.isfinite(low) else None, criteria.reserve, "1", told, worst)
 
 
