@@ -57,6 +57,17 @@ def test_the_pieces_of_the_nominal_stage() -> None:
     assert next(pieces(0.4)) == Piece(0, 0, 32)
 
 
+def test_the_starts_of_a_window_share_the_runs_between_two_looks() -> None:
+    found = Piece(1, 32, 40).parts(4)
+    assert [(part.name, part.first, part.runs) for part in found] == [
+        ("nominal_1_0", 32, 10), ("nominal_1_1", 42, 10), ("nominal_1_2", 52, 10), ("nominal_1_3", 62, 10)
+    ]  # fmt: skip
+    # A batch for each of two workers.
+    assert found[0].batch == 5
+    assert Piece(1, 32, 40).parts(1) == [Piece(1, 32, 40)]
+    assert Piece(1, 32, 40).name == "nominal_1"
+
+
 def test_72_runs_without_a_loss_are_a_go() -> None:
     found = verdicts(Given(72), 1)
     assert found == {"loss": "go", "finished": "go", "reserve": "go", "fence": "go", "ground": "go"}
