@@ -50,6 +50,7 @@ def without_extras(*commands: list[str]) -> list[tuple[int, str]]:
 def test_every_extra_is_one_of_the_package():
     extras = PROJECT["optional-dependencies"]
     assert set(EXTRAS) | {"all", "dev", "docs", "release"} == set(extras)
+    assert extras["brief"] == ["qrsim[sweep,validate,terrain,weather,buildings]"]
     assert extras["all"] == [f"qrsim[{','.join(name for name in EXTRAS if name not in ON_DEMAND)}]"]
 
 

@@ -1,10 +1,11 @@
-"""The notebook runs from top to bottom, and what is stored of it is a run of its present cells.
+"""The notebooks run from top to bottom, and what is stored of each is a run of its present cells.
 
-After a change, ``jupyter execute --inplace examples/first_experiment.ipynb`` stores it anew.
+After a change, ``jupyter execute --inplace examples/first_experiment.ipynb`` stores it again.
 """
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import pytest
 
 pytestmark = pytest.mark.long
 
-NOTEBOOK = Path(__file__).resolve().parent.parent / "examples" / "first_experiment.ipynb"
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+# Notebook -> the files that it reads.
+NOTEBOOKS: dict[str, tuple[str, ...]] = {"first_experiment.ipynb": (), "brief.ipynb": ("brief.json",)}
 LARGEST_BYTES = 400_000
 
 
@@ -28,18 +31,19 @@ def printed(cell: Any) -> str:
     return "".join(output.text for output in cell.outputs if output.output_type == "stream")
 
 
-@pytest.fixture(scope="module")
-def stored() -> Any:
+def read(name: str) -> Any:
     import nbformat
 
-    return nbformat.read(NOTEBOOK, as_version=4)
+    return nbformat.read(EXAMPLES / name, as_version=4)
 
 
-def test_what_is_stored(stored):
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_what_is_stored(name: str):
     import nbformat
 
+    stored = read(name)
     nbformat.validate(stored)
-    assert NOTEBOOK.stat().st_size < LARGEST_BYTES
+    assert (EXAMPLES / name).stat().st_size < LARGEST_BYTES
     cells = code_cells(stored)
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     for cell in cells:
@@ -49,20 +53,24 @@ def test_what_is_stored(stored):
             assert output.output_type != "error", output
 
 
-def test_it_runs(stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """In an empty folder, with pictures where they are stored, and the same printed lines."""
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_it_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """In a folder with its files alone, with pictures where they are stored, and the same printed lines."""
     import nbformat
     from nbclient import NotebookClient
 
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    stored = read(name)
     fresh = nbformat.from_dict(stored)
     for cell in code_cells(fresh):
         cell.outputs = []
     folder = tmp_path / "empty"
     folder.mkdir()
+    for file in NOTEBOOKS[name]:
+        shutil.copy(EXAMPLES / file, folder)
     client = NotebookClient(fresh, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}})
     client.execute()
     for cell, before in zip(code_cells(fresh), code_cells(stored), strict=True):
         assert pictures(cell) == pictures(before), cell.source
         assert printed(cell) == printed(before), cell.source
-    assert list(folder.iterdir()) == []
+    assert {file.name for file in folder.iterdir()} == set(NOTEBOOKS[name])

@@ -20,7 +20,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "envs": ("gymnasium", "pettingzoo"),
     "datasets": ("minari", "h5py"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
-    "brief": ("distributed", "xarray", "zarr", "jinja2"),
+    "brief": ("distributed", "xarray", "zarr", "jinja2", "rasterio", "netCDF4", "eccodes", "shapely"),
     "wind": ("xarray", "netCDF4"),
     "weather": ("netCDF4", "eccodes"),
     "buildings": ("shapely",),

@@ -10,14 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
-from tests.studies.brief.plans import write_plan
+from tests.studies.brief.plans import HOME, write_plan
+from tests.studies.brief.test_flights import write_projection
 
 from qrsim import cli
 
 WIDE = [(-60.0, -60.0), (-60.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs/reference/brief.schema.json").read_text())
+# The grid of the hill reaches as far.
+NEAR = [(-50.0, -40.0), (-50.0, 40.0), (60.0, 40.0), (60.0, -40.0)]
 AWAY, ON_THE_LEG = {"x": -40.0, "y": -40.0}, {"x": 12.0, "y": 0.5}
 
 
@@ -63,7 +67,7 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     # Out of time after its first batch, it is marginal.
     code, part = brief(file, "--minutes", "0.0001")
     assert (code, part["runs"], part["complete"], part["verdict"]) == (3, 16, False, "marginal")
-    assert "the brief is not complete" in capsys.readouterr().out
+    assert "the brief was stopped before it was complete" in capsys.readouterr().out
     code, found = brief(file)
     assert (code, found["verdict"], found["why"]) == (0, "go", "every criterion is met")
     assert (found["runs"], found["complete"]) == (72, True)
@@ -90,6 +94,20 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     file.write_text(file.read_text().replace("speed: 4", "speed: 5"))
     assert cli.main(["brief", str(file), "--out", str(file.parent / "out")]) == 2
     assert "wind.speed: 5.0 here, 4.0 there" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_window_spreads_the_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, found = brief(write(tmp_path / "window", window="30 min"))
+    assert (code, found["runs"], found["complete"]) == (0, 72, True)
+    out = tmp_path / "window" / "out"
+    stores = [json.loads(path.read_text())["attributes"] for path in sorted(out.glob("nominal_*.zarr/zarr.json"))]
+    starts = [json.loads(store["study"])["set"]["start_time"] for store in stores]
+    # 32 and 40 runs, each from 4 starts.
+    assert starts == [f"2026-05-01T10:{minute}:00Z" for minute in (["00", 10, 20, 30] * 2)]
+    assert [json.loads(store["study"])["first_seed"] for store in stores] == [0, 8, 16, 24, 32, 42, 52, 62]
+    # A run is flown again from its own start.
+    assert all("'start_time=\"2026-05-01T10:" in each["command"] for each in found["worst"])
 
 
 @pytest.mark.long
@@ -120,6 +138,33 @@ def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert rows(found)["wind"]["verdict"] == "no-go"
     assert rows(found)["loss"]["value"] > 0.5
     assert found["worst"][0]["command"].startswith("qrsim run ")
+
+
+def write_hill(file: Path, north: float, height: float) -> None:
+    """Write terrain of 90 m with a hill on the leg north of home, 4 m wide (one standard deviation)."""
+    cell, half = 0.00002, 50
+    head = f"ncols 101\nnrows 101\nxllcenter {HOME[1] - half * cell}\nyllcenter {HOME[0] - half * cell}\n"
+    norths = cell * 111_250.0 * np.arange(half, -half - 1, -1)
+    easts = cell * 111_320.0 * np.cos(np.radians(HOME[0])) * np.arange(-half, half + 1)
+    heights = 90.0 + height * np.exp(-((norths[:, None] - north) ** 2 + easts**2) / (2.0 * 4.0**2))
+    rows = (" ".join(f"{each:.2f}" for each in row) for row in heights)
+    file.write_text(f"{head}cellsize {cell}\n" + "\n".join(rows) + "\n")
+    write_projection(file)
+
+
+@pytest.mark.long
+def test_a_hill_on_a_leg_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "hill", fence=NEAR, site={"terrain": ["hill.asc"]})
+    # 3 m above the leg at 12 m.
+    write_hill(file.parent / "hill.asc", 14.0, 15.0)
+    code, found = brief(file)
+    assert (code, found["verdict"], found["runs"]) == (1, "no-go", 32)
+    row = rows(found)["loss"]
+    assert "lost (32 crashed), the earliest at a, leg 2, " in row["why"]
+    # The vehicle is up at 12 m after about 8 s.
+    assert (row["worst"]["leg"], row["worst"]["vehicle"]) == (2, "a")
+    assert 5.0 < row["worst"]["at_s"] < 20.0
+    assert rows(found)["ground"]["verdict"] == "no-go"
 
 
 @pytest.mark.nightly

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import yaml
 from tests.studies.brief.plans import HOME, TAKE_OFF, WAYPOINT, item, write_plan
 
 from qrsim import cli
+from qrsim.studies.brief.operation import read_operation
 
 WIND, X500, AT = ("--wind", "7@250"), ("--vehicle", "x500"), ("--at", "2026-05-01T10:00Z")
 
@@ -71,6 +73,13 @@ def test_wrong_words(folder: Path, capsys: pytest.CaptureFixture[str], words: tu
         ({"wind": {"speed": 7, "from": 400}}, "400 is out of range; allowed: 0 to 360"),
         ({"wind": None}, "wind: "),
         ({"uncertain": {"mass": "90 %"}}, "uncertain.mass: 0.9 is out of range; allowed: 0 to 0.5"),
+        # An X500 has a thrust to weight of 1.67: above 39.5 % more mass it is below 1.2.
+        (
+            {"uncertain": {"mass": "50 %"}},
+            "10 % of the draws of a have a thrust to weight below 1.2; allowed: up to 39.5 %",
+        ),
+        ({"window": "half an hour"}, "window: 'half an hour' is not a number"),
+        ({"missions": [{"plan": "a.plan", "vehicle": "x500"}] * 61}, "missions: expected at most 60 entries, found 61"),
         ({"uncertain": {"initial_charge": [1.0, 0.9]}}, "allowed: ascending, above 0, at most 1"),
         ({"missions": []}, "missions: "),
         (
@@ -135,6 +144,11 @@ def test_wrong_plans(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     items = [item(TAKE_OFF, 0, 0, 12) | {"doJumpId": 1}, item(WAYPOINT, 20, 0, 12) | {"doJumpId": 2}, jump]
     write_plan(Path("round.plan"), items)
     assert "round.plan: repeats for ever" in refused(capsys, "round.plan", *X500, *WIND, *AT)
+    away = [(12.0, -60.0), (12.0, 60.0), (80.0, 60.0), (80.0, -60.0)]
+    write_plan(Path("out.plan"), fence=away)
+    assert "home of out.plan is 12 m outside the fence of out.plan; move" in refused(
+        capsys, "out.plan", *X500, *WIND, *AT
+    )
     write_plan(Path("far.plan"), home=(HOME[0] + 0.72, *HOME[1:]))
     assert "far.plan: its home is 80 km from that of a.plan; allowed: 50" in refused(
         capsys, "a.plan", "far.plan", *X500, *WIND, *AT
@@ -172,6 +186,24 @@ def test_a_folder_of_something_else(folder: Path, capsys: pytest.CaptureFixture[
     printed = refused(capsys, *words, "--out", "other")
     assert "other: was made of another operation; --out another folder, or --again" in printed
     assert "wind.speed: 7.0 here, 8.0 there" in printed
+
+
+def test_a_store_of_another_version(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is refused before anything is flown, and --again is named."""
+    words = ("a.plan", *X500, *WIND, *AT)
+    store = Path("briefs/a/nominal_0.zarr")
+    store.mkdir(parents=True)
+    assert cli.main(["brief", *words, "--write", "briefs/a/operation.yaml"]) == 0
+    operation = read_operation(Path("briefs/a/operation.yaml"), {})
+    Path("briefs/a/operation.yaml").write_text(
+        operation.model_copy(
+            update={"missions": [operation.missions[0].model_copy(update={"plan": "a.plan"})]}
+        ).to_yaml()
+    )
+    (store / "zarr.json").write_text(json.dumps({"attributes": {"versions": {"qrsim": "0.1"}}}))
+    printed = refused(capsys, *words)
+    assert "briefs/a: was flown with other versions; --again begins it again, or --out another folder" in printed
+    assert ", 0.1 there" in printed
 
 
 def test_a_forecast_is_of_the_time_of_the_flights(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

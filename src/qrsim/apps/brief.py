@@ -95,7 +95,8 @@ class Brief:
         from qrsim.extras import require
         from qrsim.studies.brief.flights import flights_of
 
-        require("brief", "qrsim brief")
+        # Those of terrain, weather and buildings are needed with such files only.
+        require("brief", "qrsim brief", "distributed", "xarray", "zarr", "jinja2")
         flights = flights_of(operation, 3600.0 * self.longest)
         self._check_precision(flights)
         folder = self.out or Path("briefs") / operation.operation
@@ -201,23 +202,27 @@ class Brief:
         if not there.exists():
             return
         if self.again:
-            for path in [
-                *folder.glob("nominal_*"),
-                *folder.glob("faults*"),
-                *folder.glob("wind*"),
-                *folder.glob("brief.*"),
-                there,
-            ]:
+            for path in (path for pattern in OWN for path in folder.glob(pattern)):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
             return
         text = there.read_text("utf-8")
         if text == operation.to_yaml():
+            self._refuse_other_versions(folder)
             return
         differs = [*_differing(parse_yaml(operation.to_yaml(), "operation"), parse_yaml(text, str(there)))]
         raise UsageError(
             f"{folder}: was made of another operation; --out another folder, or --again",
             *(f"  {line}" for line in differs[:6]),
         )
+
+    def _refuse_other_versions(self, folder: Path) -> None:
+        from qrsim.studies.brief.studying import other_versions
+
+        if other := other_versions(folder):
+            raise UsageError(
+                f"{folder}: was flown with other versions; --again begins it again, or --out another folder",
+                *(f"  {line}" for line in other),
+            )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
         from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared, record_worst
@@ -231,9 +236,12 @@ class Brief:
         try:
             with ExitStack() as opened, _progress() as told:
                 fly(brief, stages, lambda: self._flyer(opened, folder, told))
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, RunError) as error:
             keep(brief)
-            self._tell(brief, folder)
+            try:
+                self._tell(brief, folder)
+            except RunError as other:
+                raise RunError(*(error.args if isinstance(error, RunError) else ()), *other.args) from None
             raise
         if self.record:
             record_worst(brief)
@@ -263,16 +271,23 @@ class Brief:
         files = {NUMBERS: text.encode(), PAGE: write_page(brief).encode(), PDF: write_pdf(brief)}
         if self.kml:
             files[KML] = write_kml(brief.operation.operation, brief.flights.scenario, brief.volumes).encode()
+        wrong = []
         for name, content in files.items():
-            with os_error_as(RunError, f"{folder / name}: cannot be written"):
+            try:
                 write_atomically(folder / name, content)
+            except OSError as error:
+                wrong.append(f"{folder / name}: cannot be written: {error.strerror or error}")
         if self.json:
             print(text, end="")
-            return
-        _print_verdict(brief)
-        if self.kml:
-            print(f"volumes: {folder / KML}: {brief.volumes_text()}")
-        print(f"page:    {folder / PAGE} and {PDF}\nnumbers: {folder / NUMBERS}")
+        else:
+            _print_verdict(brief)
+            if self.kml:
+                print(f"volumes: {folder / KML}: {brief.volumes_text()}")
+            if not wrong:
+                print(f"page:    {folder / PAGE} and {PDF}\nnumbers: {folder / NUMBERS}")
+        # The verdict is told all the same.
+        if wrong:
+            raise RunError(*wrong)
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
@@ -285,13 +300,20 @@ def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
 
 
 def _print_flights(operation: OperationSpec, flights: Flights) -> None:
+    from qrsim.studies.brief.statistics import first_look
+
     wind = flights.wind
     blows = f"{wind.speed:.3g} m/s from {wind.from_deg:.3g} deg at {wind.height:g} m"
     print(f"{operation.operation}: {operation.at}, wind {blows}")
     for name, mission, planned in zip(flights.names, operation.missions, flights.planned_s, strict=True):
         print(f"  {name:<20} {mission.plan}, {mission.vehicle}: {planned:.0f} s planned")
     if len(flights.names) > MANY:
-        print(f"  {len(flights.names)} vehicles: runs take long; --minutes gives more time, --stage nominal less work")
+        each = len(flights.names) * max(flights.planned_s) / USUAL_SPEED
+        runs = first_look(operation.criteria.p_loss)
+        print(
+            f"  runs of {len(flights.names)} vehicles take about {each:.0f} s each: {runs} need "
+            f"{math.ceil(each * runs / 60.0)} min; --minutes gives more time, --stage nominal less work"
+        )
 
 
 def _print_verdict(brief: Briefing) -> None:
@@ -301,7 +323,7 @@ def _print_verdict(brief: Briefing) -> None:
     for row in brief.rows:
         print(f"  {row.name:<{width}}  {row.verdict:<8}  {row.why}{'' if row.decides else ' (reported only)'}")
     if not brief.complete:
-        print("\nthe brief is not complete; the same command continues it, and --minutes gives it more time")
+        print(f"\n{brief.missing_text()}; the same command goes on, and --minutes gives it more time")
     for run in brief.worst()[:1]:
         seen = f"qrsim view {brief.recordings[run]}" if run in brief.recordings else brief.command(run)
         print(f"\nto see the worst run: {seen}")

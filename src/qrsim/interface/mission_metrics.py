@@ -56,6 +56,7 @@ class MissionFlight:
     down: Array = quantity(doc="int32 tick at which it was done, -1 before it")
     charge: Array = quantity(unit="1", doc="charge of the battery when it was done, or at the last tick")
     flies: Array = quantity(doc="bool: it was in the air at the last tick")
+    leg: Array = quantity(doc="int32 number of the last leg before it stopped, -1 before the first")
     margins: tuple[Margin, ...] = quantity(doc="in the order of MARGINS")
 
 
@@ -80,6 +81,7 @@ class MissionMetrics:
             down=never,
             charge=charges(world, state),
             flies=airborne(world, state),
+            leg=never,
             margins=tuple(Margin.none(like) for _ in MARGINS),
         )
 
@@ -106,6 +108,7 @@ class MissionMetrics:
             down=jnp.where((memory.down < 0) & (done > 0), tick, memory.down),
             charge=jnp.where((done > 0) | ~flying, memory.charge, charges(world, state)),
             flies=flies,
+            leg=jnp.where(flying, leg, memory.leg),
             margins=margins,
         )
         return select(memory.ended, memory, now)
@@ -119,12 +122,14 @@ class MissionMetrics:
             return np.where(np.asarray(tick) >= 0, np.asarray(tick) * dt, np.nan)
 
         found = FLIGHT_METRICS.finish(memory.flight, world, state)
+        stopped = ~np.isnan(found["stopped_at_s"]) & (np.asarray(memory.leg) >= 0)
         ended = memory.flight.position_ned
         north, east = ended.x - memory.home_ned.x, ended.y - memory.home_ned.y
         found |= {
             "finished": np.where(_on_missions(world, state), np.asarray(memory.finished) >= 0, np.nan),
             "finished_s": when(memory.finished),
             "down_s": when(memory.down),
+            "stopped_at_leg": np.where(stopped, np.asarray(memory.leg), np.nan),
             "charge_end": np.asarray(memory.charge),
             "home_m": np.hypot(north, east),
             "in_the_air": (np.asarray(memory.flies) & np.asarray(_moving(world))).astype(np.float64),

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.commands import MOST_ROTORS
 from qrsim.models.vehicles.multirotor.geometry import rank_of
@@ -59,17 +60,35 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
         )
 
 
-def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
-    """Yield a vehicle that cannot lift itself at its largest rotor speed, in the air of the site [kg/m^3]."""
+def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
+    """Return the least ratio of largest thrust to weight in a fleet, in the air of the site; None of other vehicles."""
+    if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
+        return None
+    found = _thrust_and_weight(fleet, float(air_of(scenario).site_density))
+    return None if found is None else float(np.min(found[0] / found[1]))
+
+
+def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, NumpyArray] | None:
+    """Return thrust at speed_max and weight [N] in air of a density [kg/m^3]; None for lists of unlike lengths."""
     spec = fleet.vehicle
     names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
     each = [np.asarray(getattr(spec, key), float) for key in names]
     # Lists of the wrong length are a problem of their own.
     if len({part.size for part in each if part.ndim}) > 1:
-        return
+        return None
     coefficient, speed, mass, gravity, own_density = each
     most = density / own_density * coefficient * speed**2 * -sum(rotor.axis[2] for rotor in spec.rotors)
-    weight = mass * gravity
+    return most, mass * gravity
+
+
+def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
+    """A vehicle must carry itself at its largest rotor speed, in the air of the site [kg/m^3]."""
+    spec = fleet.vehicle
+    found = _thrust_and_weight(fleet, density)
+    if found is None:
+        return
+    most, weight = found
+    mass, own_density = (np.asarray(getattr(spec, key), float) for key in ("mass", "air_density"))
     i = int(np.argmin(np.atleast_1d(most / weight)))
     lift, heavy = (float(np.broadcast_to(part, (i + 1,))[i]) for part in (most, weight))
     if lift <= heavy:

@@ -248,7 +248,9 @@ class _Fault:
         what = "numbers" if self._holds_numbers() else "entries"
         if low == high:
             return f"{low} {what}"
-        return f"at most {high} {what}" if low is None else f"at least {low}"
+        if low is None or self.details["type"] == "too_long":
+            return f"at most {high} {what}"
+        return f"at least {low}"
 
     def _range(self) -> str:
         """Return the allowed range of a number, in words, in degrees if it was given so."""

@@ -91,7 +91,7 @@ def winds(tmp_path_factory: pytest.TempPathFactory) -> Winds:
 
 
 def test_the_verdict_compares_the_forecast_with_the_boundary_and_the_limit(winds: Winds) -> None:
-    flights = type("Flown", (), {"scenario": winds.scenario})
+    flights = type("Flown", (), {"scenario": winds.scenario, "at_starts": (winds.scenario,)})
 
     def verdict(low: float, middle: float, high: float, limit: float | None = None) -> str:
         lows, middles, highs = (np.append(np.zeros(8), value) for value in (low, middle, high))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.studies.brief.plans import write_plan
 
-from qrsim.scenarios.scenario import Scenario
+import qrsim
+from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.brief.flights import flights_of
 from qrsim.studies.brief.operation import checked
 from qrsim.studies.brief.sky import NONE_PDOP, Sky, _dilution, places_along, sky_of, sky_row
@@ -24,6 +27,46 @@ def scenario(folder: Path, obstacles: list[dict[str, object]]) -> Scenario:
         "world": {"obstacles": obstacles},
     }
     return flights_of(checked(content, "field")).scenario
+
+
+def at_rest(start: datetime, obstacles: list[dict[str, object]]) -> dict[str, Any]:
+    """Return a scenario of one receiver that stays 1.5 m above the ground."""
+    fleet = {
+        "vehicle": {"type": "fixed_point"},
+        "controller": {"type": "none"},
+        "sensors": {"gnss": {"type": "gnss", "preset": "f9p_single"}},
+        "vehicles": [{"position_ned": [0, 0, -1.5]}],
+    }
+    world = {"obstacles": obstacles}
+    return {"name": "rest", "start_time": start.isoformat(), "world": world, "fleets": {"a": fleet}}
+
+
+@pytest.mark.long
+def test_the_table_is_what_a_receiver_at_rest_reports_over_a_day() -> None:
+    """Satellites exactly, and PDOP within 1 %; the receiver is flown, and the table is geometry."""
+    begin = datetime(2026, 5, 1, 10, tzinfo=UTC)
+    sky = sky_of(load_scenario(at_rest(begin, [])))
+    for row in range(0, 289, 24):
+        simulation = qrsim.load(at_rest(begin + timedelta(minutes=5 * row), []), seed=1)
+        simulation.reset()
+        fix = simulation.step(ticks=50).gnss
+        assert sky.count[row, 0] == fix.satellites[0]
+        assert sky.pdop[row, 0] == pytest.approx(np.hypot(fix.hdop, fix.vdop)[0], rel=0.01)
+        assert sky.hdop[row, 0] == pytest.approx(fix.hdop[0], rel=0.01)
+
+
+def test_a_courtyard_that_leaves_4_satellites_is_a_no_go() -> None:
+    """Walls of 30 m, 12 m away on all sides; the receiver of the test above tracks 4 satellites directly here."""
+    sides = [(-17, 17, 12, 17), (-17, 17, -17, -12), (12, 17, -12, 12), (-17, -12, -12, 12)]
+    walls: list[dict[str, object]] = [
+        {"type": "box", "z_min": -30, "z_max": 0, "x_min": south, "x_max": north, "y_min": west, "y_max": east}
+        for south, north, west, east in sides
+    ]
+    sky = sky_of(load_scenario(at_rest(datetime(2026, 5, 1, 10, tzinfo=UTC), walls)))
+    assert sky.count[0, 0] == 4
+    row = sky_row(sky, 300.0)
+    assert row.verdict == "no-go"
+    assert "north 0, east 0, height 2 m, 0 % of the time has 8 satellites" in row.why
 
 
 def test_dilution_of_one_satellite_above_and_three_on_the_horizon() -> None:

@@ -26,6 +26,11 @@ def write_flat(file: Path, height: float) -> None:
     """Write terrain of one height around home, as a grid in latitude and longitude."""
     head = f"ncols 81\nnrows 81\nxllcenter {HOME[1] - 0.004}\nyllcenter {HOME[0] - 0.004}\ncellsize 0.0001\n"
     file.write_text(head + "\n".join(" ".join([f"{height}"] * 81) for _ in range(81)) + "\n")
+    write_projection(file)
+
+
+def write_projection(file: Path) -> None:
+    """Write the projection of a grid in latitude and longitude next to it."""
     file.with_suffix(".prj").write_text(
         'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
         'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ class Given(Runs):
         super().__init__([], ("scout",))
         good = dict.fromkeys(METRICS, 0.0)
         good |= {"charge_end": 0.6, "fence_horizontal_min_m": 20.0, "ceiling_min_m": 30.0, "ground_min_m": 15.0}
+        good |= {"stopped_leg": np.nan, "stopped_vehicle": np.nan}
         good |= {"air_separation_min_m": np.nan, "obstacle_min_m": np.nan, "stopped_s": np.nan, "failsafe_s": np.nan}
         self._arrays = {name: np.full(runs, value) for name, value in good.items()}
         for name, value in given.items():
@@ -54,6 +57,17 @@ def test_the_pieces_of_the_nominal_stage() -> None:
     assert next(pieces(0.4)) == Piece(0, 0, 32)
 
 
+def test_the_starts_of_a_window_share_the_runs_between_two_looks() -> None:
+    found = Piece(1, 32, 40).parts(4)
+    assert [(part.name, part.first, part.runs) for part in found] == [
+        ("nominal_1_0", 32, 10), ("nominal_1_1", 42, 10), ("nominal_1_2", 52, 10), ("nominal_1_3", 62, 10)
+    ]  # fmt: skip
+    # A batch for each of two workers.
+    assert found[0].batch == 5
+    assert Piece(1, 32, 40).parts(1) == [Piece(1, 32, 40)]
+    assert Piece(1, 32, 40).name == "nominal_1"
+
+
 def test_72_runs_without_a_loss_are_a_go() -> None:
     found = verdicts(Given(72), 1)
     assert found == {"loss": "go", "finished": "go", "reserve": "go", "fence": "go", "ground": "go"}
@@ -62,14 +76,14 @@ def test_72_runs_without_a_loss_are_a_go() -> None:
 
 
 def test_one_loss_needs_another_look() -> None:
-    lost = {"stopped": [1.0], "stopped_s": [12.0], "left_area": [1.0]}
+    lost = {"stopped": [1.0], "stopped_s": [12.0], "left_area": [1.0], "stopped_leg": [2.0], "stopped_vehicle": [0.0]}
     assert verdicts(Given(72, **lost), 1)["loss"] == "marginal"
     assert undecided(judge(Given(72, **lost), LIMITS, 1))
     assert verdicts(Given(144, **lost), 2)["loss"] == "go"
     loss = rows(Given(144, **lost), 2)["loss"]
     assert loss.why.startswith("144 runs, 1 lost (1 left the area): below")
     assert loss.worst is not None
-    assert (loss.worst.seed, loss.worst.at_s) == (0, 12.0)
+    assert loss.worst.text() == "scout, leg 2, 12 s, seed 0"
 
 
 def test_between_two_looks_nothing_that_needs_runs_is_decided() -> None:
@@ -87,14 +101,23 @@ def test_the_early_look_decides_against_only() -> None:
 
 
 def test_runs_that_do_not_finish() -> None:
-    found = rows(Given(72, not_finished=[1.0] * 20, failsafes=[1.0] * 20, failsafe_s=[50.0] * 20), 1)
+    taken = {"failsafes": [1.0] * 20, "failsafe_s": [50.0] * 20, "charge_end": [0.14] * 18}
+    found = rows(Given(72, not_finished=[1.0] * 20, **taken), 1)
     assert found["finished"].verdict == "no-go"
-    assert "a failsafe took over in 20" in found["finished"].why
+    assert "a failsafe took over in 20, with the battery low in 18" in found["finished"].why
 
 
 @pytest.mark.parametrize(("charge", "verdict"), [(0.21, "go"), (0.15, "marginal"), (0.05, "no-go")])
 def test_the_reserve_is_that_of_the_worst_runs(charge: float, verdict: str) -> None:
     assert verdicts(Given(72, charge_end=[charge] * 12), 1)["reserve"] == verdict
+
+
+def test_every_number_of_a_run_that_ends_in_the_air_is_json() -> None:
+    given = {"not_finished": [1.0], "charge_end": [0.1], "down_s": [np.nan], "finished_s": [np.nan]}
+    found = rows(Given(72, **given), 1)
+    assert found["reserve"].worst is not None
+    assert found["reserve"].worst.at_s is None
+    json.dumps([asdict(row) for row in found.values()], allow_nan=False)
 
 
 def test_a_lost_run_says_nothing_of_the_reserve() -> None:
@@ -117,4 +140,6 @@ def test_the_worst_counts_and_what_is_only_reported_does_not() -> None:
     reported = Row("fault motor", "no-go", 0.0, None, 0.95, "1", "falls", None, False)
     assert overall([good, reported]) == ("go", "every criterion is met")
     assert overall([good, bad, reported]) == ("no-go", "near")
+    worse = Row("loss", "no-go", 1.0, 1.0, 0.01, "1", "all are lost")
+    assert overall([worse, bad]) == ("no-go", "all are lost; also no-go: fence")
     assert overall([]) == ("marginal", "nothing was flown")

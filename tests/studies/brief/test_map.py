@@ -26,7 +26,7 @@ def test_zones_and_buildings_are_drawn() -> None:
     )
     tracks = np.zeros((1, 2, 1, 4))
     tracks[0, 1, 0, 0] = 40.0
-    axes = map_figure(scenario, tracks, [0]).axes[0]
+    axes = map_figure(scenario, tracks, [0], np.array([[30.0, 1.0]])).axes[0]
     # East is x; the picture ends 5 m outside the area.
     assert axes.get_xlim()[0] == -55.0
     assert {text.get_text() for text in axes.get_legend().get_texts()} == {
@@ -34,6 +34,7 @@ def test_zones_and_buildings_are_drawn() -> None:
         "stay in",
         "stay out",
         "worst runs",
+        "lost here",
     }
     assert len(axes.patches) == 3
     assert "#bfbfbf" in {to_hex(each.get_facecolor()) for each in axes.patches}

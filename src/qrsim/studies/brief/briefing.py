@@ -28,10 +28,11 @@ from qrsim.studies.brief.statistics import quantile, wilson
 from qrsim.studies.brief.studying import SCENARIO, Flyer, nominal_study, pieces
 from qrsim.studies.brief.volumes import Volumes, volumes_of
 from qrsim.studies.brief.winds import Winds, boundary_of, wind_row, winds_of
+from qrsim.studies.sweep.varying import assignment
 
 STAGES = ("nominal", "faults", "wind")
-# Parts of the time at which the stages of a whole brief end.
-PARTS = {"nominal": 0.6, "faults": 0.8, "wind": 1.0}
+# Shares of the time that is left, among the stages that are left.
+SHARES = {"nominal": 0.6, "faults": 0.2, "wind": 0.2}
 # Runs whose flights are named again, and metrics that the page and the JSON give as quantiles.
 WORST = 3
 # Folder of recorded runs.
@@ -67,6 +68,7 @@ class Brief:
         precision: width of the intervals of the shares at which the runs end, None for a verdict alone.
         recordings: folders of runs that were recorded, by their numbers.
         complete: whether it ended by itself, and not by an interruption or its time.
+        left_out: stages for which no time was left.
     """
 
     operation: OperationSpec
@@ -82,6 +84,7 @@ class Brief:
     precision: float | None = None
     recordings: dict[int, str] = field(default_factory=dict)
     complete: bool = False
+    left_out: list[str] = field(default_factory=list)
 
     @property
     def rows(self) -> list[Row]:
@@ -101,6 +104,12 @@ class Brief:
         if not self.nominal and found[0] == "go":
             return "marginal", "no run without faults was flown in the forecast"
         return found
+
+    def missing_text(self) -> str:
+        """Return in words that something is missing, "" of a complete brief."""
+        if self.left_out:
+            return f"not flown, because no time was left: {', '.join(self.left_out)}"
+        return "" if self.complete else "the brief was stopped before it was complete"
 
     def precise(self) -> bool:
         """Return whether the interval of every share is as narrow as it was asked to be."""
@@ -146,7 +155,7 @@ class Brief:
 
     def command(self, run: int) -> str:
         """Return the command that flies a run again."""
-        values = [f"{path}={value!r}" for path, value in self.runs.values_at(run).items()]
+        values = [assignment(path, value) for path, value in self.runs.values_at(run).items()]
         words = ["qrsim", "run", str(self.folder / SCENARIO), "--seed", str(int(self.runs.seeds[run]))]
         return shlex.join([*words, *(word for value in values for word in ("--set", value))])
 
@@ -163,6 +172,7 @@ class Brief:
             "verdict": verdict,
             "why": why,
             "complete": self.complete,
+            "left_out": list(self.left_out),
             "runs": total,
             "first_seed": self.seed,
             "criteria": [asdict(row) for row in self.rows],
@@ -227,9 +237,14 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
     brief.sky = sky_of(brief.flights.scenario)
     complete = True
     made = flyer()
-    for stage in stages:
-        # Time is left for the stages that follow, whose runs are few.
-        made.allow(PARTS[stage] if len(stages) > 1 else 1.0)
+    asked = [stage for stage in stages if stage != "faults" or brief.operation.faults]
+    for number, stage in enumerate(asked):
+        fits = made.allow(SHARES[stage] / sum(SHARES[each] for each in asked[number:]))
+        # A stage that has runs already is read at least.
+        if number and not fits and not any(brief.folder.glob(f"{stage}*.zarr")):
+            brief.left_out = asked[number:]
+            complete = False
+            break
         if stage == "nominal":
             complete = _nominal(brief, made)
             if not complete:
@@ -237,9 +252,9 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
             # What fails in the forecast needs no fault and no more wind.
             if overall(brief.nominal)[0] == "no-go":
                 break
-        elif stage == "faults" and brief.operation.faults:
+        elif stage == "faults":
             complete &= _faults(brief, made)
-        elif stage == "wind":
+        else:
             complete &= _winds(brief, made, polar=len(stages) == 1)
     brief.complete = complete
 
@@ -254,24 +269,27 @@ def keep(brief: Brief) -> None:
 def _read(brief: Brief, look: int | None) -> None:
     """Read the nominal runs that are there; ``look`` is None between two looks, where the last one's verdicts hold."""
     stores = []
+    starts = len(brief.flights.starts)
     for piece in pieces(brief.operation.criteria.p_loss):
-        path = brief.folder / f"{piece.name}.zarr"
-        if not path.exists():
+        paths = [path for part in piece.parts(starts) if (path := brief.folder / f"{part.name}.zarr").exists()]
+        stores += paths
+        if len(paths) < starts:
             break
-        stores.append(path)
     runs = Runs(stores, brief.flights.names)
     if look is not None or len(runs) > len(brief.runs):
         brief.runs = runs
+        low = brief.operation.contingency.low_battery.at
         decided = {row.name: row for row in brief.nominal if row.verdict != "marginal"} if look is None else {}
-        found = judge(runs, brief.operation.criteria, look, brief.operation.energy)
+        found = judge(runs, brief.operation.criteria, look, brief.operation.energy, low)
         brief.nominal = [decided.get(row.name, row) for row in found]
 
 
 def _nominal(brief: Brief, flyer: Flyer) -> bool:
     """Fly the nominal stage look by look; return whether it came to a verdict."""
     for piece in pieces(brief.operation.criteria.p_loss):
-        if not flyer.fly(nominal_study(piece, brief.operation, brief.flights, brief.seed)):
-            return False
+        for part in piece.parts(len(brief.flights.starts)):
+            if not flyer.fly(nominal_study(part, brief.operation, brief.flights, brief.seed)):
+                return False
         _read(brief, piece.look)
         if not undecided(brief.nominal) and brief.precise():
             return True
@@ -310,7 +328,7 @@ def record_worst(brief: Brief) -> None:
         seed = int(brief.runs.seeds[run])
         folder = brief.folder / RECORDINGS / f"seed_{seed}"
         if not folder.exists():
-            values = [f"{path}={value!r}" for path, value in brief.runs.values_at(run).items()]
+            values = [assignment(path, value) for path, value in brief.runs.values_at(run).items()]
             record(
                 load_scenario(str(brief.folder / SCENARIO), values, quiet=True), folder, seed=seed, precision="float32"
             )

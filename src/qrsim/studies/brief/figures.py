@@ -35,8 +35,15 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> Figure:
-    """Draw the density of all tracks (E, R, n, 4) with fence, planned routes, ends of lost runs and the worst runs."""
+def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int], lost: NumpyArray) -> Figure:
+    """Draw the density of all tracks (E, R, n, 4) with fence and planned routes, the worst runs and places of losses.
+
+    Args:
+        scenario: of the flights.
+        tracks: of the runs.
+        worst: numbers of runs that are drawn as lines.
+        lost: (L, 2) places where vehicles were lost [m].
+    """
     around = Surroundings(**fixed_parts(scenario.spec.world.model_dump(mode="json")))
     corners = around.outline
     low, high = corners.min(axis=0) - 5.0, corners.max(axis=0) + 5.0
@@ -63,12 +70,24 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int]) -> 
             axes.plot(
                 path[:, 1], path[:, 0], color="#b26a00", lw=0.6, label=None if number or vehicle else "worst runs"
             )
+    if len(lost):
+        axes.plot(lost[:, 1], lost[:, 0], "x", color=COLOURS["no-go"], ms=6, mew=1.5, label="lost here")
     axes.set_aspect("equal")
     axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), xlabel="east [m]", ylabel="north [m]")
     marks = {str(artist.get_label()): artist for artist in (*axes.lines, *axes.patches)}
     named = [mark for label, mark in marks.items() if label and not label.startswith("_")]
     axes.legend(handles=named, loc="upper left", fontsize=8)
     return figure
+
+
+def losses(runs: Runs, tracks: NumpyArray) -> NumpyArray:
+    """Return the place (L, 2) of the first loss in each lost run with a track (E, R, n, 4), its last record [m]."""
+    found = []
+    for run in np.flatnonzero(np.isfinite(runs["stopped_vehicle"][: len(tracks)])):
+        track = tracks[run, :, int(runs["stopped_vehicle"][run]), :2]
+        known = track[np.isfinite(track).all(axis=1)]
+        found += [known[-1]] if len(known) else []
+    return np.array(found).reshape(-1, 2)
 
 
 def _dense(tracks: NumpyArray) -> NumpyArray:

@@ -16,19 +16,26 @@ from qrsim.files import Content
 from qrsim.models.atmosphere.wind import ROUGHNESS_M
 from qrsim.models.site import Site
 from qrsim.models.vehicles.multirotor.sets import SETS
+from qrsim.scenarios.multirotor_checks import thrust_to_weight
 from qrsim.scenarios.plans.plan import Plan
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.reading import merged, read_scenario
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.vehicle_file import read_vehicle_file
 from qrsim.scenarios.weather import velocity
-from qrsim.studies.brief.operation import MissionSpec, OperationSpec, SiteSpec, WindSpec
+from qrsim.studies.brief.operation import MissionSpec, OperationSpec, WindSpec
+from qrsim.studies.brief.surroundings import area_of, ground_of, site_of
+from qrsim.studies.brief.words import spread
 
-# Around a route without a fence, above the highest point of a route, and between two homes [m].
-AROUND, ABOVE, FARTHEST = 50.0, 30.0, 50e3
+# Largest distance between two homes [m].
+FARTHEST = 50e3
 # Largest length of a run [s], and how much longer than its path a run is.
 LONGEST_S, SLACK, SLACK_S = 3600.0, 1.5, 30.0
 TIME_STEP = 0.02
+# Least thrust to weight of a vehicle that flies in gusts.
+LEAST_LIFT = 1.2
+# Starts over which a window is spread.
+STARTS = 4
 # From seconds to the microseconds of PX4's EKF2_NOAID_TOUT.
 _NOAID = 1e6
 SENSORS: dict[str, Content] = {
@@ -52,6 +59,8 @@ class Flights:
         planned_s: time of the path of each vehicle [s], without wind.
         plans: of the missions.
         assumed: defaults that count, one sentence each.
+        starts: times of the starts over the window, ISO 8601 in UTC; one without a window.
+        at_starts: the scenario at each start.
     """
 
     content: Content
@@ -61,6 +70,18 @@ class Flights:
     planned_s: tuple[float, ...]
     plans: tuple[Plan, ...]
     assumed: tuple[str, ...]
+    starts: tuple[str, ...]
+    at_starts: tuple[Scenario, ...]
+
+    @property
+    def settings(self) -> tuple[Content, ...]:
+        """Values of the scenario at each start, by path."""
+        keys = ("wind", "turbulence") if self.wind.file is not None else ()
+        worlds = [scenario.spec.model_dump(mode="json")["world"] for scenario in self.at_starts if keys]
+        return tuple(
+            {"start_time": start, **{f"world.{key}": worlds[i][key] for key in keys}}
+            for i, start in enumerate(self.starts)
+        )
 
 
 def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flights:
@@ -79,6 +100,7 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
         scenario = load_scenario(content, quiet=True)
     except ScenarioError as error:
         raise ScenarioError(f"operation {operation.operation}", error.problems) from None
+    _check_lift(scenario, operation.uncertain.mass)
     planned = tuple(_planned_s(scenario, operation))
     wanted = SLACK * max(planned) + SLACK_S
     if max(planned) > longest_s:
@@ -90,17 +112,22 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
         if mission.delay:
             whole["fleets"][name]["vehicles"][0]["legs"].insert(0, {"type": "loiter", "time": mission.delay})
     whole["duration"] = math.ceil(min(wanted, longest_s))
-    if operation.wind.file is None:
-        return Flights(whole, load_scenario(whole), names, operation.wind, planned, plans, tuple(assumed))
-    # The file's wind of the run alone, in numbers from here on.
-    whole["world"]["wind"] = wind_file(operation.wind.file)
-    scenario = load_scenario(whole)
-    wind = _wind_at_start(operation.wind, scenario)
-    assumed.append(
-        f"The wind is that of {Path(operation.wind.file).name} over height and time, without an error of the forecast: "
-        f"{wind.speed:.1f} m/s from {wind.from_deg:.0f} deg at {wind.height:g} m at the start."
-    )
-    return Flights(scenario.spec.model_dump(mode="json"), scenario, names, wind, planned, plans, tuple(assumed))
+    wind, file = operation.wind, operation.wind.file
+    if file is not None:
+        whole["world"]["wind"] = wind_file(file)
+    starts = spread(operation.at, operation.window, STARTS if operation.window else 1)
+    at_starts = tuple(load_scenario({**whole, "start_time": start}, quiet=i > 0) for i, start in enumerate(starts))
+    if len(starts) > 1:
+        assumed.append(f"The runs start at {len(starts)} times, spread over the window of {operation.window:g} min.")
+    if file is not None:
+        # The file's wind of the run alone, in numbers from here on.
+        whole = at_starts[0].spec.model_dump(mode="json")
+        wind = _wind_at_start(wind, at_starts[0])
+        assumed.append(
+            f"The wind is that of {Path(file).name} over height and time, without an error of the forecast: "
+            f"{wind.speed:.1f} m/s from {wind.from_deg:.0f} deg at {wind.height:g} m at the start."
+        )
+    return Flights(whole, at_starts[0], names, wind, planned, plans, tuple(assumed), starts, at_starts)
 
 
 def wind_file(file: str) -> Content:
@@ -170,6 +197,24 @@ def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
             )
 
 
+def _check_lift(scenario: Scenario, share: float) -> None:
+    """Refuse vehicles of which many draws of the mass, up to a relative difference, have too little thrust."""
+    for name, fleet in scenario.spec.fleets.items():
+        ratio = thrust_to_weight(fleet, scenario.spec)
+        if ratio is None or ratio >= LEAST_LIFT * (1.0 + share):
+            continue
+        if ratio <= LEAST_LIFT:
+            raise UsageError(
+                f"fleets.{name}: its thrust to weight is {ratio:.2f}; allowed: above {LEAST_LIFT:g}, to hold its path "
+                "in gusts; lower the mass"
+            )
+        heavy = (1.0 + share - ratio / LEAST_LIFT) / (2.0 * share)
+        raise UsageError(
+            f"uncertain.mass: {100.0 * share:g} %: {100.0 * heavy:.0f} % of the draws of {name} have a thrust to "
+            f"weight below {LEAST_LIFT:g}; allowed: up to {math.floor(1000.0 * (ratio / LEAST_LIFT - 1.0)) / 10.0:g} %"
+        )
+
+
 def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str, ...], assumed: list[str]) -> Content:
     """Return the content of the scenario, its places still those of the plans."""
     below: Content = {}
@@ -180,16 +225,16 @@ def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str
         "duration": LONGEST_S,
         "time_step": TIME_STEP,
         "start_time": operation.at,
-        "site": _site(operation, plans[0], below),
+        "site": site_of(operation, plans[0], below),
         "world": {
-            "area": _area(operation, plans, below, assumed),
+            "area": area_of(operation, plans, below, assumed),
             "wind": {
                 "type": "log_shear",
                 "speed_20ft": (operation.wind.speed or 0.0) * speed_20ft(operation.wind),
                 "wind_from_deg": bearing_deg(operation.wind),
             },
             "turbulence": {"type": "dryden"},
-            **_ground(operation.site),
+            **ground_of(operation.site),
             **{key: value for key, value in operation.world.items() if key != "area"},
         },
         "fleets": {
@@ -199,88 +244,6 @@ def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str
     }
     assumed.append("Legs without a speed are flown at 5 m/s. Gusts are those of MIL-F-8785C for the mean wind.")
     return merged({key: value for key, value in below.items() if key != "fleets"}, content)
-
-
-def _area(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, assumed: list[str]) -> Content:
-    """Return the area: that of the operation or of the scenario below, else a fence of a plan, else a box."""
-    ceiling = operation.site.ceiling
-    under = below.get("world")
-    given = operation.world.get("area") or (under.get("area") if isinstance(under, dict) else None)
-    if isinstance(given, dict):
-        if operation.site.keep_out:
-            raise UsageError("site.keep_out: the area is given already; give keep-outs as its stay_out")
-        return given if ceiling is None else {**given, "z_min": -float(ceiling)}
-    if ceiling is None:
-        highest = max(waypoint.height_above_home for plan in plans for waypoint in plan.waypoints)
-        ceiling = math.ceil(highest + ABOVE)
-        assumed.append(f"No ceiling was given: it is at {ceiling:g} m, {ABOVE:g} m above the highest item.")
-    fenced = [
-        mission.plan
-        for mission, plan in zip(operation.missions, plans, strict=True)
-        if any(each.inclusion for each in plan.polygons) or any(each.inclusion for each in plan.circles)
-    ]
-    if fenced:
-        if len(fenced) > 1:
-            assumed.append(f"The fence is that of {Path(fenced[0]).name}; those of other plans are not used.")
-        area: Content = {"type": "fence", "file": fenced[0]}
-    else:
-        assumed.append(f"No fence in the plan: the area is a box {AROUND:g} m around the route.")
-        area = {"type": "box", **_box(plans)}
-    # In hills the floor is the ground.
-    limits = {"z_min": -float(ceiling), **({} if operation.site.terrain else {"z_max": 0.0})}
-    if not operation.site.keep_out:
-        return {**area, **limits}
-    if fenced:
-        stay_in: Content = {"file": fenced[0]}
-    else:
-        north, far_north, east, far_east = (area[key] for key in ("x_min", "x_max", "y_min", "y_max"))
-        stay_in = {
-            "name": "area",
-            "polygon_ned": [[north, east], [north, far_east], [far_north, far_east], [far_north, east]],
-        }
-    stay_out = [{"file": file} for file in operation.site.keep_out]
-    return {"type": "zones", **limits, "stay_in": [stay_in], "stay_out": stay_out}
-
-
-def _site(operation: OperationSpec, plan: Plan, below: Content) -> Content:
-    """Return the site: the operation's own, else that of the scenario below, else the home of the first plan."""
-    given = operation.site.model_dump(include={"latitude_deg", "longitude_deg", "height_amsl"}, exclude_none=True)
-    given |= {key: value for key in ("temperature_offset",) if (value := getattr(operation.site, key))}
-    under = below.get("site")
-    if not given and isinstance(under, dict):
-        return under
-    if "latitude_deg" in given:
-        return given
-    if Path(operation.missions[0].plan).suffix.lower() == ".plan":
-        return {"plan": operation.missions[0].plan, **given}
-    home = plan.home
-    height = {} if math.isnan(home.altitude_amsl) else {"height_amsl": home.altitude_amsl}
-    return {"latitude_deg": home.latitude_deg, "longitude_deg": home.longitude_deg, **height, **given}
-
-
-def _ground(site: SiteSpec) -> Content:
-    """Return the ground and the buildings of a scenario's world."""
-    found: Content = {}
-    if site.terrain:
-        found["ground"] = {"type": "dem", "file": site.terrain if len(site.terrain) > 1 else site.terrain[0]}
-    if site.buildings is not None:
-        found["buildings"] = {"file": site.buildings}
-    return found
-
-
-def _box(plans: tuple[Plan, ...]) -> Content:
-    home = plans[0].home
-    site = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
-    places = [(plan.home.latitude_deg, plan.home.longitude_deg) for plan in plans]
-    places += [(each.latitude_deg, each.longitude_deg) for plan in plans for each in plan.waypoints]
-    points = [
-        site.geodetic_to_ned(math.radians(north), math.radians(east), home.altitude_amsl)[:2] for north, east in places
-    ]
-    (north, east), (far_north, far_east) = np.min(points, axis=0), np.max(points, axis=0)
-    return {
-        "x_min": math.floor(north - AROUND), "x_max": math.ceil(far_north + AROUND),
-        "y_min": math.floor(east - AROUND), "y_max": math.ceil(far_east + AROUND),
-    }  # fmt: skip
 
 
 def _fleet(mission: MissionSpec, plan: Plan, name: str, operation: OperationSpec, assumed: list[str]) -> Content:

@@ -28,6 +28,8 @@ Verdict = Literal["go", "marginal", "no-go"]
 ORDER: tuple[Verdict, ...] = ("go", "marginal", "no-go")
 # Share of the runs whose charge may be below the reserve, and whose margins may be below their criteria.
 WORST_CHARGE, WORST_MARGIN = 0.05, 0.01
+# Between a reported charge and the true one.
+CHARGE_NOISE = 0.01
 # Criteria that more runs decide.
 SEQUENTIAL = ("loss", "finished", "reserve")
 
@@ -60,13 +62,16 @@ class Row:
 
 
 def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
-    """Return the worst verdict, and the reason of the first row that has it."""
+    """Return the worst verdict, the reason of the first row that has it, and the names of the others."""
     counted = [row for row in rows if row.decides]
     worst: Verdict = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
-    reasons = [row.why for row in counted if row.verdict == worst]
     if not counted:
         return "marginal", "nothing was flown"
-    return worst, "every criterion is met" if worst == "go" else reasons[0]
+    if worst == "go":
+        return worst, "every criterion is met"
+    first, *others = (row for row in counted if row.verdict == worst)
+    also = f"; also {worst}: {', '.join(row.name for row in others)}" if others else ""
+    return worst, f"{first.why}{also}"
 
 
 def undecided(rows: Sequence[Row]) -> bool:
@@ -74,7 +79,9 @@ def undecided(rows: Sequence[Row]) -> bool:
     return overall(rows)[0] != "no-go" and any(row.name in SEQUENTIAL and row.verdict == "marginal" for row in rows)
 
 
-def judge(runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = True) -> list[Row]:
+def judge(
+    runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = True, low_battery: float = 0.15
+) -> list[Row]:
     """Return a row for each criterion that the nominal runs decide.
 
     Args:
@@ -82,10 +89,11 @@ def judge(runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = T
         criteria: of the operation.
         look: number of the look at which they are complete; None between two looks, which decide nothing.
         energy: whether the charge is judged.
+        low_battery: charge at which a failsafe reacts.
     """
     if not len(runs):
         return []
-    rows = [_loss(runs, criteria, look), _finished(runs, look)]
+    rows = [_loss(runs, criteria, look), _finished(runs, look, low_battery)]
     rows += [_reserve(runs, criteria, look)] if energy else []
     return [*rows, *_margins(runs, criteria)]
 
@@ -116,7 +124,7 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     worst = None
     if hits:
         first = int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan)))
-        worst = Moment(int(runs.seeds[first]), "", None, float(runs["stopped_s"][first]))
+        worst = runs.loss(first)
     if verdict == "no-go":
         told = f"{total} runs, {hits} lost{_kinds(runs)}, the earliest at {worst.text() if worst else ''}"
     if verdict == "marginal":
@@ -131,15 +139,17 @@ def _kinds(runs: Runs) -> str:
     return f" ({', '.join(found)})" if found else ""
 
 
-def _finished(runs: Runs, look: int | None) -> Row:
+def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
     told = f"{total - hits} of {total} runs finish the mission; the share of the others is below {_percent(bound)}"
     worst = None
     if hits:
-        taken = int((runs["failsafes"] > 0.0).sum())
-        told += f"; a failsafe took over in {taken}" if taken else ""
+        taken = missed & (runs["failsafes"] > 0.0)
+        told += f"; a failsafe took over in {int(taken.sum())}" if taken.any() else ""
+        low = taken & (runs["charge_end"] <= low_battery + CHARGE_NOISE)
+        told += f", with the battery low in {int(low.sum())}" if low.any() else ""
         run = int(np.flatnonzero(missed)[0])
         at = float(runs["failsafe_s"][run])
         worst = Moment(int(runs.seeds[run]), "", None, None if math.isnan(at) else at)
@@ -165,7 +175,9 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     told = (
         f"5 % of the runs end with less than {_percent(value)} of charge; the reserve is {_percent(criteria.reserve)}"
     )
-    worst = Moment(int(runs.seeds[run]), "", None, float(runs["down_s"][run]))
+    down = float(runs["down_s"][run])
+    # A run that ends in the air has no time of its end.
+    worst = Moment(int(runs.seeds[run]), "", None, None if math.isnan(down) else down)
     return Row("reserve", verdict, value, low if math.isfinite(low) else None, criteria.reserve, "1", told, worst)
 
 

@@ -18,7 +18,7 @@ from qrsim.scenarios.component_schema import Finite
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.reading import anchor_files
 from qrsim.scenarios.schema import NAME
-from qrsim.studies.brief.words import LARGEST_WIND, share_of, time_of
+from qrsim.studies.brief.words import LARGEST_WIND, minutes_of, share_of, time_of
 
 Fault = Literal["motor", "gnss", "link", "low_battery"]
 FAULTS: list[Fault] = ["motor", "gnss", "link", "low_battery"]
@@ -174,7 +174,12 @@ class OperationSpec(Part):
     )
     missions: list[MissionSpec] = Field(description="plans with their vehicles", min_length=1, max_length=60)
     wind: WindSpec = Field(description="forecast of the wind")
-    window: Finite = Field(0.0, description="time over which starts may be spread, for GNSS [min]", ge=0.0, le=720.0)
+    window: Annotated[Finite, BeforeValidator(minutes_of)] = Field(
+        0.0,
+        description="time over which the starts of the runs are spread [min], also written '30 min'",
+        ge=0.0,
+        le=720.0,
+    )
     site: SiteSpec = SiteSpec.model_validate({})
     energy: bool = Field(True, description="whether the charge is judged", strict=True)
     world: dict[str, Any] = Field({}, description="keys of a scenario's world but its wind: buildings, ground, area")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from qrsim.extras import load
 from qrsim.studies.brief.briefing import Brief
-from qrsim.studies.brief.figures import MOST_TRACKS, map_figure, margins_figure, png, polar_figure, time_figure
+from qrsim.studies.brief.figures import MOST_TRACKS, losses, map_figure, margins_figure, png, polar_figure, time_figure
 from qrsim.studies.brief.studying import TRACK_S
 
 TEMPLATE = "page.html.jinja"
@@ -37,7 +37,7 @@ def write_page(brief: Brief) -> str:
     template = files("qrsim.studies.brief").joinpath(TEMPLATE).read_text("utf-8")
     pictures = [Picture(title, png(figure)) for title, figure in figures_of(brief)]
     page: str = made.from_string(template).render(
-        about=brief.to_json(), volumes=brief.volumes_text(), pictures=pictures
+        about=brief.to_json(), missing=brief.missing_text(), volumes=brief.volumes_text(), pictures=pictures
     )
     return page + "\n"
 
@@ -48,7 +48,7 @@ def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
     if len(runs):
         tracks = runs.tracks(MOST_TRACKS)
         worst = [run for run in brief.worst() if run < len(tracks)]
-        yield "Map", map_figure(brief.flights.scenario, tracks, worst)
+        yield "Map", map_figure(brief.flights.scenario, tracks, worst, losses(runs, tracks))
         margins = margins_figure(runs, brief.nominal)
         if margins is not None:
             yield "Margins", margins

@@ -56,7 +56,8 @@ def _head(page: Figure, brief: Brief) -> float:
     about = brief.to_json()
     page.text(LEFT, 0.955, brief.operation.operation, fontsize=15, weight="bold")
     told = f"Flights from {about['at']}; {about['runs']} runs from seed {about['first_seed']}; qrsim {about['qrsim']}"
-    page.text(LEFT, 0.938, told if brief.complete else f"{told}; not complete", fontsize=7.5)
+    missing = brief.missing_text()
+    page.text(LEFT, 0.938, f"{told}; {missing}" if missing else told, fontsize=7.5)
     reasons = textwrap.wrap(why, 105)[:3]
     size = 0.018 + 0.012 * len(reasons)
     low = 0.93 - size

@@ -76,16 +76,24 @@ class Runs:
         return np.concatenate(found) if found else np.empty((0, 1, len(self.names), 4))
 
     def values_at(self, run: int) -> Content:
-        """Return the varied numbers of a run by path."""
+        """Return the values of a run by path: those of its start in the window, and the numbers that vary."""
         for results in self._results:
             if run < results.episodes:
-                return results.values_at(run)
+                return {**results.spec.set, **results.values_at(run)}
             run -= results.episodes
         raise IndexError(run)
 
     def moment(self, run: int, margin: str) -> Moment:
         """Return the moment of a margin of a run."""
-        vehicle, leg, at = (float(self[f"{margin}_{part}"][run]) for part in ("vehicle", "leg", "at_s"))
+        return self._moment(run, f"{margin}_vehicle", f"{margin}_leg", f"{margin}_at_s")
+
+    def loss(self, run: int) -> Moment:
+        """Return the moment at which the first vehicle of a run stopped."""
+        return self._moment(run, "stopped_vehicle", "stopped_leg", "stopped_s")
+
+    def _moment(self, run: int, *metrics: str) -> Moment:
+        """Return the moment that the metrics of vehicle, leg and time give."""
+        vehicle, leg, at = (float(self[metric][run]) for metric in metrics)
         name = "" if math.isnan(vehicle) else self.names[int(vehicle)] if int(vehicle) < len(self.names) else ""
-        known = not math.isnan(leg)
-        return Moment(int(self.seeds[run]), name, int(leg) if known else None, at if known else None)
+        number = None if math.isnan(leg) else int(leg)
+        return Moment(int(self.seeds[run]), name, number, None if math.isnan(at) else at)

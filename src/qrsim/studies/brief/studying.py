@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ from qrsim.files.yaml_text import dump_yaml
 from qrsim.studies.brief.flights import Flights, bearing_deg, speed_20ft
 from qrsim.studies.brief.operation import OperationSpec
 from qrsim.studies.brief.statistics import FEWEST, first_look
+from qrsim.studies.sweep.groups import Group, regrouped
 from qrsim.studies.sweep.plan import Batch, Plan
-from qrsim.studies.sweep.prepare import plan_of, plan_of_numbers
+from qrsim.studies.sweep.prepare import plan_of, plan_of_conditions, plan_of_numbers
+from qrsim.studies.sweep.provenance import differences, versions
 from qrsim.studies.sweep.store import Store
 from qrsim.studies.sweep.study import load_study
 from qrsim.studies.sweep.sweeping import sweep, sweep_here
@@ -25,7 +28,8 @@ SCENARIO = "scenario.yaml"
 TRACK_S, BATCH, UNFINISHED = 2.0, 16, 0.05
 MARGINS = ("fence_horizontal_min", "ceiling_min", "ground_min", "obstacle_min", "air_separation_min")
 METRICS = (
-    "stopped", "left_area", "collided", "crashed", "stopped_s", "not_finished", "finished_s", "down_s", "flown_s",
+    "stopped", "left_area", "collided", "crashed", "stopped_s", "stopped_leg", "stopped_vehicle",
+    "not_finished", "finished_s", "down_s", "flown_s",
     "charge_end", "failsafes", "failsafe_s", "home_m", "in_the_air", "wind_max_m_s", "tracking_error_max_m",
     "gnss_horizontal_rms_m", "gnss_vertical_rms_m", "without_fix_s",
     *(f"{margin}_{part}" for margin in MARGINS for part in ("m", "at_s", "leg", "vehicle")),
@@ -34,22 +38,36 @@ METRICS = (
 
 @dataclass(frozen=True)
 class Piece:
-    """Runs of the nominal stage between two looks.
+    """Runs of the nominal stage between two looks, or those of them with one start.
 
     Attributes:
         look: the look after it; 0: one for a no-go alone.
         first: number of its first run.
         runs: how many it has.
+        start: number of its start in the window.
+        starts: how many starts the window has.
     """
 
     look: int
     first: int
     runs: int
+    start: int = 0
+    starts: int = 1
 
     @property
     def name(self) -> str:
         """Name of its study and store."""
-        return f"nominal_{self.look}"
+        return f"nominal_{self.look}" if self.starts == 1 else f"nominal_{self.look}_{self.start}"
+
+    @property
+    def batch(self) -> int:
+        """Runs of a batch: at least two batches, one for each of two workers."""
+        return BATCH if self.starts == 1 else min(BATCH, -(-self.runs // 2))
+
+    def parts(self, starts: int) -> list[Piece]:
+        """Return the runs of each start, in nearly equal parts."""
+        ends = [self.first + i * self.runs // starts for i in range(starts + 1)]
+        return [Piece(self.look, ends[i], ends[i + 1] - ends[i], i, starts) for i in range(starts)]
 
 
 def pieces(p_loss: float) -> Iterator[Piece]:
@@ -105,14 +123,28 @@ def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed
         "first_seed": seed + piece.first,
         "metrics": list(METRICS),
         "track": TRACK_S,
-        "batch": BATCH,
+        "batch": piece.batch,
+        **({"set": dict(flights.settings[piece.start])} if piece.starts > 1 else {}),
     }
     if not vary:
         mass = f"fleets.{flights.names[0]}.vehicle.mass"
         value = float(flights.content["fleets"][flights.names[0]]["vehicle"]["mass"])
         return {**study, "vary": {mass: {"values": [value]}}, "seeds": piece.runs}
-    sampling = {"type": "latin_hypercube", "points": piece.runs, "seed": piece.look, "paired": True}
+    seed = piece.look * piece.starts + piece.start
+    sampling = {"type": "latin_hypercube", "points": piece.runs, "seed": seed, "paired": True}
     return {**study, "vary": vary, "sampling": sampling, "seeds": 1}
+
+
+def other_versions(folder: Path) -> list[str]:
+    """Return how the versions of the stores in a folder differ from those here, one line each."""
+    for path in sorted(folder.glob("*.zarr")):
+        try:
+            known = json.loads((path / "zarr.json").read_text("utf-8"))["attributes"]["versions"]
+        except (OSError, ValueError, KeyError, TypeError):  # its own message follows when it is opened
+            continue
+        if found := differences(versions(), known):
+            return found
+    return []
 
 
 class OutOfTimeError(Exception):
@@ -133,11 +165,16 @@ class Flyer:
         self.folder, self.client, self.minutes, self.told = folder, client, minutes, told
         self.begun = time.monotonic()
         self._first: Plan | None = None
+        self._groups: dict[str, Mapping[tuple[int, ...], Group]] = {}
+        # Longest time to a batch, from the batch before or from the start of its study [s].
+        self.batch_s = 0.0
         self.allow(1.0)
 
-    def allow(self, part: float) -> None:
-        """Let the studies that follow take this part of the whole time, from its begin on."""
-        self.deadline = self.begun + 60.0 * self.minutes * part
+    def allow(self, part: float) -> bool:
+        """Let the studies that follow take this part of the time that is left; return whether a batch fits into it."""
+        now, end = time.monotonic(), self.begun + 60.0 * self.minutes
+        self.deadline = now + max(0.0, end - now) * part
+        return end - now > self.batch_s
 
     def prepare(self, study: Content) -> Plan:
         """Write a study into the folder, and return its plan.
@@ -149,11 +186,18 @@ class Flyer:
         write_atomically(path, dump_yaml(study).encode())
         loaded = load_study(str(path))
         if "sampling" not in study:
-            return plan_of(loaded)
-        # All parts of the nominal stage vary the same numbers.
+            conditions = any("conditions" in item for item in study["vary"].values())
+            return plan_of_conditions(loaded) if conditions else plan_of(loaded)
+        # All parts of the nominal stage vary the same numbers; each start of a window has its own sky and wind.
+        start = str(loaded.content["start_time"])
         if self._first is None:
             self._first = plan_of_numbers(loaded)
-        return Plan(loaded, self._first.axes, (), self._first.groups)
+            self._groups[start] = self._first.groups
+        axes, precision = self._first.axes, loaded.spec.precision
+        if start not in self._groups:
+            groups = self._first.groups.items()
+            self._groups[start] = {key: regrouped(group, loaded.content, axes, precision) for key, group in groups}
+        return Plan(loaded, axes, (), self._groups[start])
 
     def fly(self, study: Content) -> bool:
         """Fly what is missing of a study; return whether it is complete.
@@ -162,15 +206,18 @@ class Flyer:
             UsageError: the folder has a store of another study.
             RunError: it cannot be flown or written.
         """
+        begun = time.monotonic()
         plan = self.prepare(study)
         store = Store(self.folder / f"{study['name']}.zarr", plan)
         done = sum(plan.batch(i).episodes for i, known in enumerate(store.done) if known)
 
         def progress(batch: Batch) -> None:
-            nonlocal done
+            nonlocal done, begun
+            now = time.monotonic()
+            self.batch_s, begun = max(self.batch_s, now - begun), now
             done += batch.episodes
             self.told(str(study["name"]), done, plan.episodes)
-            if time.monotonic() > self.deadline and not store.done.all():
+            if now > self.deadline and not store.done.all():
                 raise OutOfTimeError
 
         try:

@@ -173,7 +173,7 @@ def wind_row(flights: Flights, limit: float | None, winds: Winds | None, boundar
     spec = flights.scenario.spec
     places = [place for fleet in spec.fleets.values() for each in fleet.vehicles for place in each.places_ned.values()]
     height = max([-place[2] for place in places] or [0.0])
-    wind = _gusty(spec, height)
+    wind = max(_gusty(scenario.spec, height) for scenario in flights.at_starts)
     told = f"wind: {wind:.1f} m/s with gusts of 3 sigma at {height:.0f} m"
     found: list[tuple[Verdict, float]] = []
     if limit is not None:

@@ -69,6 +69,12 @@ def now_rounded() -> str:
     return _written(now - timedelta(minutes=now.minute % 10, seconds=now.second, microseconds=now.microsecond))
 
 
+def spread(first: str, minutes: float, count: int) -> tuple[str, ...]:
+    """Return times from a first one on, evenly spaced to so many minutes later, as ISO 8601 in UTC."""
+    begin = datetime.fromisoformat(first)
+    return tuple(_written(begin + timedelta(minutes=minutes * i / max(1, count - 1))) for i in range(count))
+
+
 def _written(time: datetime) -> str:
     return time.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
@@ -100,6 +106,13 @@ def share_of(value: object) -> object:
     """Return a share from a number or from a text in percent, such as ``5 %``; other values unchanged."""
     if isinstance(value, str) and (found := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%\s*", value)):
         return float(found[1]) / 100.0
+    return value
+
+
+def minutes_of(value: object) -> object:
+    """Return minutes from a number or from a text such as ``30 min`` or ``1.5 h``; other values unchanged."""
+    if isinstance(value, str) and (found := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(min|h)\s*", value)):
+        return float(found[1]) * (60.0 if found[2] == "h" else 1.0)
     return value
 
 

@@ -165,6 +165,22 @@ def make_group(content: Content, choices: Mapping[str, object], numbers: Iterabl
     return found if all(_alike(found, base, values, precision) for values in _mixed(axes)) else group
 
 
+def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision: str) -> Group:
+    """Return the group of another scenario, whose World has the numbers of ``group`` at the same places.
+
+    Raises:
+        ScenarioError: the scenario is wrong.
+    """
+    base = copy.deepcopy(content)
+    for axis in axes:
+        apply(base, axis.path, axis.ends()[0])
+    scenario = load_scenario(base, quiet=True)
+    found = replace(group, content=base, world=scenario.world(precision), ticks=scenario.ticks)
+    if found.places is not None and all(_alike(found, content, values, precision) for values in _mixed(axes)):
+        return found
+    return make_group(content, {}, axes, precision)
+
+
 def _mixed(axes: tuple[Axis, ...]) -> list[Content]:
     """Return points far from the lowest: all highest, and every other one."""
     highest = {axis.path: axis.ends()[1] for axis in axes}

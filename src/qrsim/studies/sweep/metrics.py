@@ -82,15 +82,15 @@ def _end_error(found: Found) -> NumpyArray:
     return _root_mean_square(np.sqrt(np.sum(offset * offset, axis=-1)), axis=1)
 
 
-def _of_narrowest(margin: str, part: str) -> Callable[[Found], NumpyArray]:
-    """Return a function for a part of the narrowest margin: its time or leg, or the number of the vehicle."""
+def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
+    """Return a function for a metric, such as a leg, of the vehicle with the least value of another, or its number."""
 
     def of(found: Found) -> NumpyArray:
-        values = np.asarray(found[f"{margin}_m"], np.float64)
+        values = np.asarray(found[name], np.float64)
         vehicle = np.argmin(np.where(np.isnan(values), np.inf, values), axis=1)
         parts = np.broadcast_to(np.arange(values.shape[1]), values.shape)
         if part != "vehicle":
-            parts = np.where(np.isnan(values), np.nan, np.asarray(found[f"{margin}_{part}"], np.float64))
+            parts = np.where(np.isnan(values), np.nan, np.asarray(found[part], np.float64))
         seen = ~np.isnan(values).all(axis=1)
         return np.where(seen, parts[np.arange(len(values)), vehicle], np.nan)
 
@@ -127,15 +127,19 @@ def _of_missions() -> dict[str, Metric]:
         "crashed": Metric("1", "vehicles that hit the ground, crashed, or lost their battery",
                           _stopped("hit_ground", "crashed", "brown_out", "battery_empty")),
         "stopped_s": Metric("s", "time at which the first vehicle stopped", _over(np.nanmin, "stopped_at_s")),
+        "stopped_leg": Metric("1", "leg of the first vehicle that stopped, from 1",
+                              _of_least("stopped_at_s", "stopped_at_leg")),
+        "stopped_vehicle": Metric("1", "number of the first vehicle that stopped",
+                                  _of_least("stopped_at_s", "vehicle")),
         "failsafe_s": Metric("s", "time at which the first failsafe took over", _over(np.nanmin, "failsafe_at_s")),
     }  # fmt: skip
     for margin, doc in _MARGINS.items():
         found[f"{margin}_m"] = Metric(
             "m", doc, _over(np.nanmin, f"{margin}_m"), low_is_bad=True, limits=(-np.inf, np.inf)
         )
-        found[f"{margin}_at_s"] = Metric("s", "time of it", _of_narrowest(margin, "at_s"))
-        found[f"{margin}_leg"] = Metric("1", "leg on which it was, from 1", _of_narrowest(margin, "leg"))
-        found[f"{margin}_vehicle"] = Metric("1", "number of the vehicle", _of_narrowest(margin, "vehicle"))
+        for part, unit, words in (("at_s", "s", "time of it"), ("leg", "1", "leg on which it was, from 1")):
+            found[f"{margin}_{part}"] = Metric(unit, words, _of_least(f"{margin}_m", f"{margin}_{part}"))
+        found[f"{margin}_vehicle"] = Metric("1", "number of the vehicle", _of_least(f"{margin}_m", "vehicle"))
     return {name: _mission(metric) for name, metric in found.items()}
 
 

@@ -67,6 +67,22 @@ def plan_of_numbers(study: Study) -> Plan:
     return Plan(study, axes, (), {(): make_group(study.content, {}, axes, study.spec.precision)})
 
 
+def plan_of_conditions(study: Study) -> Plan:
+    """Plan a study of one parameter whose conditions are known to be allowed.
+
+    ``plan_of`` loads the scenario of each condition several times, here once.
+
+    Raises:
+        ScenarioError: a condition is not allowed.
+    """
+    (axis,) = axes_of(study.spec)
+    values = enumerate(axis.values or ())
+    groups: dict[tuple[int, ...], Group] = {
+        (i,): make_group(study.content, {axis.path: value}, (), study.spec.precision) for i, value in values
+    }
+    return Plan(study, (axis,), (axis.path,), groups)
+
+
 def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
     """Warn of a forecast whose speed varies while its gust, and so the sum of both, stays."""
     varied = {axis.path for axis in axes}
