@@ -17,6 +17,7 @@ CODES = (
     ("0", "The command succeeded."),
     ("1", "The run failed: a disk is full, data is missing, a log does not show the requested constants."),
     ("2", "Wrong usage: an unknown name, a value out of its range, faults in a scenario."),
+    ("3", "A verdict of `qrsim brief`: marginal. Its no-go is 1."),
     ("130", "Interrupted by Ctrl-C; a run folder stays readable."),
     ("141", "The reader of the output went away, as in `qrsim list | head -1`."),
     ("143", "Terminated by SIGTERM; a run folder stays readable."),

@@ -82,7 +82,7 @@ class Brief:
     kml: bool = False
     """Write the volumes of a risk assessment (SORA) as KML too."""
     record: bool = True
-    """Record the worst three runs, for qrsim view."""
+    """Record the worst three runs, for qrsim view; --no-record leaves them out."""
     json: bool = False
     """Print the JSON instead of the summary."""
 

@@ -33,7 +33,7 @@ class Identify:
       qrsim identify flight.ulg --mass 1.9 -o my_vehicle.yaml
       qrsim identify one.bin two.bin --separate --mass 1.9:0.1 -o my_vehicle.yaml
       qrsim identify my_bag --namespace uav1 --mass 1.9 -o my_vehicle.yaml
-      qrsim run hover --set "fleets.uav.vehicle={file: my_vehicle.yaml}"
+      qrsim run hover_ideal --set "fleets.pelicans.vehicle={file: my_vehicle.yaml}"
       qrsim identify still.ulg --imu -o my_imu.yaml
     """
 

@@ -82,7 +82,7 @@ def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, Nu
 
 
 def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
-    """A vehicle must carry itself at its largest rotor speed, in the air of the site [kg/m^3]."""
+    """Yield a vehicle that cannot lift itself at its largest rotor speed, in the air of the site [kg/m^3]."""
     spec = fleet.vehicle
     found = _thrust_and_weight(fleet, density)
     if found is None:
