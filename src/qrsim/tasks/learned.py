@@ -130,12 +130,12 @@ class PolicyFile:
     def content(self) -> bytes:
         """Return the bytes of the file."""
         meta = json.dumps({"format": FORMAT, "view": asdict(self.view), "facts": self.facts}, sort_keys=True)
-        arrays = {META: np.frombuffer(meta.encode(), np.uint8)}
+        arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
         arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
         for number, (weights, offset) in enumerate(self.layers):
             arrays |= {f"weights_{number}": weights, f"offset_{number}": offset}
         file = io.BytesIO()
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+        np.savez(file, **arrays)
         return file.getvalue()
 
     def maker(self, play: Play, name: str, version: int) -> Any:
@@ -158,7 +158,9 @@ class PolicyFile:
             ("commands", view.acts, tuple(axis.name for axis in play.axes)),
         ):
             if mine != theirs:
-                raise UsageError(f"policy {self.name}: it {what} {_shown(mine)}; the task's agents have {_shown(theirs)}")
+                raise UsageError(
+                    f"policy {self.name}: it {what} {_shown(mine)}; the task's agents have {_shown(theirs)}"
+                )
         hold = max(1, round(view.seconds / play.task.period))
         return lambda play, seed=0: LearnedPolicy(self, len(play.agents), hold)
 
@@ -175,6 +177,7 @@ class LearnedPolicy:
     def __init__(self, file: PolicyFile, agents: int, hold: int):
         self._file, self._hold, self._steps = file, hold, 0
         self._last = np.zeros((agents, len(file.view.flown)), np.float32)
+        self._action = file.view.action(self._last)
 
     def act(self, seen: Floats) -> Floats:
         """Return the actions (n, A) for observations (n, O)."""
@@ -182,8 +185,9 @@ class LearnedPolicy:
         if self._steps % self._hold == 0:
             inputs = file.scaling.scaled(file.view.features(np.asarray(seen), self._last))
             self._last = forward(file.layers, inputs).clip(-LIMIT, LIMIT)
+            self._action = file.view.action(self._last)
         self._steps += 1
-        return file.view.action(self._last)
+        return self._action
 
 
 def is_policy_file(source: object) -> bool:

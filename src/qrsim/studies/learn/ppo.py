@@ -97,13 +97,11 @@ class Algorithm:
     def __init__(self, inputs: int, outputs: int, settings: Settings):
         optax = load("learn", "qrsim train", "optax")
         self.settings, self._inputs, self._outputs = settings, inputs, outputs
-        self._adam = optax.chain(
-            optax.clip_by_global_norm(settings.most_gradient), optax.adam(settings.rate, eps=1e-5)
-        )
+        self._adam = optax.chain(optax.clip_by_global_norm(settings.most_gradient), optax.adam(settings.rate, eps=1e-5))
         self._apply = optax.apply_updates
         self.decide = jax.jit(_decide)
         self.value = jax.jit(lambda weights, inputs: network(weights["value"], inputs)[..., 0])
-        self.improve = jax.jit(self._improve, donate_argnums=0)
+        self.improve = jax.jit(self._improve)
 
     def begin(self, seed: int) -> Learner:
         """Return a learner whose outputs are near zero."""
@@ -167,9 +165,7 @@ def _advantages(samples: Samples, settings: Settings) -> Array:
     return jax.lax.scan(back, jnp.zeros_like(error[0]), (error, samples.ended), reverse=True)[1]
 
 
-def _loss(
-    settings: Settings, weights: Any, samples: Samples, advantage: Array, target: Array
-) -> tuple[Array, Array]:
+def _loss(settings: Settings, weights: Any, samples: Samples, advantage: Array, target: Array) -> tuple[Array, Array]:
     """Return what is minimised over a minibatch, and the divergence of the policies."""
     advantage = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
     mean = network(weights["policy"], samples.inputs)

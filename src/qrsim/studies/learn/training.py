@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -18,6 +18,7 @@ from qrsim.core.arrays import Floats
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
+from qrsim.errors import RunError
 from qrsim.studies.learn.flights import Flights
 from qrsim.studies.learn.objective import objective_of
 from qrsim.studies.learn.ppo import Algorithm, Learner, Samples, Settings
@@ -54,7 +55,7 @@ class Plan:
     steps: int = 3_000_000
     seconds: float | None = None
     tries: int = TRIES
-    settings: Settings = Settings()
+    settings: Settings = field(default_factory=Settings)
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Tried:
     Attributes:
         cycle: number of the cycle, from 1.
         steps: decisions of all agents so far.
-        seconds: wall time so far [s], without what came before a process went on.
+        seconds: wall time of the cycles so far [s].
         mean_return: of the task, in the episodes that policies are tried in.
         flown_to_the_end: part of these.
         reward: mean of the learner's reward of a decision in the cycle.
@@ -151,7 +152,7 @@ class Training:
         Raises:
             RunError: a reward is not finite.
         """
-        begun = time.monotonic()
+        begun, before = time.monotonic(), self.curve[-1].seconds if self.curve else 0.0
         limit = np.inf if self.plan.seconds is None else self.plan.seconds
         while self.steps < self.plan.steps and time.monotonic() - begun < limit:
             key = jax.random.fold_in(jax.random.key(self.plan.seed), self.cycle)
@@ -163,7 +164,7 @@ class Training:
                 samples = self._fly(flown)
                 self.learner, divergence = self.algorithm.improve(self.learner, samples, improving)
                 rewards.append(float(samples.reward.mean()))
-                divergences.append(float(divergence))
+                divergences.append(self._finite(float(divergence)))
                 self.steps += samples.reward.size
                 told(self.steps)
                 if self.steps >= self.plan.steps or time.monotonic() - begun > limit:
@@ -178,7 +179,7 @@ class Training:
             row = Tried(
                 self.cycle,
                 self.steps,
-                round(elapsed, 2),
+                round(before + elapsed, 2),
                 float(total.mean()),
                 float(alive.mean()),
                 float(np.mean(rewards)),
@@ -188,6 +189,24 @@ class Training:
             if self.best is None or row.rank > self.best[1].rank:
                 self.best = policy, row
             yield row
+
+    def _finite(self, divergence: float) -> float:
+        """Return a divergence.
+
+        Raises:
+            RunError: it is not finite, and so are the weights.
+        """
+        if not np.isfinite(divergence):
+            raise RunError(f"{self.view.task}: training diverged in cycle {self.cycle + 1}: weights are not finite")
+        return divergence
+
+    def keep_untried(self) -> bool:
+        """Keep the policy as it is if a training was interrupted before any was tried; return whether it did."""
+        if self.best is not None or not self.steps:
+            return False
+        unknown = float("nan")
+        self.best = self._policy(), Tried(0, self.steps, 0.0, unknown, 0.0, unknown, unknown)
+        return True
 
     def _fly(self, key: Any) -> Samples:
         """Return the samples of an iteration."""

@@ -68,5 +68,3 @@ def _seconds(period: float) -> float:
 def batch_of(scenario: object, size: int, overrides: list[str], view: View) -> Batch:
     """Return episodes whose steps are the decisions of a view."""
     return Batch(scenario, size, [*overrides, f"task.period={view.seconds!r}"])  # type: ignore[arg-type]
-
-
