@@ -57,11 +57,11 @@ class Reached:
 
     def begin(self, batch: Batch) -> None:
         """Note the errors, of those that go on again."""
-        self._error = self._errors(batch)
+        self._error = self.errors(batch)
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the rewards (N,)."""
-        before, now = self._error, self._errors(batch)
+        before, now = self._error, self.errors(batch)
         self._error = now
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
@@ -70,7 +70,7 @@ class Reached:
         found: Floats = (potential - cost - CRASH * crashed).astype(np.float32)
         return found
 
-    def _errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch) -> Floats:
         """Return the true errors (N,) [m or m/s]."""
         seen, truth = batch.seen, batch.truth
         if self._by_velocity:

@@ -125,9 +125,7 @@ class Training:
         self.view = view_of(Functional.of(plan.task, plan.overrides))
         self.algorithm = Algorithm(self.view.inputs, len(self.view.flown), plan.settings)
         use_compilation_cache()
-        overrides = list(plan.overrides)
-        self.flights = self._flights(batch_of(plan.task, plan.envs, overrides, self.view))
-        self.trials = self._flights(batch_of(plan.task, plan.tries, overrides, self.view))
+        self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
         self.learner: Learner = self.algorithm.begin(plan.seed)
         self.moments = Moments(self.view.inputs)
@@ -135,7 +133,9 @@ class Training:
         self.best: tuple[PolicyFile, Tried] | None = None
         self.curve: list[Tried] = []
 
-    def _flights(self, batch: Batch) -> Flights:
+    def flights_of(self, episodes: int) -> Flights:
+        """Return flights of some episodes of the task, as the learner sees it."""
+        batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
         return Flights(batch, self.view, objective_of(batch, self.plan.settings.discount))
 
     @property
