@@ -16,17 +16,18 @@ from evidence.returns import fly
 from evidence.tasks import summary
 from qrsim.envs.batch import Batch
 from qrsim.envs.scoring import HOVER, maker
+from qrsim.studies.learn.objective import Reached
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward
 
 DOC = "policies of qrsim train on keep_spot, keep_velocity and goto_waypoint, ten seeds each, against the baseline"
-SEEDS, SEEDS_OF_A_PART, TRIALS, SMALL_TRIALS = 10, 2, 200, 8
+SEEDS, TRIALS, SMALL_TRIALS = 10, 200, 8
 # Decisions that each seed learns from.
 STEPS = {"keep_spot": 600_000, "keep_velocity": 600_000, "goto_waypoint": 2_500_000}
 NEAR = 3.0
-# What flies in comparison, and the seeds of a task that are trained together, within minutes.
+# The comparison, and each seed of each task: every part takes a minute or two.
 COMPARED = "compared"
-PARTS = (COMPARED, *(f"{task}_{first}" for task in STEPS for first in range(0, SEEDS, SEEDS_OF_A_PART)))
+PARTS = (COMPARED, *(f"{task}_{seed}" for task in STEPS for seed in range(SEEDS)))
 
 Values = np.ndarray[Any, Any]
 
@@ -36,12 +37,12 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
     if not full:
         plan = Plan("keep_spot", ("duration=2",), envs=64, steps=4096, tries=SMALL_TRIALS)
         return {"keep_spot_seed_0": trained(plan, SMALL_TRIALS)}
-    found: dict[str, Any] = {"seeds": SEEDS, "trials": TRIALS, "near": NEAR} if COMPARED in parts else {}
+    found: dict[str, Any] = {"seeds": SEEDS, "trials": TRIALS, "near_m": NEAR} if COMPARED in parts else {}
     for task, steps in STEPS.items():
         if COMPARED in parts:
             found[task] = {"steps": steps, **compared(task)}
-        for first in range(0, SEEDS, SEEDS_OF_A_PART):
-            for seed in range(first, first + SEEDS_OF_A_PART) if f"{task}_{first}" in parts else ():
+        for seed in range(SEEDS):
+            if f"{task}_{seed}" in parts:
                 found[f"{task}_seed_{seed}"] = trained(Plan(task, seed=seed, steps=steps), TRIALS)
     return found
 
@@ -60,7 +61,7 @@ def trained(plan: Plan, trials: int) -> dict[str, float]:
         "decisions": cycles[-1].steps,
         "wall_s": round(wall, 1),
         "processor_s": round(processor, 1),
-        "reached": float(np.mean(alive & (distances(flights.batch) <= NEAR))),
+        "near": float(np.mean(alive & (distances(flights.batch) <= NEAR))),
         **summary(total, alive),
     }
 
@@ -78,12 +79,10 @@ def compared(task: str) -> dict[str, Any]:
             return np.stack([policy.act(each) for policy, each in zip(policies, seen, strict=True)])
 
         total, alive = fly(batch, act)
-        found[name] = {"reached": float(np.mean(alive & (distances(batch) <= NEAR))), **summary(total, alive)}
+        found[name] = {"near": float(np.mean(alive & (distances(batch) <= NEAR))), **summary(total, alive)}
     return found
 
 
 def distances(batch: Batch) -> Values:
     """Return the true distances (B,) from the goal now [m], or the true errors of the velocity [m/s]."""
-    from qrsim.studies.learn.objective import Reached
-
     return Reached(batch, 1.0).errors(batch)

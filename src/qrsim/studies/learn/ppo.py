@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -75,10 +77,10 @@ def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array
 
 
 def network(layers: Any, inputs: Array) -> Array:
-    """Return the outputs (..., K) of a network with tanh between its layers, for inputs (..., F)."""
+    """Return the outputs (N, K) of a network with tanh between its layers, for inputs (N, F)."""
     for weights, offset in layers[:-1]:
-        inputs = jnp.tanh(inputs @ weights + offset)
-    found: Array = inputs @ layers[-1][0] + layers[-1][1]
+        inputs = jnp.tanh(inputs @ weights + offset[None])
+    found: Array = inputs @ layers[-1][0] + layers[-1][1][None]
     return found
 
 
@@ -112,7 +114,8 @@ class Algorithm:
             "value": _layers(value, (self._inputs, *hidden, 1), 1.0),
             "log_spread": jnp.full(self._outputs, jnp.log(self.settings.spread), jnp.float32),
         }
-        return Learner(weights, self._adam.init(weights))
+        with _usual_promotion():
+            return Learner(weights, self._adam.init(weights))
 
     def _improve(self, learner: Learner, samples: Samples, key: Array) -> tuple[Learner, Array]:
         """Return the learner after the passes over an iteration, and its mean divergence from before ()."""
@@ -126,8 +129,9 @@ class Algorithm:
             """Take a step of the gradient."""
             part = jax.tree.map(lambda leaf: leaf[chosen], rows)
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, *part)
-            change, optimiser = self._adam.update(slope, learner.optimiser, learner.weights)
-            return Learner(self._apply(learner.weights, change), optimiser), divergence
+            with _usual_promotion():
+                change, optimiser = self._adam.update(slope, learner.optimiser, learner.weights)
+                return Learner(self._apply(learner.weights, change), optimiser), divergence
 
         def epoch(learner: Learner, key: Array) -> tuple[Learner, Array]:
             """Pass once over all samples, in a new order."""
@@ -138,18 +142,25 @@ class Algorithm:
         return learner, jnp.mean(divergence[-1])
 
 
+@contextmanager
+def _usual_promotion() -> Iterator[None]:
+    """Let optax mix types and ranks, which its users may have forbidden to their own code."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
 def _decide(weights: Any, inputs: Array, key: Array, number: Array) -> tuple[Array, Array, Array]:
     """Return outputs (N, K) drawn by the policy, the logarithms of their densities and the values (N,)."""
     mean = network(weights["policy"], inputs)
     drawn = jax.random.normal(jax.random.fold_in(key, number), mean.shape)
-    outputs = mean + jnp.exp(weights["log_spread"]) * drawn
+    outputs = mean + jnp.exp(weights["log_spread"])[None] * drawn
     return outputs, _log_density(weights, mean, outputs), network(weights["value"], inputs)[..., 0]
 
 
 def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
-    """Return the logarithm of the density of outputs (..., K), up to a constant."""
-    away = (outputs - mean) * jnp.exp(-weights["log_spread"])
-    return -jnp.sum(0.5 * away * away + weights["log_spread"], axis=-1)
+    """Return the logarithm of the density of outputs (N, K), up to a constant."""
+    away = (outputs - mean) * jnp.exp(-weights["log_spread"])[None]
+    return -jnp.sum(0.5 * away * away + weights["log_spread"][None], axis=-1)
 
 
 def _advantages(samples: Samples, settings: Settings) -> Array:

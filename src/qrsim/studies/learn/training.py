@@ -16,7 +16,6 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.engine.settings import use_compilation_cache
-from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.errors import RunError
 from qrsim.studies.learn.flights import Flights
