@@ -48,7 +48,7 @@ def view_of(functional: Functional) -> View:
     return View(
         task=name,
         version=VERSION,
-        seconds=_seconds(play.task.period),
+        seconds=_seconds(play.task.period, play.steps),
         observed=observed,
         acts=acts,
         kept=tuple(number for number, each in enumerate(observed) if each not in left_out),
@@ -60,9 +60,11 @@ def view_of(functional: Functional) -> View:
     )
 
 
-def _seconds(period: float) -> float:
-    """Return the time between two decisions [s], a multiple of the task's period."""
-    return float(np.round(period * max(1, round(DECISION / period)), 9))
+def _seconds(period: float, steps: int) -> float:
+    """Return the time between two decisions [s]: so many periods that they divide an episode of some steps."""
+    most = max(1, round(DECISION / period))
+    count = next(count for count in range(most, 0, -1) if steps % count == 0)
+    return float(np.round(period * count, 9))
 
 
 def batch_of(scenario: object, size: int, overrides: list[str], view: View) -> Batch:
