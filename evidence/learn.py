@@ -20,10 +20,10 @@ from qrsim.studies.learn.objective import Reached
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward
 
-DOC = "policies of qrsim train on keep_spot, keep_velocity and goto_waypoint, ten seeds each, against the baseline"
+DOC = "policies of qrsim train on keep_spot and goto_waypoint, ten seeds each, against the baseline"
 SEEDS, TRIALS, SMALL_TRIALS = 10, 200, 8
 # Decisions that each seed learns from.
-STEPS = {"keep_spot": 600_000, "keep_velocity": 600_000, "goto_waypoint": 2_500_000}
+STEPS = {"keep_spot": 600_000, "goto_waypoint": 2_000_000}
 NEAR = 3.0
 # The comparison, and each seed of each task: every part takes a minute or two.
 COMPARED = "compared"
@@ -84,5 +84,5 @@ def compared(task: str) -> dict[str, Any]:
 
 
 def distances(batch: Batch) -> Values:
-    """Return the true distances (B,) from the goal now [m], or the true errors of the velocity [m/s]."""
+    """Return the true distances (B,) from the goal now [m]."""
     return Reached(batch, 1.0).errors(batch)
