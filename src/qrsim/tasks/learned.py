@@ -161,8 +161,16 @@ class PolicyFile:
                 raise UsageError(
                     f"policy {self.name}: it {what} {_shown(mine)}; the task's agents have {_shown(theirs)}"
                 )
-        hold = max(1, round(view.seconds / play.task.period))
-        return lambda play, seed=0: LearnedPolicy(self, len(play.agents), hold)
+        return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
+
+    def pilot(self, agents: int, period: float) -> LearnedPolicy:
+        """Return what flies some agents, of one episode or of many, from its start.
+
+        Args:
+            agents: how many (n).
+            period: time between two actions of the task [s].
+        """
+        return LearnedPolicy(self, agents, max(1, round(self.view.seconds / period)))
 
 
 class LearnedPolicy:

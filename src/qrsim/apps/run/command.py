@@ -166,7 +166,7 @@ class Run:
 
     @property
     def _of_task(self) -> bool:
-        """Whether the policy is one of the scenario's task: its baseline, or a learned one."""
+        """True for a policy of the scenario's task: its baseline, or a learned one."""
         return self.policy is not None and (self.policy == BASELINE or self.policy.endswith(".npz"))
 
     def _fly(
