@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 from pathlib import Path
@@ -74,6 +75,9 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"layers": ()}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, reach=("far", 0.25, 1.0))}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, kept=(0, 9))}, "is no policy"),
+        ({"layers": ((LAYERS[0][0], np.zeros((2, 2), np.float32)),)}, "is no policy"),
         ({"layers": ((LAYERS[0][0][:3], LAYERS[0][1]),)}, "is no policy"),
         ({"layers": ((LAYERS[0][0] * np.float32(np.nan), LAYERS[0][1]),)}, "is no policy"),
         ({"scaling": Scaling(np.zeros(4, np.float32), np.zeros(4, np.float32))}, "is no policy"),

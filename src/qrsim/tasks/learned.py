@@ -257,11 +257,13 @@ def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
     """Raise a ValueError where parts of a policy do not fit each other."""
     sizes = [view.inputs, *(weights.shape[1] for weights, _ in layers)]
     fits = [scaling.mean.shape == scaling.deviation.shape == (view.inputs,), bool(layers), sizes[-1] == len(view.flown)]
-    fits += [weights.shape == (size, len(offset)) for size, (weights, offset) in zip(sizes, layers, strict=False)]
+    for size, (weights, offset) in zip(sizes, layers, strict=False):
+        fits += [weights.shape == (size, len(offset)), offset.ndim == 1]
     indices = [*view.kept, *(each for pair in view.pairs for each in pair), *([] if view.yaw is None else [view.yaw])]
     fits += [all(0 <= each < len(view.observed) for each in indices), bool((scaling.deviation > 0.0).all())]
     fits += [all(0 <= each < len(view.acts) for each in view.flown), view.seconds > 0.0]
     fits += [len(view.centre) == len(view.reach) == len(view.acts)]
+    fits += [bool(np.isfinite([*view.centre, *view.reach, view.seconds]).all())]
     if not all(fits):
         raise ValueError
 
