@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.control.setpoints import library
 from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, readable
 from qrsim.files.numpy_file import read_arrays
@@ -65,23 +66,26 @@ class View:
         """Size of an input (F)."""
         return len(self.kept) + len(self.flown)
 
-    def features(self, seen: Floats, last: Floats) -> Floats:
-        """Return the inputs (..., F) of observations (..., O) and last outputs (..., len(flown)) of the network."""
-        turned = np.array(seen, np.float32)
+    def features(self, seen: Any, last: Any) -> Any:
+        """Return the inputs (N, F) of observations (N, O) and last outputs (N, len(flown)); NumPy or JAX."""
+        lib = library(seen)
+        columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))]
         if self.yaw is not None:
-            cos, sin = np.cos(turned[..., self.yaw]), np.sin(turned[..., self.yaw])
+            cos, sin = lib.cos(columns[self.yaw]), lib.sin(columns[self.yaw])
             for north, east in self.pairs:
-                ahead = cos * seen[..., north] + sin * seen[..., east]
-                turned[..., east] = cos * seen[..., east] - sin * seen[..., north]
-                turned[..., north] = ahead
-        return np.concatenate([turned[..., list(self.kept)], last], axis=-1, dtype=np.float32)
+                ahead = cos * columns[north] + sin * columns[east]
+                columns[north], columns[east] = ahead, cos * columns[east] - sin * columns[north]
+        return lib.stack([*(columns[number] for number in self.kept), *last.T], axis=-1)
 
-    def action(self, output: Floats) -> Floats:
-        """Return the actions (..., A) in [-1, 1] of outputs (..., len(flown)) of the network."""
-        action = np.broadcast_to(np.array(self.centre, np.float32), (*output.shape[:-1], len(self.acts))).copy()
-        which = list(self.flown)
-        action[..., which] += np.array(self.reach, np.float32)[which] * output
-        return action.clip(-1.0, 1.0)
+    def action(self, output: Any) -> Any:
+        """Return the actions (N, A) in [-1, 1] of outputs (N, len(flown)) of the network; NumPy or JAX."""
+        lib = library(output)
+        columns = []
+        for number, (centre, reach) in enumerate(zip(self.centre, self.reach, strict=True)):
+            neutral = lib.full_like(output[:, 0], np.float32(centre))
+            moved = number in self.flown
+            columns.append(neutral + np.float32(reach) * output[:, self.flown.index(number)] if moved else neutral)
+        return lib.stack(columns, axis=-1).clip(-1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -91,22 +95,21 @@ class Scaling:
     mean: Floats
     deviation: Floats
 
-    def scaled(self, features: Floats) -> Floats:
-        """Return inputs (..., F) with mean 0 and standard deviation 1, limited to ``LIMIT``."""
-        found: Floats = ((features - self.mean) / self.deviation).clip(-LIMIT, LIMIT).astype(np.float32)
-        return found
+    def scaled(self, features: Any) -> Any:
+        """Return inputs (N, F) with mean 0 and standard deviation 1, limited to ``LIMIT``; NumPy or JAX."""
+        return ((features - self.mean[None]) / self.deviation[None]).clip(-LIMIT, LIMIT)
 
 
 Layers = Sequence[tuple[Floats, Floats]]
 
 
-def forward(layers: Layers, inputs: Floats) -> Floats:
-    """Return the outputs (..., K) of a network with tanh between its layers, for inputs (..., F)."""
+def forward(layers: Layers, inputs: Any) -> Any:
+    """Return the outputs (N, K) of a network with tanh between its layers, for inputs (N, F); NumPy or JAX."""
+    lib = library(inputs)
     for weights, offset in layers[:-1]:
-        inputs = np.tanh(inputs @ weights + offset)
+        inputs = lib.tanh(inputs @ weights + offset[None])
     weights, offset = layers[-1]
-    found: Floats = inputs @ weights + offset
-    return found
+    return inputs @ weights + offset[None]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import Scenario
 
 
@@ -21,12 +20,10 @@ def task_policy(scenario: Scenario, source: str, seed: int, precision: str) -> t
         UsageError: the scenario has no task, its task has no baseline, or the file is of another task or damaged.
     """
     from qrsim.envs import VERSION
-    from qrsim.tasks import Play
+    from qrsim.envs.learned import play_of
     from qrsim.tasks.baselines import BaselinePolicy
     from qrsim.tasks.learned import is_policy_file, read_policy
 
-    if not scenario.steps:
-        raise UsageError(f"--policy {source}: scenario {scenario.name} has no task")
-    play = Play(scenario.task(precision), scenario.world(precision), scenario.steps)
+    play = play_of(scenario, f"--policy {source}", precision)
     make = read_policy(source).maker(play, scenario.name, VERSION) if is_policy_file(source) else None
     return BaselinePolicy(play, seed, make), play.ticks
