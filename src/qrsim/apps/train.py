@@ -39,7 +39,7 @@ class Train:
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
     """Name of a scenario with a task, or a YAML file."""
     seed: int = 0
-    """Seed of all randomness; equal seeds give equal policies, bit for bit."""
+    """Seed of all randomness. Equal seeds give equal policies, bit for bit, on equally many cores of one machine."""
     steps: int = 3_000_000
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
