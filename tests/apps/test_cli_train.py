@@ -22,6 +22,8 @@ TINY = ["--envs", "16", "--steps", "2048", "--set", "duration=2"]
 @pytest.fixture(autouse=True)
 def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    Path("full").mkdir()
+    Path("full/notes.txt").write_text("mine")
 
 
 @pytest.mark.parametrize(
@@ -34,7 +36,7 @@ def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["keep_spot", "--steps", "0"], "--steps 0: expected 1 to 1000000000000"),
         (["keep_spot", "--minutes", "nan"], "--minutes nan: expected a positive number"),
         (["keep_spot", "--seed", "-1"], "--seed -1: expected 0 to 2**32 - 1"),
-        (["keep_spot", "--out", "."], ". exists and is never overwritten; choose another --out, or add --resume"),
+        (["keep_spot", "--out", "full"], "full exists and is never overwritten; choose another --out, or add --resume"),
         (
             ["plume_mapping/3A"],
             "plume_mapping_3A: its score is of an answer that agents hand in, which a learned policy does not give",

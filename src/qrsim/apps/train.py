@@ -26,9 +26,10 @@ class Train:
     """Train a policy for a task by proximal policy optimisation.
 
     Many episodes are flown side by side, all agents with the same policy. Training has cycles of the length of an
-    episode. After each cycle the policy flies 64 episodes that it does not learn from; prints their mean return and the
-    part flown to the end. The best policy is kept in DIR/policy.npz, for 'qrsim score' and 'qrsim run'. DIR/curve.csv
-    has a row for each cycle. Ctrl-C ends a training, and --resume continues it from its last cycle.
+    episode. After each cycle the policy flies 64 episodes that it does not learn from; their mean return and the part
+    flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score', 'qrsim run' and 'qrsim
+    check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume continues it from its last
+    cycle.
 
     Example:
       qrsim train keep_spot --steps 1000000
@@ -54,7 +55,7 @@ class Train:
         Path | None,
         tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: runs/TASK-policy-seedSEED)"),
     ] = None
-    """Folder to write; must not exist without --resume."""
+    """Folder to write; must be empty or not exist without --resume."""
     resume: bool = False
     """Continue the training in --out, from its last checkpoint."""
     json: bool = False
@@ -64,16 +65,18 @@ class Train:
         """Check, train, print."""
         self._check()
         require("learn", "qrsim train")
-        from qrsim.studies.learn.folder import restore, save, save_policy
+        from qrsim.studies.learn.folder import make_folder, restore, save, save_policy
         from qrsim.studies.learn.training import Plan, Training
 
         seconds = None if self.minutes is None else 60.0 * self.minutes
         plan = Plan(self.task, tuple(self.set), self.seed, self.envs, self.steps, seconds)
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
-        if folder.exists() and not self.resume:
+        if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
             raise UsageError(f"{folder} exists and is never overwritten; choose another --out, or add --resume")
         training = Training(plan)
-        if self.resume and (warning := restore(training, folder)):
+        if not self.resume:
+            make_folder(folder)
+        elif warning := restore(training, folder):
             print(f"warning: {warning}", file=sys.stderr)
         try:
             with progress_bar("training", self.steps, "{task.fields[best]}", best="") as update:

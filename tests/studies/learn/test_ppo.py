@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ def test_a_ratio_beyond_the_clip_gains_nothing() -> None:
     flat = jnp.zeros(2, jnp.float32)
     # Both outputs are as likely as can be, e times as likely as they were: the ratio of the good one is clipped at 1.2.
     part = Samples(flat[:, None], flat[:, None], flat - 1.0, flat, flat, flat, flat)
-    loss, _ = _loss(Settings(), weights, part, jnp.asarray([1.0, -1.0], jnp.float32), flat)
+    loss, _ = jax.jit(partial(_loss, Settings()))(weights, part, jnp.asarray([1.0, -1.0], jnp.float32), flat)
     assert float(loss) == pytest.approx(-(1.2 - np.e) / 2.0, rel=1e-5)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from qrsim.errors import UsageError
-from qrsim.studies.learn.folder import restore, save
+from qrsim.studies.learn.folder import make_folder, restore, save
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward, read_policy
@@ -27,6 +27,8 @@ def numbers(training: Training) -> list[tuple[float, ...]]:
 def test_same_seed_same_bits_and_so_after_a_checkpoint(tmp_path: Path) -> None:
     whole = Training(SMALL)
     assert [row.steps for row in whole.cycles()] == [2048, 4096]
+    make_folder(tmp_path / "whole")
+    make_folder(tmp_path / "parts")
     save(whole, tmp_path / "whole")
     # One cycle, and the other by another learner that goes on from its checkpoint.
     first = Training(dataclasses.replace(SMALL, steps=2048))

@@ -28,6 +28,18 @@ LARGEST, MOST_NUMBERS = 2**28, 32_000_000
 META, BEST = "checkpoint", "best"
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of a training, before time is spent on it.
+
+    Raises:
+        UsageError: it cannot be made, or nothing can be written into it.
+    """
+    with os_error_as(UsageError, f"{folder}: cannot be written"):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / ".writable", b"")
+        (folder / ".writable").unlink()
+
+
 def save(training: Training, folder: Path) -> None:
     """Write the best policy, the curve and a checkpoint; the checkpoint before stays.
 
@@ -49,7 +61,6 @@ def save_policy(training: Training, folder: Path) -> None:
         UsageError: the folder cannot be written.
     """
     with os_error_as(UsageError, f"{folder}: cannot be written"):
-        folder.mkdir(parents=True, exist_ok=True)
         if training.best is not None:
             write_atomically(folder / POLICY, training.best[0].content())
 

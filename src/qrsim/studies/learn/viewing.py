@@ -11,7 +11,7 @@ from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
 from qrsim.tasks.learned import View, observed_names
 
-# Least time between two decisions [s].
+# Wanted time between two decisions [s]; a task with longer steps has one for each.
 DECISION = 0.1
 # Change of an action for each unit of a network's output, by the name of the number; of others 1.
 REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
