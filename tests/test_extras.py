@@ -70,6 +70,7 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
         "run view": ["run", "hover_ideal", "--view", "--out", str(tmp_path / "seen")],
         "data": ["data", "fetch", "--folder", fetched],
         "dataset": ["score", "keep_spot", "--dataset", "mine-v0"],
+        "train": ["train", "keep_spot"],
         "sweep": ["sweep", "swarm_collisions", "--out", str(tmp_path / "study")],
     }
     said = dict(zip(commands, without_extras(*commands.values()), strict=True))
@@ -84,6 +85,7 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
         "ros2": "ros2",
         "bag": "ros2",
         "dataset": "datasets",
+        "train": "learn",
     }
     for name, extra in extras.items():
         code, text = said[name]

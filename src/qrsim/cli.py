@@ -47,6 +47,7 @@ from qrsim.apps.serve import Serve
 from qrsim.apps.slam import SlamCommand
 from qrsim.apps.sweep import Sweep
 from qrsim.apps.sweep_report import SweepReport
+from qrsim.apps.train import Train
 from qrsim.apps.validate import Validate
 from qrsim.apps.view import View
 from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened, visible
@@ -142,6 +143,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "identify": Identify,
     "discover": Discover,
     "score": Score,
+    "train": Train,
     "serve": Serve,
     "mavlink": Mavlink,
     "ros2": Ros2,

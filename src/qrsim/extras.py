@@ -18,6 +18,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "validate": ("jinja2",),
     "view": ("viser",),
     "envs": ("gymnasium", "pettingzoo"),
+    "learn": ("optax",),
     "datasets": ("minari", "h5py"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "brief": ("distributed", "xarray", "zarr", "jinja2", "rasterio", "netCDF4", "eccodes", "shapely"),

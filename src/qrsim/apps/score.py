@@ -15,6 +15,7 @@ from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
+    from qrsim.envs.functional import Functional
     from qrsim.tasks.play import Play
 
 MOST_SEEDS = 10_000
@@ -28,10 +29,11 @@ class Score:
     difference to the first policy. It also prints the number of episodes flown to the end and, in a search, the persons
     found. The task's baseline, if it has one, and hovering are always included.
 
-    POLICY is 'baseline', 'hover', 'random', 'oracle' (in a search; it knows the persons' positions) or MODULE:NAME,
-    where MODULE may be a .py file. MODULE:NAME is a function from the observations of all agents to their actions (n,
-    A) in [-1, 1], or a class that is made for each episode with (play, seed). The class has act(seen), answer() in
-    tasks that ask for an answer, and optionally know(state), which gets the true state before every act.
+    POLICY is 'baseline', 'hover', 'random', 'oracle' (in a search; it knows the persons' positions), the policy.npz of
+    'qrsim train', or MODULE:NAME, where MODULE may be a .py file. MODULE:NAME is a function from the observations of
+    all agents to their actions (n, A) in [-1, 1], or a class that is made for each episode with (play, seed). The class
+    has act(seen), answer() in tasks that ask for an answer, and optionally know(state), which gets the true state
+    before every act.
 
     Example:
       qrsim score search_and_rescue/2A
@@ -74,7 +76,7 @@ class Score:
 
         if self.dataset is not None:
             free_place(self.dataset)
-        makers = self._makers(Batch(self.task, 1, self.set).functional.play)
+        makers = self._makers(Batch(self.task, 1, self.set).functional)
         batch = Batch(self.task, self.seeds, self.set)
         recording = None if self.dataset is None else Recording(batch)
         with _progress(len(makers), batch.functional.play.steps) as told:
@@ -89,15 +91,21 @@ class Score:
             save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
         self._tell(batch.functional.name, found, kept)
 
-    def _makers(self, play: Play) -> dict[str, Any]:
+    def _makers(self, functional: Functional) -> dict[str, Any]:
         """Return a function that makes each policy, by the name of the policy."""
+        from qrsim.envs import VERSION
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
+        from qrsim.tasks.learned import is_policy_file, read_policy
 
+        play = functional.play
         makers: dict[str, object] = {}
         for name in self.policy:
             if name in makers:
                 raise UsageError(f"--policy {name}: given twice")
+            if is_policy_file(name):
+                makers[name] = read_policy(name).maker(play, functional.name, VERSION)
+                continue
             makers[name] = maker(name if name in BUILT_IN else load_function("policy", name, BUILT_IN), play)
         if BASELINE not in makers and not self.policy_missing(play):
             makers[BASELINE] = maker(BASELINE, play)

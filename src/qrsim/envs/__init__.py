@@ -42,13 +42,17 @@ SEVERAL = (
     "plume_mapping/3G",
 )
 
+# Of all tasks; a change of what they observe, command or reward raises it.
+VERSION = 0
+
 # Of any scenario with a task: gymnasium.make(ANY_TASK, scenario="my_task.yaml").
-ANY_TASK = "qrsim/task-v0"
+ANY_TASK = f"qrsim/task-v{VERSION}"
 
 __all__ = [
     "ANY_TASK",
     "SEVERAL",
     "SINGLE",
+    "VERSION",
     "Functional",
     "gymnasium_id",
     "parallel_env",
@@ -59,7 +63,7 @@ __all__ = [
 
 def gymnasium_id(scenario: str) -> str:
     """Return the Gymnasium id of a scenario."""
-    return f"qrsim/{scenario.replace('/', '_')}-v0"
+    return f"qrsim/{scenario.replace('/', '_')}-v{VERSION}"
 
 
 def register() -> None:

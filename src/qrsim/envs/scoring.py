@@ -53,7 +53,7 @@ class Hover:
     """Asks for nothing: of a command the neutral value of each number, of a velocity zero; hands in zeros."""
 
     def __init__(self, play: Play, seed: int = 0):
-        rows = [[_neutral(play, axis) for axis in axes] for axes in axes_of_agents(play.sides)]
+        rows = [[neutral(play, axis) for axis in axes] for axes in axes_of_agents(play.sides)]
         self._still = apart(play.sides, np.array([row + [0.0] * (play.width - len(row)) for row in rows]))
 
     def act(self, seen: object) -> Any:
@@ -84,7 +84,7 @@ class _Function:
         return self._function(seen)
 
 
-def _neutral(play: Play, axis: Axis) -> float:
+def neutral(play: Play, axis: Axis) -> float:
     """Return the number in [-1, 1] that asks for nothing: the hover throttle, a full battery, else 0."""
     value = 0.0
     if axis.name == "throttle" and isinstance(play.task, Commanded):

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.control import VelocitySetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import field_info, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
@@ -32,12 +33,16 @@ from qrsim.tasks.agents import (
     number_of,
     only,
     square,
+    velocity_axes,
 )
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
 Crash = Literal["worst", "published"]
+Actions = Literal["command", "velocity"]
+# Largest velocity of an action in each axis [m/s].
+FASTEST = 3.0
 # Distance from the limits of a goal that is nearer to them, or beyond [m].
 SHORTEST_REACH = 1.0
 
@@ -128,10 +133,18 @@ class Commanded(Task):
     fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
     senses: tuple[str, ...] = senses()
+    actions: Actions = setting(
+        default="command",
+        doc="numbers of an action: command: those of the vehicles; velocity: north, east and down over ground, up to "
+        "3 m/s, which the fleet's controller flies with the heading north",
+    )
 
     # Of quadrotors; ``acts`` has those of the fleet.
     axes: ClassVar[tuple[Axis, ...]] = axes_of(Command)
-    asks_for: ClassVar[type | None] = None
+
+    def asks(self, fleet: str) -> type | None:
+        """Return the kind of set-points that the controller must take; None for commands."""
+        return VelocitySetpoint if self.actions == "velocity" else None
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
         """Return the memory at the start."""
@@ -141,7 +154,9 @@ class Commanded(Task):
         return SimpleMemory(start, zero, zero, jnp.zeros((), zero.dtype))
 
     def acts(self, world: World) -> tuple[Axis, ...]:
-        """Describe the command of the fleet's vehicles."""
+        """Describe the command of the fleet's vehicles, or a velocity."""
+        if self.actions == "velocity":
+            return velocity_axes(FASTEST, "ned")
         return axes_of(self.command_type(world))
 
     def command_type(self, world: World) -> type:
@@ -149,7 +164,9 @@ class Commanded(Task):
         return world.fleets[number_of(world, self.fleet)].vehicle.command_type
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Convert actions (n, A) to commands."""
+        """Convert actions (n, A) to commands, or to velocities with the heading north."""
+        if self.actions == "velocity":
+            return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
         return only(world, self.fleet, self.command_type(world)(*(action[:, i] for i in range(action.shape[1]))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:

@@ -53,7 +53,8 @@ class Check:
     )
     """Change one value of the scenario; can be given several times."""
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
-    """Your policy: a function of a reading; under jax.jit it is compiled into the loop."""
+    """Your policy: a function of a reading; under jax.jit it is compiled into the loop. Or the policy.npz of
+    'qrsim train', for the task of the scenario."""
     estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your estimator: a function of a reading that returns the state estimate for the controllers."""
     policy_ticks: int = 1
@@ -107,18 +108,32 @@ class Check:
 
         return load_scenario(self.scenario, with_duration(self.set, self.duration))
 
+    def _policy(self, scenario: Scenario) -> tuple[Any, int]:
+        """Return the policy, None without one, and the number of ticks between its calls."""
+        from qrsim.envs.learned import rollout_policy
+        from qrsim.interface.policies import load_function
+        from qrsim.tasks.learned import is_policy_file
+
+        if self.policy is None or not is_policy_file(self.policy):
+            return None if self.policy is None else load_function("policy", self.policy), self.policy_ticks
+        if self.policy_ticks != 1:
+            said = f"--policy-ticks {self.policy_ticks}: a learned policy is called once per step of its task"
+            raise UsageError(said)
+        learned = rollout_policy(self.policy, scenario)
+        return learned, learned.ticks
+
     def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
         """Fly the scenario with every seed; return the rollout and the wall time [s]."""
         import time
 
         from qrsim.interface.mission_metrics import MISSION_METRICS
-        from qrsim.interface.policies import load_function
         from qrsim.scenarios.registry import made
         from qrsim.simulation.rollout import rollout
 
         missions = any(fleet.guidance.type == "mission" for fleet in scenario.spec.fleets.values())
+        policy, policy_ticks = self._policy(scenario)
         functions: dict[str, Any] = {
-            "policy": None if self.policy is None else load_function("policy", self.policy),
+            "policy": policy,
             "estimator": made("estimator", self.estimator),
             # A run whose missions are over ends before its duration.
             "metrics": MISSION_METRICS if missions and self.policy is None else None,
@@ -129,7 +144,7 @@ class Check:
                 scenario.world(),
                 ticks=scenario.ticks,
                 seeds=range(self.first_seed, self.first_seed + self.seeds),
-                policy_ticks=self.policy_ticks,
+                policy_ticks=policy_ticks,
                 progress=progress,
                 site=scenario.site,
                 **functions,

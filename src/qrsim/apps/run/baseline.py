@@ -1,23 +1,29 @@
-"""The policy that comes with a scenario's task."""
+"""Policies of a scenario's task: its baseline, or what ``qrsim train`` has learned."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import Scenario
 
 
-def baseline_policy(scenario: Scenario, seed: int, precision: str) -> tuple[Any, int]:
-    """Return the baseline of a scenario's task, and its period in ticks.
+def task_policy(scenario: Scenario, source: str, seed: int, precision: str) -> tuple[Any, int]:
+    """Return a policy of a scenario's task, and its period in ticks.
+
+    Args:
+        scenario: with a task.
+        source: "baseline", or the name of a policy file.
+        seed: of what the policy does at random.
+        precision: of the flight.
 
     Raises:
-        UsageError: the scenario has no task, or its task has no baseline.
+        UsageError: the scenario has no task, its task has no baseline, or the file is of another task or damaged.
     """
-    from qrsim.tasks import Play
+    from qrsim.envs import VERSION
+    from qrsim.envs.learned import play_of
     from qrsim.tasks.baselines import BaselinePolicy
+    from qrsim.tasks.learned import is_policy_file, read_policy
 
-    if not scenario.steps:
-        raise UsageError(f"--policy baseline: scenario {scenario.name} has no task")
-    play = Play(scenario.task(precision), scenario.world(precision), scenario.steps)
-    return BaselinePolicy(play, seed), play.ticks
+    play = play_of(scenario, f"--policy {source}", precision)
+    make = read_policy(source).maker(play, scenario.name, VERSION) if is_policy_file(source) else None
+    return BaselinePolicy(play, seed, make), play.ticks

@@ -87,7 +87,7 @@ class Run:
     are kept."""
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your policy: a function of a reading that returns a command or a set-point; MODULE may be a .py file. 'baseline'
-    is that of the scenario's task, called once per step of the task."""
+    is that of the scenario's task; so is the policy.npz of 'qrsim train'. Both are called once per step of the task."""
     estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your estimator: a function of a reading that returns the state estimate for the controllers."""
     policy_ticks: int = 1
@@ -129,8 +129,9 @@ class Run:
         check_seed(self.seed)
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
-        if self.policy_ticks != 1 and self.policy == BASELINE:
-            raise UsageError(f"--policy-ticks {self.policy_ticks}: the baseline is called once per step of its task")
+        if self.policy_ticks != 1 and self._of_task:
+            who = "the baseline" if self.policy == BASELINE else "a learned policy"
+            raise UsageError(f"--policy-ticks {self.policy_ticks}: {who} is called once per step of its task")
         scenario = load_scenario(self.scenario, with_duration(self.set, self.duration))
         injections: tuple[Injection, ...] = ()
         if self.injectable:
@@ -158,6 +159,11 @@ class Run:
             if page is not None:
                 stay(page)
 
+    @property
+    def _of_task(self) -> bool:
+        """True for a policy of the scenario's task: its baseline, or a learned one."""
+        return self.policy is not None and (self.policy == BASELINE or self.policy.endswith(".npz"))
+
     def _fly(
         self,
         scenario: Scenario,
@@ -175,15 +181,15 @@ class Run:
             from qrsim.interface.policies import load_function
             from qrsim.scenarios.registry import made
 
-            if self.policy not in (None, BASELINE):
+            if self.policy is not None and not self._of_task:
                 functions["policy"] = load_function("policy", str(self.policy), (BASELINE,))
             if self.estimator is not None:
                 functions["estimator"] = made("estimator", self.estimator)
         policy_ticks = self.policy_ticks
-        if self.policy == BASELINE:
-            from qrsim.apps.run.baseline import baseline_policy
+        if self._of_task:
+            from qrsim.apps.run.baseline import task_policy
 
-            functions["policy"], policy_ticks = baseline_policy(scenario, self.seed, self.precision)
+            functions["policy"], policy_ticks = task_policy(scenario, str(self.policy), self.seed, self.precision)
         try:
             with _progress(scenario) as progress:
                 return fly(

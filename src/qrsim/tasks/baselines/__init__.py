@@ -6,6 +6,7 @@ and where something is handed in ``answer()``, (n, ...). It works on NumPy array
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
@@ -92,19 +93,20 @@ def oracle(play: Play, seed: int = 0) -> Baseline:
 
 
 class BaselinePolicy:
-    """A baseline as a policy of ``Simulation`` and ``qrsim run``, called once per step of the task.
+    """A task's policy as one of ``Simulation`` and ``qrsim run``, called once per step of the task.
 
     Args:
         play: the task and its world.
         seed: of what it does at random.
+        make: makes the policy of (play, seed); None: the task's baseline.
 
     Raises:
         UsageError: the task has no baseline.
     """
 
-    def __init__(self, play: Play, seed: int = 0):
+    def __init__(self, play: Play, seed: int = 0, make: Callable[[Play, int], Baseline] | None = None):
         self.play, self.seed = play, seed
-        self._baseline = baseline(play, seed)
+        self._baseline = (make or baseline)(play, seed)
         self._memory: object = None
         self._observe = jax.jit(self._observed)
 

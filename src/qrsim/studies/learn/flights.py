@@ -1,0 +1,93 @@
+"""Flights to learn from: the agents of many episodes side by side, each a row, with the learner's view and reward."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qrsim.core.arrays import Floats
+from qrsim.envs.batch import Batch
+from qrsim.studies.learn.objective import Objective
+from qrsim.tasks.learned import LIMIT, View
+
+
+class Decided(NamedTuple):
+    """Results of a decision.
+
+    Attributes:
+        features: (N, F) what each row sees next, in the same episode.
+        reward: (N,) of the learner.
+        terminated: (N,) whether the episode has ended in a crash.
+        ended: (N,) whether the episode has ended.
+    """
+
+    features: Floats
+    reward: Floats
+    terminated: Floats
+    ended: Floats
+
+
+class Flights:
+    """B episodes of n agents, N = B n rows; an episode that ends is followed by the next of its seed.
+
+    Args:
+        batch: the episodes; its task makes a step for each decision.
+        view: of the learner.
+        objective: of the learner.
+    """
+
+    def __init__(self, batch: Batch, view: View, objective: Objective):
+        self.batch, self.view, self.objective = batch, view, objective
+        self.agents = len(batch.functional.agents)
+        self.rows = batch.size * self.agents
+        self._last = np.zeros((self.rows, len(view.flown)), np.float32)
+
+    def begin(self, seeds: Floats) -> None:
+        """Start all episodes with new seeds (B,)."""
+        self.batch.reset(seeds)
+        self._last[:] = 0.0
+        self.objective.begin(self.batch)
+
+    def features(self) -> Floats:
+        """Return the unscaled inputs (N, F) for the next decision."""
+        return self.view.features(self.batch.seen.reshape(self.rows, -1), self._last)
+
+    def decide(self, outputs: Floats) -> Decided:
+        """Advance by the outputs (N, K) of the network; ended episodes are still to be followed by ``follow``.
+
+        Raises:
+            RunError: a reward of the task is not finite.
+        """
+        self._last = outputs.clip(-LIMIT, LIMIT)
+        action = self.view.action(self._last).reshape(self.batch.size, self.agents, -1)
+        reward, terminated, truncated = self.batch.step(action)
+        own = self.objective.reward(self.batch, reward, terminated, self._last)
+        crashed, ended = (np.repeat(each, self.agents) for each in (terminated, terminated | truncated))
+        return Decided(self.features(), own, crashed, ended)
+
+    def follow(self, ended: Floats) -> None:
+        """Start the next episodes where rows (N,) have ended."""
+        if not ended.any():
+            return
+        self._last[ended] = 0.0
+        self.batch.again(np.flatnonzero(ended.reshape(self.batch.size, self.agents).any(axis=1)))
+        self.objective.begin(self.batch)
+
+    def fly(self, act: Any, seeds: Floats) -> tuple[Floats, Floats]:
+        """Fly one episode of each seed (B,) by ``act`` from inputs to outputs; return the task's returns and survival.
+
+        Returns:
+            The mean return of the agents (B,), and whether each episode was flown to the end (B,).
+        """
+        self.begin(seeds)
+        total, alive = np.zeros(self.batch.size), np.ones(self.batch.size, bool)
+        for _ in range(self.batch.functional.play.steps):
+            self._last = act(self.features()).clip(-LIMIT, LIMIT)
+            action = self.view.action(self._last).reshape(self.batch.size, self.agents, -1)
+            reward, terminated, _ = self.batch.step(action)
+            total += np.where(alive, reward.mean(axis=1, dtype=np.float64), 0.0)
+            alive &= ~terminated
+            if not alive.any():
+                break
+        return total, alive

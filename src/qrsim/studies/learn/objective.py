@@ -1,0 +1,142 @@
+"""The learner's reward: that of the task in a form that gradients like, or the task's own, scaled.
+
+Tasks with a goal or a wanted velocity: each decision costs the time step times log(1 + e^2), for an error e in metres
+or m/s, a crash costs ``CRASH``, and a potential of minus the error is added as gamma Phi(s') - Phi(s), which leaves the
+best policy as it is (Ng, Harada and Russell 1999). Errors are the true ones: a reward may know what a policy may not.
+Other tasks: the task's reward over the running standard deviation of its discounted sum.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from qrsim.core.arrays import Floats
+from qrsim.envs.batch import Batch
+from qrsim.tasks.simple import KeepSpot, KeepVelocity
+
+CRASH = 30.0
+# Potential for each metre or m/s of error, and cost of the squared output of a network each second.
+POTENTIAL, EFFORT = 0.5, 0.05
+# Limit of a scaled reward.
+LARGEST = 10.0
+
+
+class Objective(Protocol):
+    """Reward of the learner."""
+
+    def begin(self, batch: Batch) -> None:
+        """Note where episodes stand after a start."""
+
+    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+        """Return the rewards (N,) after a step with the task's rewards (B, n), and the ends (B,)."""
+
+    def state(self) -> dict[str, Floats]:
+        """Return what has been learned about rewards, for a checkpoint."""
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take what ``state`` has returned."""
+
+
+def objective_of(batch: Batch, discount: float) -> Objective:
+    """Return the learner's reward for a task."""
+    task = batch.functional.play.task
+    if isinstance(task, KeepSpot | KeepVelocity):
+        return Reached(batch, discount)
+    return Scaled(batch, discount)
+
+
+class Reached:
+    """Reward for a small true error of position or velocity."""
+
+    def __init__(self, batch: Batch, discount: float):
+        self._discount, self._seconds = discount, batch.functional.play.task.period
+        self._by_velocity = isinstance(batch.functional.play.task, KeepVelocity)
+        self._error = np.zeros(0)
+
+    def begin(self, batch: Batch) -> None:
+        """Note the errors, of those that go on again."""
+        self._error = self.errors(batch)
+
+    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+        """Return the rewards (N,)."""
+        before, now = self._error, self.errors(batch)
+        self._error = now
+        crashed = np.repeat(terminated, reward.shape[1])
+        effort = EFFORT * np.square(outputs).sum(axis=1)
+        potential = POTENTIAL * (before - self._discount * np.where(crashed, 0.0, now))
+        cost = self._seconds * (np.log1p(now * now) + effort)
+        found: Floats = (potential - cost - CRASH * crashed).astype(np.float32)
+        return found
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the true errors (N,) [m or m/s]."""
+        seen, truth = batch.seen, batch.truth
+        if self._by_velocity:
+            wanted = seen[..., 9:12] + seen[..., 3:6]
+            return _length(wanted - _velocity_ned(truth))
+        goal = seen[..., 9:12] + seen[..., 0:3]
+        return _length(goal - truth["position_ned"])
+
+    def state(self) -> dict[str, Floats]:
+        """Return nothing: nothing is learned."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take nothing."""
+
+
+def _length(vectors: Floats) -> Floats:
+    """Return the lengths of vectors (B, n, 3), as (B n,)."""
+    found: Floats = np.sqrt(np.square(vectors).sum(axis=-1)).ravel()
+    return found
+
+
+def _velocity_ned(truth: dict[str, Floats]) -> Floats:
+    """Return velocities NED (B, n, 3) of those in body axes."""
+    roll, pitch, yaw = np.moveaxis(truth["attitude"], -1, 0)
+    x, y, z = np.moveaxis(truth["velocity_body"], -1, 0)
+    right, below = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
+    ahead, down = np.cos(pitch) * x + np.sin(pitch) * below, np.cos(pitch) * below - np.sin(pitch) * x
+    return np.stack(
+        [np.cos(yaw) * ahead - np.sin(yaw) * right, np.sin(yaw) * ahead + np.cos(yaw) * right, down], axis=-1
+    )
+
+
+class Scaled:
+    """The task's own reward over the running standard deviation of its discounted sum."""
+
+    def __init__(self, batch: Batch, discount: float):
+        self._discount = discount
+        self._sum = np.zeros(0)
+        # Number of sums, their mean, and the sum of their squared differences from it.
+        self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
+
+    def begin(self, batch: Batch) -> None:
+        """Make room for the sums."""
+        size = batch.size * len(batch.functional.agents)
+        if len(self._sum) != size:
+            self._sum = np.zeros(size)
+
+    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+        """Return the rewards (N,)."""
+        given = reward.astype(np.float64).ravel()
+        self._sum = self._discount * self._sum + given
+        count = len(given)
+        away = self._sum.mean() - self._mean
+        whole = self._count + count
+        self._squares += self._sum.var() * count + away * away * self._count * count / whole
+        self._mean, self._count = self._mean + away * count / whole, whole
+        self._sum[np.repeat(terminated, reward.shape[1])] = 0.0
+        scale = np.sqrt(self._squares / self._count) + 1e-8
+        found: Floats = (given / scale).clip(-LARGEST, LARGEST).astype(np.float32)
+        return found
+
+    def state(self) -> dict[str, Floats]:
+        """Return the moments."""
+        return {"reward_moments": np.array([self._count, self._mean, self._squares])}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take the moments."""
+        self._count, self._mean, self._squares = map(float, state["reward_moments"])

@@ -1,0 +1,232 @@
+"""The loop of training: fly, improve, try, keep.
+
+Training is cut into cycles of whole episodes. At the end of each the mean policy flies episodes that are not learned
+from, the best policy so far is kept, and everything is written, so a later process goes on with the same bits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.core.arrays import Floats
+from qrsim.engine.settings import use_compilation_cache
+from qrsim.envs.functional import Functional
+from qrsim.errors import RunError
+from qrsim.studies.learn.flights import Flights
+from qrsim.studies.learn.objective import objective_of
+from qrsim.studies.learn.ppo import Algorithm, Learner, Samples, Settings
+from qrsim.studies.learn.viewing import batch_of, view_of
+from qrsim.tasks.learned import PolicyFile, Scaling, forward
+
+# Decisions of each row in an iteration, and of all rows at least.
+HORIZON, FEWEST = 32, 2048
+# Seeds of the episodes that are learned from, of those that policies are tried in, and how many these are.
+LEARNED, TRIED, TRIES = 10**9, 5 * 10**8, 64
+# Episodes of one seed of a training; more than anybody has memory for.
+APART = 10**6
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is trained.
+
+    Attributes:
+        task: scenario, as ``qrsim.load`` takes it.
+        overrides: assignments such as "world.wind.speed_20ft=7".
+        seed: of the training.
+        envs: episodes side by side.
+        steps: decisions of all agents, after which it ends.
+        seconds: wall time after which it ends [s]; None: any.
+        tries: episodes in which policies are tried.
+        settings: numbers of the algorithm.
+    """
+
+    task: Any
+    overrides: tuple[str, ...] = ()
+    seed: int = 0
+    envs: int = 512
+    steps: int = 3_000_000
+    seconds: float | None = None
+    tries: int = TRIES
+    settings: Settings = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A row of the curve.
+
+    Attributes:
+        cycle: number of the cycle, from 1.
+        steps: decisions of all agents so far.
+        seconds: wall time of the cycles so far [s].
+        mean_return: of the task, in the episodes that policies are tried in.
+        flown_to_the_end: part of these.
+        reward: mean of the learner's reward of a decision in the cycle.
+        divergence: mean divergence of an iteration's policy from the one before.
+    """
+
+    cycle: int
+    steps: int
+    seconds: float
+    mean_return: float
+    flown_to_the_end: float
+    reward: float
+    divergence: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Order of policies: first by the part flown to the end."""
+        return self.flown_to_the_end, self.mean_return
+
+
+class Moments:
+    """Running mean and variance of inputs (N, F)."""
+
+    def __init__(self, size: int):
+        self.count, self.mean, self.squares = 0.0, np.zeros(size), np.zeros(size)
+
+    def add(self, rows: Floats) -> None:
+        """Take inputs (N, F)."""
+        count = len(rows)
+        mean = rows.mean(axis=0, dtype=np.float64)
+        away, whole = mean - self.mean, self.count + count
+        self.squares += np.square(rows - mean).sum(axis=0) + away * away * self.count * count / whole
+        self.mean, self.count = self.mean + away * count / whole, whole
+
+    def scaling(self) -> Scaling:
+        """Return the scaling by them."""
+        deviation = np.sqrt(self.squares / max(self.count, 1.0)) + 1e-3
+        return Scaling(self.mean.astype(np.float32), deviation.astype(np.float32))
+
+
+class Training:
+    """A training; iterate over ``cycles``.
+
+    Args:
+        plan: what is trained.
+
+    Attributes:
+        best: the policy that did best so far, and its row; None before the first cycle.
+
+    Raises:
+        UsageError, ScenarioError: there is no such task, or it cannot be learned.
+        MissingExtraError: optax is not installed.
+    """
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        self.view = view_of(Functional.of(plan.task, plan.overrides))
+        self.algorithm = Algorithm(self.view.inputs, len(self.view.flown), plan.settings)
+        use_compilation_cache()
+        self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)
+        self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
+        self.learner: Learner = self.algorithm.begin(plan.seed)
+        self.moments = Moments(self.view.inputs)
+        self.cycle, self.steps = 0, 0
+        self.best: tuple[PolicyFile, Tried] | None = None
+        self.curve: list[Tried] = []
+
+    def flights_of(self, episodes: int) -> Flights:
+        """Return flights of some episodes of the task, as the learner sees it."""
+        batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
+        return Flights(batch, self.view, objective_of(batch, self.plan.settings.discount))
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of a cycle: those in which an episode can end."""
+        return -(-self.flights.batch.functional.play.steps // self.horizon)
+
+    def cycles(self, told: Callable[[int], None] = lambda steps: None) -> Iterator[Tried]:
+        """Train, and yield a row after each cycle.
+
+        Args:
+            told: is called with the decisions so far.
+
+        Raises:
+            RunError: a reward is not finite.
+        """
+        begun, before = time.monotonic(), self.curve[-1].seconds if self.curve else 0.0
+        limit = np.inf if self.plan.seconds is None else self.plan.seconds
+        while self.steps < self.plan.steps and time.monotonic() - begun < limit:
+            key = jax.random.fold_in(jax.random.key(self.plan.seed), self.cycle)
+            first = LEARNED + APART * (self.plan.seed % 10**6) + self.cycle * self.plan.envs
+            self.flights.begin(first + np.arange(self.plan.envs))
+            rewards, divergences = [], []
+            for iteration in range(self.iterations):
+                flown, improving = jax.random.split(jax.random.fold_in(key, iteration))
+                samples = self._fly(flown)
+                self.learner, divergence = self.algorithm.improve(self.learner, samples, improving)
+                rewards.append(float(samples.reward.mean()))
+                divergences.append(self._finite(float(divergence)))
+                self.steps += samples.reward.size
+                told(self.steps)
+                if self.steps >= self.plan.steps or time.monotonic() - begun > limit:
+                    break
+            self.cycle += 1
+            policy = self._policy()
+            total, alive = self.trials.fly(
+                lambda features, policy=policy: forward(policy.layers, policy.scaling.scaled(features)),
+                TRIED + np.arange(self.plan.tries),
+            )
+            elapsed = time.monotonic() - begun
+            row = Tried(
+                self.cycle,
+                self.steps,
+                round(before + elapsed, 2),
+                float(total.mean()),
+                float(alive.mean()),
+                float(np.mean(rewards)),
+                float(np.mean(divergences)),
+            )
+            self.curve.append(row)
+            if self.best is None or row.rank > self.best[1].rank:
+                self.best = policy, row
+            yield row
+
+    def _finite(self, divergence: float) -> float:
+        """Return a divergence.
+
+        Raises:
+            RunError: it is not finite, and so are the weights.
+        """
+        if not np.isfinite(divergence):
+            raise RunError(f"{self.view.task}: training diverged in cycle {self.cycle + 1}: weights are not finite")
+        return divergence
+
+    def keep_untried(self) -> bool:
+        """Keep the policy as it is if a training was interrupted before any was tried; return whether it did."""
+        if self.best is not None or not self.steps:
+            return False
+        unknown = float("nan")
+        self.best = self._policy(), Tried(0, self.steps, 0.0, unknown, 0.0, unknown, unknown)
+        return True
+
+    def _fly(self, key: Any) -> Samples:
+        """Return the samples of an iteration."""
+        flights, found = self.flights, []
+        weights = self.learner.weights
+        for number in range(self.horizon):
+            features = flights.features()
+            self.moments.add(features)
+            scaling = self.moments.scaling()
+            inputs = scaling.scaled(features)
+            decision = self.algorithm.decide(weights, inputs, key, np.int32(number))
+            outputs, density, value = map(np.asarray, decision)
+            decided = flights.decide(outputs)
+            after = np.asarray(self.algorithm.value(weights, scaling.scaled(decided.features)))
+            after = np.where(decided.terminated, np.float32(0.0), after)
+            found.append((inputs, outputs, density, value, decided.reward, decided.ended, after))
+            flights.follow(decided.ended)
+        return Samples(*(np.stack(parts) for parts in zip(*found, strict=True)))
+
+    def _policy(self) -> PolicyFile:
+        """Return the policy as it is."""
+        layers = tuple((np.array(weights), np.array(offset)) for weights, offset in self.learner.weights["policy"])
+        facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
+        return PolicyFile(self.view, self.moments.scaling(), layers, facts)

@@ -1,0 +1,72 @@
+"""The learner's view of a task: which observations a policy takes, how often it decides, and how far its actions go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from qrsim.envs import VERSION
+from qrsim.envs.batch import Batch
+from qrsim.envs.functional import Functional
+from qrsim.envs.scoring import neutral
+from qrsim.errors import UsageError
+from qrsim.tasks.learned import View, observed_names
+
+# Wanted time between two decisions [s]; a task with longer steps has one for each.
+DECISION = 0.1
+# Change of an action for each unit of a network's output, by the name of the number; of others 1.
+REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
+# What is commanded in the vehicle's own axes, which makes a policy turn with its heading.
+BODY = ("pitch", "roll")
+# What is never commanded: a battery is full.
+GIVEN = ("battery",)
+
+
+def view_of(functional: Functional) -> View:
+    """Return the view of a task.
+
+    Raises:
+        UsageError: a policy of this kind cannot fly the task.
+    """
+    play, name = functional.play, functional.name
+    if play.task.hands_in:
+        raise UsageError(f"{name}: its score is of an answer that agents hand in, which a learned policy does not give")
+    try:
+        observed = observed_names(play)
+    except UsageError as error:
+        raise UsageError(f"{name}: {error}") from None
+    acts = tuple(axis.name for axis in play.axes)
+    turns = "yaw" in observed and all(axis in acts for axis in BODY)
+    pairs = tuple(
+        (number, observed.index(name.removesuffix("north") + "east"))
+        for number, name in enumerate(observed)
+        if turns and name.endswith("_north") and name.removesuffix("north") + "east" in observed
+    )
+    # An offset to the goal says more than a position, and what turns with the heading needs none.
+    goal = any(each.startswith("to_") for each in observed)
+    left_out = tuple(name for name in observed if (goal and name.startswith("position_")) or (turns and name == "yaw"))
+    flown = tuple(number for number, act in enumerate(acts) if act not in GIVEN)
+    return View(
+        task=name,
+        version=VERSION,
+        seconds=_seconds(play.task.period, play.steps),
+        observed=observed,
+        acts=acts,
+        kept=tuple(number for number, each in enumerate(observed) if each not in left_out),
+        pairs=pairs,
+        yaw=observed.index("yaw") if turns else None,
+        flown=flown,
+        centre=tuple(round(neutral(play, axis), 6) for axis in play.axes),
+        reach=tuple(REACHES.get(act, 1.0) for act in acts),
+    )
+
+
+def _seconds(period: float, steps: int) -> float:
+    """Return the time between two decisions [s]: so many periods that they divide an episode of some steps."""
+    most = max(1, round(DECISION / period))
+    count = next(count for count in range(most, 0, -1) if steps % count == 0)
+    return float(np.round(period * count, 9))
+
+
+def batch_of(scenario: object, size: int, overrides: list[str], view: View) -> Batch:
+    """Return episodes whose steps are the decisions of a view."""
+    return Batch(scenario, size, [*overrides, f"task.period={view.seconds!r}"])  # type: ignore[arg-type]

@@ -1,0 +1,281 @@
+"""Learned policies: a neural network in a file, as ``qrsim train`` writes it, flown with NumPy alone.
+
+A file is a NumPy archive: weights, the scaling of inputs and actions, and a text in JSON with the task that it was
+trained on. A policy sees what the agents of its task observe, never the truth.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.control.setpoints import library
+from qrsim.core.arrays import Floats
+from qrsim.errors import UsageError, readable
+from qrsim.files.numpy_file import read_arrays
+from qrsim.files.user_files import read_bytes
+from qrsim.tasks.play import Play
+
+SUFFIX = ".npz"
+FORMAT = "qrsim policy 1"
+# Largest file [bytes] and array of one.
+LARGEST, MOST_NUMBERS = 64 * 2**20, 4_000_000
+# Inputs are limited to this many standard deviations.
+LIMIT = 10.0
+META = "meta"
+
+
+@dataclass(frozen=True)
+class View:
+    """How a policy sees its task: the selected observations, in its own heading, next to its last action.
+
+    Attributes:
+        task: name of the scenario.
+        version: of the task.
+        seconds: time between two decisions [s].
+        observed: names of the O numbers of an observation.
+        acts: names of the A numbers of an action.
+        kept: which of the observed numbers are inputs.
+        pairs: north and east of each horizontal vector among them, rotated into the heading.
+        yaw: where the heading is in an observation; None: nothing is rotated.
+        flown: which numbers of an action the policy gives; the others have the value of ``centre``.
+        centre: (A,) action of a network that returns zeros.
+        reach: (A,) change of the action for each unit that the network returns.
+    """
+
+    task: str
+    version: int
+    seconds: float
+    observed: tuple[str, ...]
+    acts: tuple[str, ...]
+    kept: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+    yaw: int | None
+    flown: tuple[int, ...]
+    centre: tuple[float, ...]
+    reach: tuple[float, ...]
+
+    @property
+    def inputs(self) -> int:
+        """Size of an input (F)."""
+        return len(self.kept) + len(self.flown)
+
+    def features(self, seen: Any, last: Any) -> Any:
+        """Return the inputs (N, F) of observations (N, O) and last outputs (N, len(flown)); NumPy or JAX."""
+        lib = library(seen)
+        columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))]
+        if self.yaw is not None:
+            cos, sin = lib.cos(columns[self.yaw]), lib.sin(columns[self.yaw])
+            for north, east in self.pairs:
+                ahead = cos * columns[north] + sin * columns[east]
+                columns[north], columns[east] = ahead, cos * columns[east] - sin * columns[north]
+        return lib.stack([*(columns[number] for number in self.kept), *last.T], axis=-1)
+
+    def action(self, output: Any) -> Any:
+        """Return the actions (N, A) in [-1, 1] of outputs (N, len(flown)) of the network; NumPy or JAX."""
+        lib = library(output)
+        columns = []
+        for number, (centre, reach) in enumerate(zip(self.centre, self.reach, strict=True)):
+            neutral = lib.full_like(output[:, 0], np.float32(centre))
+            moved = number in self.flown
+            columns.append(neutral + np.float32(reach) * output[:, self.flown.index(number)] if moved else neutral)
+        return lib.stack(columns, axis=-1).clip(-1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Mean and standard deviation of the inputs, (F,) each."""
+
+    mean: Floats
+    deviation: Floats
+
+    def scaled(self, features: Any) -> Any:
+        """Return inputs (N, F) with mean 0 and standard deviation 1, limited to ``LIMIT``; NumPy or JAX."""
+        return ((features - self.mean[None]) / self.deviation[None]).clip(-LIMIT, LIMIT)
+
+
+Layers = Sequence[tuple[Floats, Floats]]
+
+
+def forward(layers: Layers, inputs: Any) -> Any:
+    """Return the outputs (N, K) of a network with tanh between its layers, for inputs (N, F); NumPy or JAX."""
+    lib = library(inputs)
+    for weights, offset in layers[:-1]:
+        inputs = lib.tanh(inputs @ weights + offset[None])
+    weights, offset = layers[-1]
+    return inputs @ weights + offset[None]
+
+
+@dataclass(frozen=True)
+class PolicyFile:
+    """A learned policy.
+
+    Attributes:
+        view: how it sees its task.
+        scaling: of its inputs.
+        layers: of its network, weights and offsets.
+        facts: how it was trained: seed, steps, overrides.
+        name: of the file, for messages.
+    """
+
+    view: View
+    scaling: Scaling
+    layers: tuple[tuple[Floats, Floats], ...]
+    facts: dict[str, Any]
+    name: str = "policy"
+
+    def content(self) -> bytes:
+        """Return the bytes of the file."""
+        meta = json.dumps({"format": FORMAT, "view": asdict(self.view), "facts": self.facts}, sort_keys=True)
+        arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
+        arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
+        for number, (weights, offset) in enumerate(self.layers):
+            arrays |= {f"weights_{number}": weights, f"offset_{number}": offset}
+        file = io.BytesIO()
+        np.savez(file, **arrays)
+        return file.getvalue()
+
+    def maker(self, play: Play, name: str, version: int) -> Any:
+        """Return what makes this policy for an episode, from ``play`` and a seed.
+
+        Args:
+            play: the task and its world.
+            name: of its scenario.
+            version: of its tasks.
+
+        Raises:
+            UsageError: it is another task or version, or its agents observe or command something else.
+        """
+        view = self.view
+        if (view.task, view.version) != (name, version):
+            trained = f"it was trained on {view.task} (version {view.version})"
+            raise UsageError(f"policy {self.name}: {trained}; this task is {name} (version {version})")
+        for what, mine, theirs in (
+            ("observes", view.observed, observed_names(play)),
+            ("commands", view.acts, tuple(axis.name for axis in play.axes)),
+        ):
+            if mine != theirs:
+                raise UsageError(
+                    f"policy {self.name}: it {what} {_shown(mine)}; the task's agents have {_shown(theirs)}"
+                )
+        return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
+
+    def pilot(self, agents: int, period: float) -> LearnedPolicy:
+        """Return what flies some agents, of one episode or of many, from its start.
+
+        Args:
+            agents: how many (n).
+            period: time between two actions of the task [s].
+        """
+        return LearnedPolicy(self, agents, max(1, round(self.view.seconds / period)))
+
+
+class LearnedPolicy:
+    """Flies the agents of an episode by a policy file: the mean action, held between two decisions.
+
+    Args:
+        file: the policy.
+        agents: how many.
+        hold: steps of the task between two decisions.
+    """
+
+    def __init__(self, file: PolicyFile, agents: int, hold: int):
+        self._file, self._hold, self._steps = file, hold, 0
+        self._last = np.zeros((agents, len(file.view.flown)), np.float32)
+        self._action = file.view.action(self._last)
+
+    def act(self, seen: Floats) -> Floats:
+        """Return the actions (n, A) for observations (n, O)."""
+        file = self._file
+        if self._steps % self._hold == 0:
+            inputs = file.scaling.scaled(file.view.features(np.asarray(seen), self._last))
+            self._last = forward(file.layers, inputs).clip(-LIMIT, LIMIT)
+            self._action = file.view.action(self._last)
+        self._steps += 1
+        return self._action
+
+
+def is_policy_file(source: object) -> bool:
+    """Return whether a text names a policy file."""
+    return isinstance(source, str | Path) and str(source).endswith(SUFFIX)
+
+
+def read_policy(path: str | Path) -> PolicyFile:
+    """Read a policy file.
+
+    Raises:
+        UsageError: there is no such file, or it is no policy or a damaged one.
+    """
+    name = str(path)
+    with readable(path):
+        data = read_bytes(path, LARGEST)
+    arrays = read_arrays(f"policy {name}", data, MOST_NUMBERS)
+    return policy_of(arrays, name)
+
+
+def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
+    """Return the policy in the arrays of an archive.
+
+    Raises:
+        UsageError: they are no policy, or do not fit each other.
+    """
+    try:
+        meta = json.loads(arrays[META].tobytes().decode())
+        if meta["format"] != FORMAT:
+            raise UsageError(f"policy {name}: its format is {meta['format']!r:.60}; this qrsim reads '{FORMAT}'")
+        view = View(**{field.name: _frozen(meta["view"][field.name]) for field in fields(View)})
+        count = sum(each.startswith("weights_") for each in arrays)
+        layers = tuple((arrays[f"weights_{number}"], arrays[f"offset_{number}"]) for number in range(count))
+        scaling = Scaling(arrays["mean"], arrays["deviation"])
+        numbers = [scaling.mean, scaling.deviation, *(part for layer in layers for part in layer)]
+        _check_shapes(view, scaling, layers)
+        if not all(part.dtype == np.float32 and np.isfinite(part).all() for part in numbers):
+            raise ValueError
+        return PolicyFile(view, scaling, layers, dict(meta["facts"]), name)
+    except UsageError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError):
+        raise UsageError(f"policy {name}: is no policy that qrsim train has written, or it is damaged") from None
+
+
+def observed_names(play: Play) -> tuple[str, ...]:
+    """Return the names of the numbers of an observation.
+
+    Raises:
+        UsageError: the task observes a dict, or has agents of several fleets.
+    """
+    axes = play.task.sees(play.world)
+    if len(play.sides) > 1 or isinstance(axes, dict):
+        raise UsageError("a learned policy observes an array of numbers of one fleet; this task gives a dict")
+    return tuple(axis.name for axis in axes)
+
+
+def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
+    """Raise a ValueError where parts of a policy do not fit each other."""
+    sizes = [view.inputs, *(weights.shape[1] for weights, _ in layers)]
+    fits = [scaling.mean.shape == scaling.deviation.shape == (view.inputs,), bool(layers), sizes[-1] == len(view.flown)]
+    for size, (weights, offset) in zip(sizes, layers, strict=False):
+        fits += [weights.shape == (size, len(offset)), offset.ndim == 1]
+    indices = [*view.kept, *(each for pair in view.pairs for each in pair), *([] if view.yaw is None else [view.yaw])]
+    fits += [all(0 <= each < len(view.observed) for each in indices), bool((scaling.deviation > 0.0).all())]
+    fits += [all(0 <= each < len(view.acts) for each in view.flown), view.seconds > 0.0]
+    fits += [len(view.centre) == len(view.reach) == len(view.acts)]
+    fits += [bool(np.isfinite([*view.centre, *view.reach, view.seconds]).all())]
+    if not all(fits):
+        raise ValueError
+
+
+def _frozen(value: Any) -> Any:
+    """Return JSON with tuples for its lists."""
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+def _shown(names: tuple[str, ...]) -> str:
+    """Return names for a message."""
+    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")

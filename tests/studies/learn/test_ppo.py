@@ -1,0 +1,78 @@
+"""The algorithm of training, by hand: advantages, the loss, running moments, and the learner's reward."""
+
+from __future__ import annotations
+
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from qrsim.studies.learn.objective import Scaled, _velocity_ned
+from qrsim.studies.learn.ppo import Samples, Settings, _advantages, _loss
+from qrsim.studies.learn.training import Moments
+
+
+def samples(**changes: Any) -> Samples:
+    zeros = jnp.zeros((3, 1), jnp.float32)
+    parts = dict.fromkeys(Samples._fields, zeros) | {"ended": jnp.zeros((3, 1), bool)}
+    return Samples(**{**parts, **changes})
+
+
+def test_advantages_stop_at_the_end_of_an_episode() -> None:
+    reward = jnp.asarray([[1.0], [2.0], [4.0]], jnp.float32)
+    ended = jnp.asarray([[False], [True], [False]])
+    settings = Settings(discount=0.5, trace=0.5)
+    found = _advantages(samples(reward=reward, ended=ended, value_after=jnp.full((3, 1), 8.0)), settings)
+    # Errors 5, 6 and 8; the first adds a quarter of the second, and the second nothing of the third.
+    np.testing.assert_allclose(found[:, 0], [6.5, 6.0, 8.0])
+
+
+def test_a_ratio_beyond_the_clip_gains_nothing() -> None:
+    identity = [(jnp.eye(1, dtype=jnp.float32), jnp.zeros(1, jnp.float32))]
+    weights = {"policy": identity, "value": identity, "log_spread": jnp.zeros(1, jnp.float32)}
+    flat = jnp.zeros(2, jnp.float32)
+    # Both outputs are as likely as can be, e times as likely as they were: the ratio of the good one is clipped at 1.2.
+    part = Samples(flat[:, None], flat[:, None], flat - 1.0, flat, flat, flat, flat)
+    loss, _ = jax.jit(partial(_loss, Settings()))(weights, part, jnp.asarray([1.0, -1.0], jnp.float32), flat)
+    assert float(loss) == pytest.approx(-(1.2 - np.e) / 2.0, rel=1e-5)
+
+
+def test_moments_are_those_of_all_rows() -> None:
+    rows = np.random.default_rng(1).normal([3.0, -2.0], [0.5, 4.0], (1000, 2)).astype(np.float32)
+    moments = Moments(2)
+    for part in np.split(rows, [10, 11, 600]):
+        moments.add(part)
+    found = moments.scaling()
+    np.testing.assert_allclose(found.mean, [3.0, -2.0], atol=0.3)
+    np.testing.assert_allclose(found.mean, rows.mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(found.deviation, rows.std(axis=0) + 1e-3, rtol=1e-5)
+
+
+def test_rewards_are_scaled_by_the_deviation_of_their_sums() -> None:
+    batch: Any = SimpleNamespace(size=2, functional=SimpleNamespace(agents=("a",)))
+    scaled = Scaled(batch, 0.0)
+    scaled.begin(batch)
+    going = np.zeros(2, bool)
+    for _ in range(50):
+        found = scaled.reward(batch, np.array([[300.0], [-300.0]]), going, np.zeros((2, 1)))
+    np.testing.assert_allclose(found, [1.0, -1.0], rtol=1e-3)
+    again = Scaled(batch, 0.0)
+    again.restore(scaled.state())
+    again.begin(batch)
+    np.testing.assert_array_equal(
+        again.reward(batch, np.array([[1.0], [2.0]]), going, found),
+        scaled.reward(batch, np.array([[1.0], [2.0]]), going, found),
+    )
+
+
+def test_velocities_in_body_axes_are_turned_into_those_over_ground() -> None:
+    # Heading east and pitched up by 30 degrees, 2 m/s forwards: 1.732 east and 1 up.
+    truth = {"attitude": np.array([[[0.0, np.pi / 6, np.pi / 2]]]), "velocity_body": np.array([[[2.0, 0.0, 0.0]]])}
+    np.testing.assert_allclose(_velocity_ned(truth), [[[0.0, 1.7320508, -1.0]]], atol=1e-7)
+    # Banked by 90 degrees to the right, the body's right is down.
+    banked = {"attitude": np.array([[[np.pi / 2, 0.0, 0.0]]]), "velocity_body": np.array([[[0.0, 3.0, 0.0]]])}
+    np.testing.assert_allclose(_velocity_ned(banked), [[[0.0, 0.0, 3.0]]], atol=1e-7)

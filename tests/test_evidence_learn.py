@@ -1,0 +1,31 @@
+"""The small form of the study of qrsim train, and what the full form must have found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from evidence import learn as study
+from evidence.__main__ import plain
+
+REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "learn.json"
+
+
+@pytest.mark.long
+def test_the_small_form_trains_and_flies() -> None:
+    found = plain(study.run(full=False))["keep_spot_seed_0"]
+    # Two cycles of 2048 decisions, each of 32 steps of 64 episodes.
+    assert found["decisions"] == 4096
+    # In two seconds nothing goes far.
+    assert (found["near"], found["flown_to_the_end"]) == (1.0, 1.0)
+    assert -10.0 < found["mean"] < 0.0
+
+
+def test_the_full_form_found_what_the_page_says() -> None:
+    found = json.loads(REPORT.read_text("utf-8"))["results"]
+    kept = [found[f"keep_spot_seed_{seed}"] for seed in range(10)]
+    assert all(each["flown_to_the_end"] >= 0.99 for each in kept)
+    assert all(each["mean"] > found["keep_spot"]["baseline"]["mean"] for each in kept)
+    reached = [found[f"goto_waypoint_seed_{seed}"]["near"] for seed in range(10)]
+    assert sorted(reached) == [0.0] * 2 + [1.0] * 8
