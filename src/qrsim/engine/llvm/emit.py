@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from qrsim.core.arrays import DType
 from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.graph import Node
+from qrsim.engine.llvm.halves import HALVES, write_half
 from qrsim.engine.llvm.loops import Loops, shared_axis
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.scattering import write_scatter
 from qrsim.engine.llvm.schedule import Step
-from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_type, vector
+from qrsim.engine.llvm.text import neutral, scalar_type, splat, stored_type, vector
 from qrsim.engine.llvm.writing import Place, Scope
 
 
@@ -38,6 +35,8 @@ class Emitter(Loops):
                 self._concatenation(step.nodes[0])
             elif step.kind == "nearest":
                 Neighbours(self).write(step.nodes[0])
+            elif step.kind in HALVES:
+                write_half(self, step.nodes[0])
             elif step.kind == "scatter":
                 write_scatter(self, step.nodes[0])
             elif step.kind == "rows":
@@ -365,22 +364,6 @@ class Emitter(Loops):
         self.move_all(moves, keep)
         self.do(f"br label %{after}")
         self.scalars = outside
-
-
-def neutral(how: str, dtype: DType) -> str:
-    """Choose the number that a reduction begins with."""
-    if how in ("add", "or"):
-        return literal(0, dtype)
-    if how == "mul":
-        return literal(1, dtype)
-    if how == "and":
-        return literal(True, dtype) if dtype.kind == "b" else "-1"
-    if dtype.kind == "f":
-        return literal(math.inf if how == "min" else -math.inf, dtype)
-    if dtype.kind == "b":
-        return literal(how == "min", dtype)
-    limits = np.iinfo(dtype)
-    return str(limits.max if how == "min" else limits.min)
 
 
 def _together(step: Step, axis: int | None) -> int:
