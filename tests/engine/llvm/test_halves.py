@@ -15,6 +15,7 @@ from qrsim.engine.llvm import Input, Mode, UnsupportedError, build
 from qrsim.engine.llvm import compiler as machine
 
 SIZE, WORLDS = 6, 18
+SHARED = {"noise": np.float32(0.5), "column": np.float32([0.1, -0.2, 0.3, 0.0, 0.2, 0.1])}
 TERMS = (Term(0, 2, 0.02), Term(1, 5, -1.0, 0), Term(1, 2, -0.5, 1), Term(2, 3, 1.0, 2), Term(2, 4, 1.0, 0))
 
 
@@ -23,7 +24,8 @@ def stepped(shared: Any, state: Any, tick: Any) -> Any:
     moved = transformed(state["half"], TERMS, list(state["factors"]), {0: shared["noise"], 5: state["own"]})
     column = times(moved, {1: state["factors"][0], 5: jnp.ones_like(state["own"]), 0: shared["noise"] + state["own"]})
     wider = transformed(moved, (), (), {3: shared["noise"]})
-    return {**state, "half": lowered(wider, [state["column"], 0.01 * column]), "found": column}
+    same = jnp.broadcast_to(shared["column"][:, None], column.shape)
+    return {**state, "half": lowered(wider, [state["column"], 0.01 * column, same]), "found": column}
 
 
 def state_of(count: int) -> dict[str, Any]:
@@ -44,7 +46,7 @@ def state_of(count: int) -> dict[str, Any]:
 @pytest.mark.parametrize("mode", MODES, ids=IDS)
 @pytest.mark.parametrize("count", [1, 5, pytest.param(8, marks=pytest.mark.long), 21])
 def test_halves_change_as_with_jax(count: int, mode: Mode) -> None:
-    check(stepped, state_of(count), mode, rtol=2e-5, atol=2e-5, shared={"noise": np.float32(0.5)}, ticks=2)
+    check(stepped, state_of(count), mode, rtol=2e-5, atol=2e-5, shared=SHARED, ticks=2)
 
 
 @pytest.mark.parametrize("mode", [Mode(8, False), Mode(16, True)])
@@ -53,7 +55,7 @@ def test_vectors_of_both_widths_give_the_same(mode: Mode, monkeypatch: pytest.Mo
     for width in (32, 64):
         for module in ("halves", "writing"):
             monkeypatch.setattr(f"qrsim.engine.llvm.{module}.vector_bytes", lambda width=width: width)
-        check(stepped, state_of(5), mode, rtol=2e-5, atol=2e-5, shared={"noise": np.float32(0.5)}, ticks=2)
+        check(stepped, state_of(5), mode, rtol=2e-5, atol=2e-5, shared=SHARED, ticks=2)
     assert machine.vector_bytes() in (32, 64)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from qrsim.engine.llvm import kernels
+from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.halves import HALVES, write_half
 from qrsim.engine.llvm.loops import Loops, shared_axis
@@ -379,4 +380,6 @@ def _together(step: Step, axis: int | None) -> int:
     size = sum(node.op != "kernel" for node in step.nodes) + sum(len(kernels.body(name).nodes) for name, _ in called)
     if not 60 <= size <= 200 or (size < 100 and not step.reduced):
         return 1
-    return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)
+    # Where a vector takes two registers, four turns need more than there are.
+    most = (4, 2) if vector_bytes() == 64 else (2,)
+    return next((turns for turns in most if step.domain[axis] % turns == 0), 1)

@@ -82,12 +82,14 @@ class _Half:
     def _rows(self, access: Access) -> _Rows:
         """Return where the rows of an argument lie."""
         place, index = self.writer.place(access.node), access.index
-        moves_by_row = bool(index) and index[0][0] == 0 and all(axis != 0 for axis, _ in index[1:])
-        contiguous = self.writer.side_by_side or self.width == 1 or place.strides[-1] == self.dtype.itemsize
-        if not moves_by_row or place.short or not contiguous:
+        by_row = bool(index) and index[0][0] == 0 and all(axis != 0 for axis, _ in index[1:])
+        # From vehicle to vehicle; nothing where all have the same numbers.
+        across = [stride for (axis, _), stride in zip(index, place.strides, strict=True) if axis == 1]
+        alone = not self.writer.side_by_side and self.width > 1
+        if not by_row or place.short or (alone and across not in ([], [self.dtype.itemsize])):
             raise UnsupportedError(f"'{self.node.op}' of an array that does not lie row by row")
         offsets = [(None, offset) if axis != 1 else (self.vehicle, offset) for axis, offset in index]
-        own = place.own if self.writer.side_by_side else self.width > 1
+        own = bool(across) if alone else place.own
         return _Rows(self.writer.address(self._moved(place), offsets), place.strides[0], self.width if own else 1)
 
     def _result(self) -> _Rows:
@@ -103,11 +105,9 @@ class _Half:
         return replace(place, pointer=pointer)
 
     def _address(self, rows: _Rows, row: int) -> str:
-        return (
-            rows.pointer
-            if row == 0
-            else self.writer.emit(f"getelementptr i8, ptr {rows.pointer}, i64 {row * rows.stride}")
-        )
+        if row == 0:
+            return rows.pointer
+        return self.writer.emit(f"getelementptr i8, ptr {rows.pointer}, i64 {row * rows.stride}")
 
     def _at(self, rows: _Rows, row: int, counter: str) -> str:
         """Return the address of a row a counter after another one."""
@@ -117,9 +117,8 @@ class _Half:
         return self.writer.emit(f"getelementptr i8, ptr {first}, i64 {row * rows.stride}")
 
     def _load(self, rows: _Rows, address: str) -> str:
-        return self.writer.widened(
-            (self.writer.load(self.dtype, address, rows.lanes), rows.lanes), self.dtype, self.width
-        )
+        found = self.writer.load(self.dtype, address, rows.lanes)
+        return self.writer.widened((found, rows.lanes), self.dtype, self.width)
 
     def _number(self, row: int, column: int) -> str:
         """Load a number of the matrix as it was."""
@@ -155,22 +154,20 @@ class _Half:
 
     def _half_times(self) -> None:
         rows, factors = self.node.attributes[1], self.node.args[1:]
-        known = [
-            (row, None if _is_one(factor) else self._factor(factor)) for row, factor in zip(rows, factors, strict=True)
-        ]
+        known = ["" if _is_one(factor) else self._factor(factor) for factor in factors]
         for i in range(self.size):
             total = ""
-            for row, factor in known:
-                number = self._number(i, row)
-                if factor is None:
-                    total = self.writer.emit(f"fadd {self.of} {total}, {number}") if total else number
-                else:
-                    total = (
-                        self._plus(factor, number, total)
-                        if total
-                        else self.writer.emit(f"fmul {self.of} {factor}, {number}")
-                    )
+            for row, factor in zip(rows, known, strict=True):
+                total = self._sum(factor, self._number(i, row), total)
             self._store(self._address(self.to, i), total)
+
+    def _sum(self, factor: str, number: str, total: str) -> str:
+        """Return a factor times a number plus a total; "" is a factor of one, and a total of nothing."""
+        if factor and total:
+            return self._plus(factor, number, total)
+        if factor:
+            return self.writer.emit(f"fmul {self.of} {factor}, {number}")
+        return self.writer.emit(f"fadd {self.of} {total}, {number}") if total else number
 
     def _half_lowered(self) -> None:
         columns = [self._rows(access) for access in self.node.args[1:]]
@@ -221,11 +218,8 @@ class _Half:
         return found, changed
 
     def _coefficient(self, term: Term, factors: list[str]) -> str:
-        scale = splat(
-            literal(np.float32(term.scale) if self.dtype.itemsize == 4 else term.scale, self.dtype),
-            scalar_type(self.dtype),
-            self.width,
-        )
+        number = np.float32(term.scale) if self.dtype.itemsize == 4 else term.scale
+        scale = splat(literal(number, self.dtype), scalar_type(self.dtype), self.width)
         if term.factor is None:
             return scale
         if abs(term.scale) == 1.0:
