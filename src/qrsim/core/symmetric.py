@@ -94,16 +94,16 @@ def _transformed(
 ) -> Array:
     size = size_of(half.shape[0])
     factors, added = given[: len(given) - len(rows)], given[len(given) - len(rows) :]
+    parts = [term[2] if term[3] is None else term[2] * factors[term[3]] for term in terms]
+    spread = [jnp.broadcast_to(jnp.asarray(part, half.dtype), half.shape[1:]) for part in parts]
     whole = half[places(size)]
-    # Rows and then columns take their share of those after them, which have not changed yet.
-    for row, column, scale, factor in sorted(terms, key=lambda term: term[0]):
-        share = scale if factor is None else scale * factors[factor][None]
-        whole = whole.at[row].add(share * whole[column])
-    for row, column, scale, factor in sorted(terms, key=lambda term: term[0]):
-        share = scale if factor is None else scale * factors[factor][None]
-        whole = whole.at[:, row].add(share * whole[:, column])
-    for row, value in zip(rows, added, strict=True):
-        whole = whole.at[row, row].add(value)
+    if terms:
+        rows_of, columns_of = (np.array([term[which] for term in terms]) for which in (0, 1))
+        matrix = jnp.broadcast_to(jnp.eye(size, dtype=half.dtype)[:, :, None], whole.shape)
+        matrix = matrix.at[rows_of, columns_of].set(jnp.stack(spread))
+        whole = jnp.einsum("ikn,kln,jln->ijn", matrix, whole, matrix)
+    if rows:
+        whole = whole.at[np.array(rows), np.array(rows)].add(jnp.stack(added))
     return whole[np.triu_indices(size)]
 
 
