@@ -15,7 +15,7 @@ from qrsim.engine.llvm import Input, Mode, UnsupportedError, build
 from qrsim.engine.llvm import compiler as machine
 
 SIZE, WORLDS = 6, 18
-SHARED = {"noise": np.float32(0.5), "column": np.float32([0.1, -0.2, 0.3, 0.0, 0.2, 0.1])}
+SHARED = {"noise": np.float32(0.5), "column": np.array([0.1, -0.2, 0.3, 0.0, 0.2, 0.1], np.float32)}
 TERMS = (Term(0, 2, 0.02), Term(1, 5, -1.0, 0), Term(1, 2, -0.5, 1), Term(2, 3, 1.0, 2), Term(2, 4, 1.0, 0))
 
 
@@ -63,4 +63,4 @@ def test_one_number_is_no_matrix() -> None:
     """Such a half has no rows to go through, and XLA compiles it."""
     inputs = [Input(Packer(()), own=False), Input(Packer({"half": np.zeros((1, 3), np.float32)}), own=True)]
     with pytest.raises(UnsupportedError, match="half_transformed"):
-        build(lambda _, state, tick: {"half": transformed(state["half"], (), (), {0: 1.0})}, inputs, Mode(16, False))
+        build(lambda _, state, tick: {"half": transformed(state["half"], (), (), {0: jnp.float32(1.0)})}, inputs, Mode(16, False))
