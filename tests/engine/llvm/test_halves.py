@@ -63,4 +63,8 @@ def test_one_number_is_no_matrix() -> None:
     """Such a half has no rows to go through, and XLA compiles it."""
     inputs = [Input(Packer(()), own=False), Input(Packer({"half": np.zeros((1, 3), np.float32)}), own=True)]
     with pytest.raises(UnsupportedError, match="half_transformed"):
-        build(lambda _, state, tick: {"half": transformed(state["half"], (), (), {0: jnp.float32(1.0)})}, inputs, Mode(16, False))
+        build(
+            lambda _, state, tick: {"half": transformed(state["half"], (), (), {0: jnp.float32(1.0)})},
+            inputs,
+            Mode(16, False),
+        )
