@@ -47,6 +47,7 @@ NUMBERS = {
     "light": {"runs", "cpu_s", "over_import_jax"},
     "looking": {"median_us", "step_us", "over_first"},
     "mavlink": {"vehicles", "ticks", "core", "frames_per_second"},
+    "outdoor": {"worlds", "ns", "tick_us", "compile_seconds"},
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
@@ -174,6 +175,13 @@ def test_sensors():
     assert (pair["sensors"], imu["sensors"]) == ("gyroscope, accelerometer", "imu")
     assert pair["over_pair"] == 1.0
     assert imu["over_pair"] > 0.0
+
+
+@pytest.mark.nightly
+def test_outdoor():
+    whole, other = rows("outdoor")
+    assert (whole["stage"], whole["share"], other["stage"]) == ("whole", 1.0, "without filter")
+    assert other["share"] < 1.0
 
 
 @pytest.mark.nightly

@@ -13,7 +13,17 @@ import scipy
 from tests.by_numpy import by_numpy
 from tests.control.kalman_rig import DT, Fix, Heading, Height, Inertial, errors, filtered, flown, matched
 
-from qrsim.control.covariance import Covariance, corrected, forgotten, matrix, propagated, variances
+from qrsim.control.covariance import (
+    Covariance,
+    Measured,
+    corrected,
+    forgotten,
+    independent,
+    matrix,
+    propagated,
+    variance_of,
+    variances,
+)
 from qrsim.control.kalman_state import SIZE, TURN, moves, of_angles
 from qrsim.control.setpoints import Estimate
 from qrsim.core.quaternions import Quaternion
@@ -32,18 +42,22 @@ def covariance() -> np.ndarray:
     return half @ half.T + np.eye(SIZE)
 
 
-def in_blocks(matrix: np.ndarray, count: int = 1) -> Covariance:
-    """Return the covariance of so many vehicles that all have this matrix, in blocks of three errors."""
-    whole = np.repeat(np.float32(matrix)[:, :, None], count, axis=2)
-    starts = range(0, len(matrix), 3)
-    return tuple(jnp.stack([whole[a : a + 3, b : b + 3] for b in starts if b >= a]) for a in starts)
+def halves(matrix: np.ndarray, count: int = 1) -> Covariance:
+    """Return the covariance of so many vehicles that all have this matrix."""
+    upper = np.float32(matrix)[np.triu_indices(len(matrix))]
+    return jnp.asarray(np.repeat(upper[:, None], count, axis=1))
 
 
-def test_blocks_are_those_of_the_matrix(covariance: np.ndarray):
-    given = in_blocks(covariance, 2)
-    assert [row.shape for row in given] == [(5 - a, 3, 3, 2) for a in range(5)]
+def test_a_half_is_that_of_the_matrix(covariance: np.ndarray):
+    given = halves(covariance, 2)
+    assert given.shape == (120, 2)
     np.testing.assert_array_equal(matrix(given)[..., 1], np.float32(covariance))
     np.testing.assert_array_equal([variance[1] for variance in variances(given)], np.float32(np.diag(covariance)))
+
+
+def test_independent_errors_have_a_diagonal_covariance():
+    found = independent([jnp.full(2, 1.0 + k) for k in range(6)])
+    np.testing.assert_array_equal(matrix(found)[..., 1], np.diag(np.arange(1.0, 7.0)))
 
 
 @pytest.mark.long
@@ -60,7 +74,7 @@ def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
     whole[3:6, 12:15] = whole[6:9, 9:12] = -0.02 * to_ned
     noise = np.arange(15.0) * 1e-3
     found = propagated(
-        in_blocks(covariance), moves(vec(1.0, -2.0, -9.0), turned, 0.02), [jnp.array([value]) for value in noise]
+        halves(covariance), moves(vec(1.0, -2.0, -9.0), turned, 0.02), [jnp.array([value]) for value in noise]
     )
     expected = whole @ covariance @ whole.T + np.diag(noise)
     np.testing.assert_allclose(matrix(found)[..., 0], expected, rtol=2e-5, atol=2e-4)
@@ -73,17 +87,10 @@ def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
     row[[1, 4, 13]] = 1.0, -0.3, 0.5
     mean = np.linspace(-1.0, 1.0, SIZE)
     gain = covariance @ row / (row @ covariance @ row + 0.7)
-    given = in_blocks(covariance, 2)
+    given = halves(covariance, 2)
     before = jnp.asarray(np.repeat(mean[:, None], 2, axis=1), jnp.float32)
-    after, by_blocks = corrected(
-        given,
-        before.reshape(5, 3, 2),
-        {k: jnp.full(2, row[k]) for k in (1, 4, 13)},
-        jnp.array([2.0, jnp.nan]),
-        jnp.full(2, 0.7),
-        jnp.array([True, False]),
-    )
-    moved = np.reshape(by_blocks, (SIZE, 2))
+    scalar = Measured(jnp.array([2.0, jnp.nan]), jnp.full(2, 0.7), {k: jnp.full(2, row[k]) for k in (1, 4, 13)})
+    after, moved = corrected(given, before, [scalar], jnp.array([True, False]))
     np.testing.assert_allclose(moved[:, 0], mean + gain * (2.0 - row @ mean), rtol=1e-4, atol=1e-5)
     expected = covariance - np.outer(gain, row @ covariance)
     np.testing.assert_allclose(matrix(after)[..., 0], expected, rtol=1e-4, atol=1e-4)
@@ -91,9 +98,27 @@ def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
     np.testing.assert_array_equal(matrix(after)[..., 1], matrix(given)[..., 1])
 
 
+def test_measurements_together_are_those_one_after_the_other(covariance: np.ndarray):
+    """Three numbers of one reading at once, against the equations of Kalman for all of them."""
+    rows = np.zeros((3, SIZE))
+    rows[0, [1, 4]], rows[1, [1, 2, 7]], rows[2, 13] = (1.0, -0.3), (0.2, 1.0, 2.0), 1.0
+    noise, innovations, mean = np.array([0.7, 0.2, 1.5]), np.array([2.0, -1.0, 0.5]), np.linspace(-1.0, 1.0, SIZE)
+    scalars = [
+        Measured(jnp.full(1, left), jnp.full(1, own), {k: jnp.full(1, row[k]) for k in np.flatnonzero(row).tolist()})
+        for left, own, row in zip(innovations, noise, rows, strict=True)
+    ]
+    after, moved = corrected(halves(covariance), jnp.float32(mean)[:, None], scalars, jnp.array([True]))
+    gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T + np.diag(noise))
+    np.testing.assert_allclose(moved[:, 0], mean + gain @ (innovations - rows @ mean), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(matrix(after)[..., 0], covariance - gain @ rows @ covariance, rtol=1e-4, atol=1e-4)
+    assert float(variance_of(after, scalars[1].sensitivity)[0]) == pytest.approx(
+        rows[1] @ (covariance - gain @ rows @ covariance) @ rows[1], rel=1e-4
+    )
+
+
 @pytest.mark.long
 def test_what_is_forgotten_is_independent(covariance: np.ndarray):
-    given = in_blocks(covariance, 2)
+    given = halves(covariance, 2)
     found = forgotten(given, {0: jnp.full(2, 4.0), 3: jnp.full(2, 9.0)}, jnp.array([True, False]))
     expected = covariance.copy()
     expected[[0, 3], :] = expected[:, [0, 3]] = 0.0

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -141,7 +142,8 @@ def test_more_fixes_do_not_average_a_slow_error_away():
     for errors, std in (("coloured", math.hypot(1.5, 0.1)), ("white", 0.1)):
         kalman = replace(ErrorStateKalmanFilter(), gnss_errors=errors)
         state = begun(kalman, vec(0.0, 0.0, -G))
-        sure = tuple(row * np.float32((0.1 / 1.5) ** 2) if a == 0 else row for a, row in enumerate(state.covariance))
+        # The first number is the variance of the first axis.
+        sure = jnp.asarray(state.covariance).at[0].multiply((0.1 / 1.5) ** 2)
         stated = jax.jit(kalman.std, compiler_options=QUICK)(replace(state, covariance=sure))
         assert float(stated.position_ned.x[0]) == pytest.approx(std, rel=1e-3)
 

@@ -18,7 +18,9 @@ from qrsim.control.contracts import Preflight
 from qrsim.control.covariance import (
     BLOCK,
     Covariance,
+    Measured,
     corrected,
+    crossed,
     expected,
     independent,
     matrix,
@@ -28,7 +30,7 @@ from qrsim.control.covariance import (
     widened,
 )
 from qrsim.control.kalman_parameters import KalmanParameters
-from qrsim.control.kalman_readings import Measured, airspeeds, compass, fields, headings, heights, places, velocities
+from qrsim.control.kalman_readings import airspeeds, compass, fields, headings, heights, places, velocities
 from qrsim.control.kalman_start import NORMALS, calibrated, levelled, turned_by
 from qrsim.control.kalman_state import (
     GYROSCOPE,
@@ -176,9 +178,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         own = variances(state.covariance)[:TURN]
         own = [jnp.sqrt(variance + along(unseen, {k: one})) for k, variance in enumerate(own)]
         rows = of_angles(state.rotation)
-        angles = [
-            jnp.sqrt(jnp.maximum(variance_of(state.covariance, row)[1], 0.0) + along(unseen, row)) for row in rows
-        ]
+        angles = [jnp.sqrt(jnp.maximum(variance_of(state.covariance, row), 0.0) + along(unseen, row)) for row in rows]
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
 
     def inner(self, state: KalmanState) -> tuple[Inner, Inner]:
@@ -287,7 +287,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
         """Return the state corrected by new readings (F2)."""
-        none = jnp.zeros((state.places.size // BLOCK, BLOCK, *state.since_fix.shape), state.since_fix.dtype)
+        none = jnp.zeros((state.places.size, *state.since_fix.shape), state.since_fix.dtype)
         carry: Corrected = (state.covariance, none, state.since_fix, state.innovations, state.slow)
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):
             believe = partial(self._believed, what, scalars, new)
@@ -295,14 +295,15 @@ class ErrorStateKalmanFilter(KalmanParameters):
             carry = lax.cond(due, believe, _unchanged, carry) if due.ndim == 0 else believe(carry)
         covariance, errors, since_fix, innovations, slow = carry
         state = replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations, slow=slow)
-        return injected(state, errors.reshape(-1, *state.since_fix.shape), dt)
+        return injected(state, errors, dt)
 
     def _believed(self, what: str, scalars: list[Measured], new: Array, carry: Corrected) -> Corrected:
         """Return covariance, errors, time since a fix, and innovations, after the scalars of one kind of reading."""
         covariance, errors, since_fix, innovations, slow = carry
         for scalar in scalars:
             new = new & jnp.isfinite(scalar.innovation)
-        worst = self._worst(covariance, errors, scalars)
+        known = crossed(covariance, scalars)
+        worst = _worst(known, errors, scalars)
         believed = new & (worst <= self.gate * self.gate)
         if what == "position_ned":
             again = new & ~believed & (since_fix > self.reset_after)
@@ -310,21 +311,10 @@ class ErrorStateKalmanFilter(KalmanParameters):
             since_fix = jnp.where(believed, 0.0, since_fix)
             if slow is not None and self.gnss_errors == "coloured":
                 covariance, slow = _with_accuracy(covariance, slow, [s.variance for s in scalars], believed)
-        for scalar in scalars:
-            covariance, errors = corrected(
-                covariance, errors, scalar.sensitivity, scalar.innovation, scalar.variance, believed
-            )
+            known = crossed(covariance, scalars)
+        covariance, errors = corrected(covariance, errors, scalars, believed, known)
         shown = jnp.where(new, jnp.sqrt(worst), getattr(innovations, what))
         return covariance, errors, since_fix, replace(innovations, **{what: shown}), slow
-
-    def _worst(self, covariance: Covariance, errors: Array, scalars: list[Measured]) -> Array:
-        """Return the largest square of a kind's innovations (n,), each over its variance."""
-        worst = jnp.zeros_like(scalars[0].innovation)
-        for scalar in scalars:
-            left = scalar.innovation - expected(errors, scalar.sensitivity)
-            spread = variance_of(covariance, scalar.sensitivity)[1] + scalar.variance
-            worst = jnp.maximum(worst, left * left / spread)
-        return worst
 
     def _groups(
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
@@ -367,6 +357,16 @@ class ErrorStateKalmanFilter(KalmanParameters):
         if velocity is not None:
             variances = self._variances(readings, "velocity_ned", one)
             yield "velocity_ned", velocities(state, velocity, variances, late), *new("velocity_ned")
+
+
+def _worst(known: list[Array], errors: Array, scalars: list[Measured]) -> Array:
+    """Return the largest square of a kind's innovations (n,), each over its variance."""
+    worst = jnp.zeros_like(scalars[0].innovation)
+    for scalar, column in zip(scalars, known, strict=True):
+        left = scalar.innovation - expected(errors, scalar.sensitivity)
+        spread = expected(column, scalar.sensitivity) + scalar.variance
+        worst = jnp.maximum(worst, left * left / spread)
+    return worst
 
 
 def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], where: Array) -> tuple[Covariance, Vec3]:

@@ -5,22 +5,13 @@ The scalars of docs/explanation/models/estimators.md, F2 to F5.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.control.covariance import Measured
 from qrsim.control.kalman_state import ACCELEROMETER, PLACE, SPEED, TURN, KalmanState, Past, body_axes, of_angles, swung
 from qrsim.core.fastmath import arctan2, sincos, wrap_angle
 from qrsim.core.vectors import Euler, Vec3
-
-
-class Measured(NamedTuple):
-    """A scalar measurement of n vehicles: one row of the measurement equation."""
-
-    innovation: Array  # (n,) reading minus prediction
-    variance: Array  # (n,) or (), of its noise
-    sensitivity: dict[int, Array]  # its derivatives (n,) by the error states with these numbers
 
 
 def places(state: KalmanState, fix: Vec3, variances: tuple[Array, ...], axes: str, late: float) -> list[Measured]:

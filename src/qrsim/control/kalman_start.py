@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.contracts import Preflight
-from qrsim.control.covariance import BLOCK, corrected, variances
+from qrsim.control.covariance import corrected, variances
 from qrsim.control.kalman_parameters import KalmanParameters
 from qrsim.control.kalman_readings import fields, gravities
 from qrsim.control.kalman_state import TURN, KalmanState, injected, small, with_turn
@@ -65,9 +65,9 @@ def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str
     scalars = gravities(state, force, kalman.gravity, zero + noise * noise * (1.0 / FIRST_S) + 1e-6)
     if field is not None and state.places.field is not None:
         scalars += fields(state, field, zero + kalman.field_std * kalman.field_std)
+    errors = jnp.zeros((state.places.size, *zero.shape), zero.dtype)
     covariance = state.covariance
-    errors = jnp.zeros((state.places.size // BLOCK, BLOCK, *zero.shape), zero.dtype)
     for scalar in scalars:
         used = jnp.isfinite(scalar.innovation)
-        covariance, errors = corrected(covariance, errors, scalar.sensitivity, scalar.innovation, scalar.variance, used)
-    return injected(replace(state, covariance=covariance), errors.reshape(-1, *zero.shape), 0.0)
+        covariance, errors = corrected(covariance, errors, [scalar], used)
+    return injected(replace(state, covariance=covariance), errors, 0.0)

@@ -17,11 +17,18 @@ from jax import Array
 from qrsim.control.covariance import Covariance, Moves, forgotten, variances, widened
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
+from qrsim.core.symmetric import Term
 from qrsim.core.tree import quantity, record, replace
 from qrsim.core.vectors import Rotation, Vec3
 
 # Errors by their numbers: position, velocity, attitude (NED), then biases (body axes); others follow (Places).
 PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER, SIZE = 0, 3, 6, 9, 12, 15
+# A specific force turned: for each axis the rotations that change it, with the sign and the axis of what they add.
+_SWUNG: tuple[dict[int, tuple[int, int]], ...] = (
+    {1: (1, 2), 2: (-1, 1)},
+    {0: (-1, 2), 2: (1, 0)},
+    {0: (1, 1), 1: (-1, 0)},
+)
 # Std of each angle [rad] after fixes were rejected for too long.
 LOST_TURN_STD = 0.2
 
@@ -79,7 +86,7 @@ class KalmanState:
     force_ned: Vec3 = quantity(unit="m/s^2", doc="specific force of the last tick")
     covariance: Covariance = quantity(
         doc="covariance of position, velocity, rotation in NED, both biases, then field and its bias, "
-        "wind and bias of the height: 3 by 3 blocks, see covariance.py, 15 to 24 errors"
+        "wind and bias of the height: rows of half a matrix, see covariance.py, 15 to 24 errors"
     )
     lean: Vec3 = quantity(unit="1", doc="downward direction in body axes, averaged over LEAN_S")
     since_fix: Array = quantity(unit="s", doc="time since the last accepted fix")
@@ -129,18 +136,20 @@ class Places(NamedTuple):
 
 def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
     """Return the blocks of the transition matrix F of a tick, without the identity (F1)."""
-    none = jnp.zeros_like(felt.x)
-    swing = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in swung(felt)])
-    rows = zip(*(axis.axes for axis in body_axes(turned)), strict=True)
-    biased = jnp.stack([jnp.stack([-dt * cosine for cosine in row]) for row in rows])
-    place, speed, turn, gyroscope, accelerometer = range(5)
-    return {(place, speed): dt, (speed, turn): swing, (speed, accelerometer): biased, (turn, gyroscope): biased}
+    place, speed, turn, gyroscope, accelerometer = PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER
+    factors = [*felt.axes, *(cosine for axis in body_axes(turned) for cosine in axis.axes)]
+    terms = [Term(place + i, speed + i, dt) for i in range(3)]
+    for i, row in enumerate(_SWUNG):
+        terms += [Term(speed + i, turn + k, dt * sign, axis) for k, (sign, axis) in row.items()]
+        biased = [3 + 3 * k + i for k in range(3)]
+        terms += [Term(speed + i, accelerometer + k, -dt, number) for k, number in enumerate(biased)]
+        terms += [Term(turn + i, gyroscope + k, -dt, number) for k, number in enumerate(biased)]
+    return Moves(terms, factors)
 
 
-def swung(force: Vec3) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-    """Return the derivatives of a specific force in NED by small rotations of the attitude."""
-    x, y, z = force.axes
-    return {1: z, 2: -y}, {0: -z, 2: x}, {0: y, 1: -x}
+def swung(force: Vec3) -> tuple[dict[int, Array], ...]:
+    """Return the derivatives of each axis of a specific force in NED by small rotations of the attitude."""
+    return tuple({k: sign * force.axes[axis] for k, (sign, axis) in row.items()} for row in _SWUNG)
 
 
 def body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:

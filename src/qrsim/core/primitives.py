@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import jax
@@ -18,27 +19,37 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 
-def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = False) -> Any:
+def primitive_of(
+    name: str,
+    function: Callable[..., Any],
+    elementwise: bool = False,
+    parameters: tuple[str, ...] = (),
+    shape: Callable[[tuple[int, ...]], tuple[int, ...]] | None = None,
+) -> Any:
     """Make a primitive of one result that XLA lowers, and JAX differentiates, through a function.
 
     Args:
         name: of the primitive, in printed programs.
-        function: of arrays; it returns an array with shape and type of the first.
+        function: of arrays; it returns an array of the type of the first.
         elementwise: whether it maps each element of one array; a batch then keeps the same operation.
+        parameters: names of what else the function takes, which must be known when it is traced.
+        shape: gives the shape of the result from that of the first array; None: it is the same.
     """
     primitive = Primitive(name)
-    primitive.def_impl(jax.jit(function))
-    primitive.def_abstract_eval(lambda *avals: avals[0].update(weak_type=False))
+    primitive.def_impl(jax.jit(function, static_argnames=parameters))
+    result_shape = shape or (lambda first: first)
+    primitive.def_abstract_eval(lambda first, *_, **__: first.update(shape=result_shape(first.shape), weak_type=False))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
 
     def batched(arguments: Any, axes: Any, **parameters: object) -> tuple[Any, int]:
         if elementwise:
             return primitive.bind(*arguments), axes[0]
-        return jax.vmap(function, in_axes=tuple(axes))(*arguments), 0
+        return jax.vmap(partial(function, **parameters), in_axes=tuple(axes))(*arguments), 0
 
     def differentiated(primals: Any, tangents: Any, **parameters: object) -> object:
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
-        return primitive.bind(*primals), jax.jvp(function, tuple(primals), given)[1]
+        known = partial(function, **parameters)
+        return primitive.bind(*primals, **parameters), jax.jvp(known, tuple(primals), given)[1]
 
     batching.primitive_batchers[primitive] = batched
     ad.primitive_jvps[primitive] = differentiated

@@ -99,3 +99,19 @@ def test_what_a_branch_holds_is_not_copied(mode: Mode, monkeypatch: pytest.Monke
 
     build(function, [Input(Packer((np.zeros((3, 40), np.float32),) * 3), own=True)], mode)
     assert copied == []
+
+
+@pytest.mark.parametrize("mode", [Mode(16, False), Mode(8, True)], ids=["elements16", "worlds8"])
+def test_a_chain_of_branchings_is_not_copied(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a filter: predicted at every tick, then corrected by one sensor and by another, at ticks of their own."""
+    copied = []
+    monkeypatch.setattr(Loops, "copy", lambda self, access, shape, to, keep=None: copied.append(shape))
+
+    def function(memory: Any, tick: Any) -> Any:
+        found = memory * 1.5
+        for period in (2, 3, 5):
+            found = lax.cond(tick % period == 0, lambda x: x - 0.1 * x, lambda x: x, found)
+        return found
+
+    build(function, [Input(Packer(np.zeros((3, 40), np.float32)), own=True)], mode)
+    assert copied == []

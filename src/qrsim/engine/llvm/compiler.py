@@ -40,6 +40,12 @@ def _cpu_features() -> llvm.FeatureMap:
 
 
 @lru_cache(maxsize=1)
+def vector_bytes() -> int:
+    """Return the bytes of the widest vector that is one register here."""
+    return 64 if _cpu_features().get("avx512f") else 32
+
+
+@lru_cache(maxsize=1)
 def machine_name() -> str:
     """Name the processor, its features and the compiler, on which machine code depends beside its text."""
     version = ".".join(map(str, llvm.llvm_version_info))

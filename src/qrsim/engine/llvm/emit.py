@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from qrsim.core.arrays import DType
 from qrsim.engine.llvm import kernels
+from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.graph import Node
+from qrsim.engine.llvm.halves import HALVES, write_half
 from qrsim.engine.llvm.loops import Loops, shared_axis
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.scattering import write_scatter
 from qrsim.engine.llvm.schedule import Step
-from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_type, vector
+from qrsim.engine.llvm.text import neutral, scalar_type, splat, stored_type, vector
 from qrsim.engine.llvm.writing import Place, Scope
 
 
@@ -38,6 +36,8 @@ class Emitter(Loops):
                 self._concatenation(step.nodes[0])
             elif step.kind == "nearest":
                 Neighbours(self).write(step.nodes[0])
+            elif step.kind in HALVES:
+                write_half(self, step.nodes[0])
             elif step.kind == "scatter":
                 write_scatter(self, step.nodes[0])
             elif step.kind == "rows":
@@ -368,22 +368,6 @@ class Emitter(Loops):
         self.scalars = outside
 
 
-def neutral(how: str, dtype: DType) -> str:
-    """Choose the number that a reduction begins with."""
-    if how in ("add", "or"):
-        return literal(0, dtype)
-    if how == "mul":
-        return literal(1, dtype)
-    if how == "and":
-        return literal(True, dtype) if dtype.kind == "b" else "-1"
-    if dtype.kind == "f":
-        return literal(math.inf if how == "min" else -math.inf, dtype)
-    if dtype.kind == "b":
-        return literal(how == "min", dtype)
-    limits = np.iinfo(dtype)
-    return str(limits.max if how == "min" else limits.min)
-
-
 def _together(step: Step, axis: int | None) -> int:
     """Return how many turns of a loop along an axis are written as one.
 
@@ -397,4 +381,6 @@ def _together(step: Step, axis: int | None) -> int:
     size = sum(node.op != "kernel" for node in step.nodes) + sum(len(kernels.body(name).nodes) for name, _ in called)
     if not 60 <= size <= 200 or (size < 100 and not step.reduced):
         return 1
-    return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)
+    # Where a vector takes two registers, four turns need more than there are.
+    most = (4, 2) if vector_bytes() == 64 else (2,)
+    return next((turns for turns in most if step.domain[axis] % turns == 0), 1)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.schedule import Reading, Step, readers
-from qrsim.engine.llvm.waiting import ALONE
+from qrsim.engine.llvm.waiting import ALONE, IN_PLACE
 from qrsim.engine.llvm.writing import Place
 
 Move = tuple[Access, Shape, Place]
@@ -58,6 +58,11 @@ class InState:
                         output,
                         [own[a.node.number] for a in results_of if a.node.number in own and a.identical(output.shape)],
                     )
+        # The last one first, so that a chain of branchings, each of which changes what the one before left, lies there.
+        for i, step in reversed(list(enumerate(self.body))):
+            if step.kind == "cond" and self._agreed(step):
+                for output, results_of in _outputs(step):
+                    self._begin(i, output, results_of)
         for step in self.body:
             if step.kind == "cond" and self._agreed(step):
                 self._within(step)
@@ -75,7 +80,8 @@ class InState:
     def _is_movable(self, node: Node) -> bool:
         """Return whether a node is stored and has no place yet."""
         stored = node.number in self.stored and node.number not in self.short
-        return stored and node.number not in self.places and node.op not in ("reduce", *ALONE)
+        fixed = node.op == "reduce" or (node.op in ALONE and node.op not in IN_PLACE)
+        return stored and node.number not in self.places and not fixed
 
     def _agreed(self, step: Step) -> bool:
         """Return whether all worlds take the same branch."""
@@ -112,6 +118,29 @@ class InState:
                 self.made[node.number] > at and self._over(output, node) for node in later
             ):
                 self._assign(output, place)
+
+    def _begin(self, at: int, output: Node, handed: list[Access]) -> None:
+        """Let a node that a branching at a step hands out as it is lie where the result does, in the state."""
+        place = self.places.get(output.number)
+        if place not in self.lying:
+            return
+        assert place is not None
+        for access in handed:
+            node = access.node
+            if not access.identical(output.shape) or not self._free(node) or not self._fits(node, place):
+                continue
+            # Nobody reads it later, and nobody who reads what lies there at other times reads it while this does.
+            others = [other for other in self.lying[place] if other is not output]
+            if all(reading[0] <= at for reading in self.read[node.number]) and all(
+                self._apart(other, node, at) for other in others
+            ):
+                self._assign(node, place)
+                return
+
+    def _apart(self, other: Node, node: Node, last: int) -> bool:
+        """Return whether another node is read last before a node is written, or written after its last reading."""
+        made = self.made.get(other.number, -1)
+        return made > last or (made < self.made[node.number] and self._over(other, node))
 
     def _within(self, step: Step) -> None:
         """Let branches write their results directly to the leaves of the state."""

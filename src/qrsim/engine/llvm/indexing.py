@@ -135,6 +135,16 @@ class Indexing(Nodes):
             found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
         return found
 
+    def half(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
+        """Return an operation of symmetric matrices (see ``qrsim.core.symmetric``)."""
+        if out.dtype.kind != "f" or inputs[0].shape[0] < 2:
+            raise UnsupportedError(f"'{op}' of {out.dtype}[{inputs[0].shape[0]}]")
+        attributes = (inputs[0].shape[0], *(parameters[name] for name in sorted(parameters)))
+        accesses = tuple(view.access() for view in inputs)
+        return View.whole(
+            self.graph.node(op, accesses, squeezed(tuple(out.shape)), out.dtype, attributes), tuple(out.shape)
+        )
+
     def reshape(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return the same numbers in the order of rows, in another shape."""
         (operand, *dynamic), shape = inputs, tuple(out.shape)

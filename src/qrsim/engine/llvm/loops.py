@@ -51,6 +51,27 @@ class Loops(Writer):
             with self.over(axes[1:], domain, lane_axis, together):
                 yield
 
+    @contextmanager
+    def counted(self, extent: str) -> Iterator[str]:
+        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
+        label, number = f"some{self.count}", self.name("i")
+        wide = self.emit(f"zext i32 {extent} to i64")
+        before = self.block
+        self.do(f"br label %{label}")
+        self.start_block(label)
+        place = len(self.lines)
+        self.lines.append("")
+        more = self.emit(f"icmp ult i64 {number}, {wide}")
+        self.do(f"br i1 {more}, label %{label}.one, label %{label}.after")
+        self.start_block(f"{label}.one")
+        self.scope.offsets.clear()
+        yield number
+        following = self.emit(f"add nuw nsw i64 {number}, 1")
+        self.do(f"br label %{label}")
+        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        self.start_block(f"{label}.after")
+        self.scope.offsets.clear()
+
     def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
         """Write a loop that copies an array to a place, but for the worlds ``keep``."""
         if 0 in shape or (keep is None and self._copied_whole(access, shape, to)):

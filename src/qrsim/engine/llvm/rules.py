@@ -18,6 +18,7 @@ from qrsim.core import noise as _noise  # noqa: F401  its kernels are in the tab
 from qrsim.core.fastmath import rounded_p
 from qrsim.core.nearest import nearest_squared_p
 from qrsim.core.primitives import KERNELS
+from qrsim.core.symmetric import lowered_p, times_p, transformed_p
 from qrsim.engine.llvm.refusal import UnsupportedError
 
 
@@ -111,6 +112,9 @@ def _known() -> dict[Primitive, Rule]:
                 found[primitive] = rule
     found[rounded_p] = Rule("transparent", "")
     found[nearest_squared_p] = Rule("nearest", "")
+    found[times_p] = Rule("half", "half_times", {"rows"})
+    found[lowered_p] = Rule("half", "half_lowered")
+    found[transformed_p] = Rule("half", "half_transformed", {"terms", "rows"})
     found |= {kernel.primitive: Rule("kernel", name) for name, kernel in KERNELS.items()}
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from functools import cache
 
@@ -63,3 +64,19 @@ def suffix(element: str, lanes: int) -> str:
     """Return the end of an intrinsic's name that says its type."""
     letter = {"float": "f32", "double": "f64"}.get(element, element)
     return letter if lanes == 1 else f"v{lanes}{letter}"
+
+
+def neutral(how: str, dtype: DType) -> str:
+    """Choose the number that a reduction begins with."""
+    if how in ("add", "or"):
+        return literal(0, dtype)
+    if how == "mul":
+        return literal(1, dtype)
+    if how == "and":
+        return literal(True, dtype) if dtype.kind == "b" else "-1"
+    if dtype.kind == "f":
+        return literal(math.inf if how == "min" else -math.inf, dtype)
+    if dtype.kind == "b":
+        return literal(how == "min", dtype)
+    limits = np.iinfo(dtype)
+    return str(limits.max if how == "min" else limits.min)

@@ -11,7 +11,9 @@ from qrsim.engine.llvm.refusal import UnsupportedError
 
 OUTSIDE = ("input", "constant", "carry")
 # Each of these is a step of its own.
-ALONE = ("concatenate", "nearest", "scatter", "running")
+ALONE = ("concatenate", "nearest", "scatter", "running", "half_times", "half_lowered", "half_transformed")
+# Those that may write where their first argument lies.
+IN_PLACE = ("half_lowered", "half_transformed")
 # Of these, the steps of regions are parts.
 NESTED = ("cond", "while")
 # What no loop computes.

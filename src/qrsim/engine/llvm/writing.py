@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import DType
+from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
@@ -131,27 +132,6 @@ class Writer:
         self.start_block(after)
         self.scope.offsets.clear()
 
-    @contextmanager
-    def counted(self, extent: str) -> Iterator[str]:
-        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
-        label, number = f"some{self.count}", self.name("i")
-        wide = self.emit(f"zext i32 {extent} to i64")
-        before = self.block
-        self.do(f"br label %{label}")
-        self.start_block(label)
-        place = len(self.lines)
-        self.lines.append("")
-        more = self.emit(f"icmp ult i64 {number}, {wide}")
-        self.do(f"br i1 {more}, label %{label}.one, label %{label}.after")
-        self.start_block(f"{label}.one")
-        self.scope.offsets.clear()
-        yield number
-        following = self.emit(f"add nuw nsw i64 {number}, 1")
-        self.do(f"br label %{label}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
-        self.start_block(f"{label}.after")
-        self.scope.offsets.clear()
-
     # Memory
 
     def _lanes_of(self, node: Node) -> int:
@@ -193,9 +173,23 @@ class Writer:
             self.do(f"store {of} {value}, ptr {address}, align {align}")
             return
         # The lanes behind the end belong to whatever lies next.
+        if mask.startswith("<") and vector_bytes() < 64:
+            self._store_first(stored_type(dtype), address, value, lanes, mask.count("true"), align)
+            return
         name = f"llvm.masked.store.{suffix(stored_type(dtype), lanes)}.p0"
         self.declarations.add(f"declare void @{name}({of}, ptr, i32, {vector('i1', lanes)})")
         self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
+
+    def _store_first(self, element: str, address: str, value: str, lanes: int, count: int, align: int) -> None:
+        """Write the first lanes in pieces, where a masked store takes as long as a dozen others."""
+        of, begin = vector(element, lanes), 0
+        while begin < count:
+            size = 1 << ((count - begin).bit_length() - 1)
+            which = ", ".join(f"i32 {lane}" for lane in range(begin, begin + size))
+            piece = self.emit(f"shufflevector {of} {value}, {of} poison, <{size} x i32> <{which}>")
+            to = self.once(f"getelementptr i8, ptr {address}, i64 {begin * align}") if begin else address
+            self.do(f"store <{size} x {element}> {piece}, ptr {to}, align {align}")
+            begin += size
 
     # Values
 
